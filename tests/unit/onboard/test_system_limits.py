@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from bridge.mavlink.transport.address import parse_peer, parse_url
 from bridge.zenoh import zenoh_link
 from flightstack.cli.main import main
 from flightstack.common.processes import socket_folder
-from flightstack.common.strict_toml import decoded, read_toml
+from flightstack.common.strict_toml import ConfigError, decoded, parse_toml, read_toml
 from flightstack.compiled import jit
 from flightstack.config import options
 from logs.report.page import Page, ReportError, write
@@ -147,3 +148,28 @@ def test_a_full_disk_names_the_file_and_leaves_no_part_of_it(tmp_path):
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ReportError, match="/dev/full: cannot be written: No space left on device"):
         write(Path("/dev/full"), Page("", ("", "good"), "", (), ()))
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ("a = 1".encode("utf-16-le"), "UTF-16"),
+        ("# größer".encode("latin-1"), "encoding utf-8"),
+        (codecs.BOM_UTF16_LE + b"a", "encoding utf-16"),
+        (b"[" * 100_000, "not TOML"),
+        (b"a = " + b"9" * 5000, "not TOML"),
+    ],
+)
+def test_what_is_no_text_names_the_encoding(data, said):
+    with pytest.raises(ConfigError, match=said):
+        parse_toml(data)
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["udpin:[::1]:14550", "udpin:::1:14550", "tcp:[::1]:5760", "udpout:[fe80::1%eth0]:1", "udpin://[::]:1"],
+)
+def test_ipv6_is_refused_by_its_name(url):
+    for parse in (parse_url, parse_peer):
+        with pytest.raises(ValueError, match=re.escape("IPv4 alone")):
+            parse(url)

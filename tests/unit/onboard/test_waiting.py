@@ -10,11 +10,11 @@ import pytest
 from flightstack.common.pacing import Tick
 from flightstack.config.files import load
 from flightstack.config.options import OnboardOptions
-from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig
+from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig, Retreat
 from flightstack.core.snapshot import Snapshot
-from flightstack.core.types import Inputs, Landed, Mode, OwnState, VehicleStatus
+from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
 from flightstack.onboard.log import health_row
-from flightstack.onboard.waiting import TargetSeen, VehicleSeen, WaitReport, missing
+from flightstack.onboard.waiting import TargetSeen, VehicleSeen, WaitReport, countdown, missing
 from flightstack.onboard.zenoh_wires import ZenohWires
 from tests.integration.runs import called
 from tests.processes.ports import free_endpoint, free_port
@@ -194,3 +194,13 @@ def test_what_the_autopilot_did_by_itself_carries_its_own_reason():
         "the autopilot reports: Crash: Disarming: AngErr=70>30 | Disarmed by crash detection"
     )
     assert "no reason" in report.cause(20.0)
+
+
+def test_what_ends_a_wait_is_counted_down_with_its_setting():
+    config = FlightConfig(
+        barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5), retreat=Retreat(abort_time_max_s=40.0)
+    )
+    assert countdown(config, Phase.WAIT, 12.0) == "gives up within 48 s (checks.wait_time_max_s)"
+    assert countdown(config, Phase.ABORT, 12.0) == "ends within 28 s (retreat.abort_time_max_s)"
+    assert countdown(config, Phase.HOLD, 3.0) == "aborts within 0 s (checks.hold_time_s)"
+    assert countdown(config, Phase.APPROACH, 3.0) == ""  # left immediately

@@ -8,7 +8,15 @@ import pytest
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry, Pose
 from bridge.target.odometry import RawSample, excess_noise, sample_of
-from bridge.target.ros2_target import OFFSET_MAX_M, PoseTrack, TargetSource, TargetSpec, TargetType
+from bridge.target.ros2_target import (
+    OFFSET_MAX_M,
+    OUTLIERS_MAX,
+    SETTLED_M_S,
+    PoseTrack,
+    TargetSource,
+    TargetSpec,
+    TargetType,
+)
 from bridge.zenoh.zenoh_link import dropping_publisher, open_session
 from flightstack.core.parameters.robust import TargetLink
 from tests.unit.target import ros2_helpers as ros
@@ -134,3 +142,37 @@ def test_a_source_shifts_what_it_hears(kind):
 def test_an_offset_that_is_none_is_refused(offset):
     with pytest.raises(ValueError, match="up to 5 m"):
         TargetSpec.parse("x/y", offset_m=offset)
+
+
+@pytest.mark.parametrize("ahead_s", [0.05, 0.3, 0.9])
+def test_one_stamp_from_the_future_does_not_silence_a_target(ahead_s):
+    track = PoseTrack(LINK, "base")
+    assert list(drive(track, 0.0, 3.0))
+    track.take(circle(3.0)._replace(stamp_ns=round((3.0 + ahead_s) * 1e9)))
+    (t_s, first), *_, last = drive(track, 3.0, 5.0)
+    assert t_s < 3.0 + 0.3
+    assert velocity_error_m_s(t_s, first) < 3.0 * SETTLED_M_S
+    assert velocity_error_m_s(*last) < 0.02
+    # single poses out of order restart nothing
+    for k in range(20):
+        assert list(drive(track, 5.0 + 0.1 * k, 5.1 + 0.1 * k))
+        assert track.take(circle(5.0 + 0.1 * k)) is None
+
+
+def test_an_outlier_goes_nowhere_and_does_not_move_the_velocity():
+    track = PoseTrack(LINK, "base")
+    list(drive(track, 0.0, 2.0))
+    assert track.take(circle(2.0, (0.25, 0.0, 0.0))) is None
+    after = list(drive(track, 2.02, 2.2))
+    assert len(after) == 9
+    assert max(velocity_error_m_s(*one) for one in after) < 0.02
+
+
+def test_a_target_that_was_carried_away_is_followed_anew():
+    track = PoseTrack(LINK, "base")
+    list(drive(track, 0.0, 2.0))
+    out = [track.take(circle(2.0 + i / 50, (3.0, 0.0, 0.0))) for i in range(50)]
+    first = next(i for i, odometry in enumerate(out) if odometry is not None)
+    assert OUTLIERS_MAX <= first < OUTLIERS_MAX + 15
+    late = sample_of(RawSample(b"", odometry=out[-1]), 0.0)
+    assert velocity_error_m_s(2.0 + 49 / 50, late) < 0.02

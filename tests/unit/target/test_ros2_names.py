@@ -120,3 +120,18 @@ def test_a_topic_that_ros_does_not_allow_says_what_is(topic):
         check_topic(topic)
     with pytest.raises(ValueError, match="/robot1/odom"):
         bridge_key(topic)
+
+
+@pytest.mark.parametrize(
+    ("name", "type_hash", "words"),
+    [
+        ("Odometry", STRING_HASH, "PACKAGE/msg/NAME"),
+        ("nav_msgs/srv/Odometry", STRING_HASH, "PACKAGE/msg/NAME"),
+        ("std_msgs/msg/String", STRING_HASH[:-1], "64 hexadecimal"),
+        ("std_msgs/msg/String", STRING_HASH.upper(), "64 hexadecimal"),
+        ("std_msgs/msg/String", "", "64 hexadecimal"),
+    ],
+)
+def test_types_and_hashes_that_are_none(name, type_hash, words):
+    with pytest.raises(ValueError, match=words):
+        topic_key(0, "/odom", name, type_hash)

@@ -214,3 +214,15 @@ def test_a_connection_that_is_not_there_lost_and_back_is_told_once_each():
         assert "no connection" in alarm.poll(208.0)[0]
     finally:
         session.close()
+
+
+@pytest.mark.parametrize("key", ["", "/a", "a//b", "a#b"])
+def test_bad_key_is_a_clear_error(key):
+    session = open_session()
+    try:
+        with pytest.raises(ValueError, match="cf1/target/odom"):
+            zenoh_link.ring_subscriber(session, key)
+        with pytest.raises(ValueError, match="cf1/target/odom"):
+            OdometryPublisher(session, key)
+    finally:
+        session.close()

@@ -204,3 +204,10 @@ def test_the_voltage_that_the_reserve_check_names_is_the_lowest_that_it_proves()
     limited = one("thrust reserve", reserve=table | {"motor_voltage_max_v": 3.07})
     assert "which no voltage gives" in limited.worst
     assert limited.remedy.startswith("raise reserve.share")
+
+
+def test_the_commit_height_is_where_the_vehicle_would_hover():
+    base = one("commit height")
+    exact = config().robust.commit_height_m - base.room
+    assert one("commit height", robust={"commit_height_m": exact + 1e-4}).proven
+    assert not one("commit height", robust={"commit_height_m": exact - 1e-4}).proven
