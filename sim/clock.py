@@ -39,13 +39,6 @@ def run_process(verb: str, work: Callable[[Stop, ExitStack], None]) -> int:
     return 0
 
 
-def told(what: str) -> str:
-    """Print once on standard error that this process waits for ``what``; return the empty text."""
-    with contextlib.suppress(OSError):  # standard error is closed
-        print(f"waits for {what}", file=sys.stderr, flush=True)
-    return ""
-
-
 class TickGrid:
     """Time of each tick: tick k is at k / rate; in ns and, for the physics, in whole ms."""
 
@@ -94,7 +87,9 @@ def wait_until(
     while (silent_s := silence.look()) < timeout_s:
         looks += 1
         if what and silent_s > _SAID_S:
-            what = told(what)
+            with contextlib.suppress(OSError):  # standard error is closed
+                print(f"waits for {what}", file=sys.stderr, flush=True)
+            what = ""
         time.sleep(0.0 if looks <= yields else pause_s)
         if done() or stop.is_set:
             return True

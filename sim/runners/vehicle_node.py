@@ -125,10 +125,6 @@ def _damaged(raw: bytes) -> bytes:
     return raw[:at] + bytes((raw[at] ^ 0xFF,)) + raw[at + 1 :]
 
 
-def _untold(armed: bool) -> None:
-    del armed
-
-
 @dataclass(slots=True)
 class VehicleNode:
     """One simulated vehicle on MAVLink. ``number``: its number in the team; ``name``: its namespace."""
@@ -139,7 +135,7 @@ class VehicleNode:
     autopilot: Autopilot
     endpoint: Endpoint
     log: VehicleLog
-    tell: Callable[[bool], None] = _untold  # called when the vehicle is armed or disarmed
+    tell: Callable[[bool], None] | None = None  # called when the vehicle is armed or disarmed
     over: bool = False  # whether its flight is over; then nothing is logged
     wire: Wire = field(init=False)
     _armed: bool = field(default=False, init=False)
@@ -201,4 +197,5 @@ class VehicleNode:
         armed = self.vehicle.armed
         if armed is not self._armed:
             self._armed = armed
-            self.tell(armed)
+            if self.tell is not None:
+                self.tell(armed)
