@@ -112,7 +112,10 @@ class Controller(LandingKernel):
                 setattr(into, each.name, getattr(written, each.name))
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
-        """Run one tick."""
+        """Run one tick: samples, estimates, phase, nominal velocity, filter, gate.
+
+        ``now_s`` is the time of the tick. ``command_failed``: the vehicle rejected the last command.
+        """
         memory, strategy, plausibility = self.memory, self.strategy, self.plausibility
         if inputs.own is not None and not inputs.own.is_finite:  # a NaN would remain in all estimator states
             inputs = inputs._replace(own=None)
