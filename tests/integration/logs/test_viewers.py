@@ -70,7 +70,7 @@ def test_own_odometry_is_what_the_vehicle_sent(bag):
 
 def test_every_raw_frame_is_also_decoded_and_names_its_peer(log, bag):
     raw = [m for topic in ("/uas1/mavlink_source", "/uas1/mavlink_sink") for _, m in bag[topic]]
-    peers = flightstack("log", "info", "--json", log).json["metadata"]["mavlink_peers"]
+    peers = flightstack("log", "info", "--json", log).json["metadata"]["cf1/mavlink_peers"]
     assert {m.header.frame_id for m in raw} == set(peers) == {"p00"}
     assert re.fullmatch(r"127\.0\.0\.1:\d+", peers["p00"])
     decoded = {topic: len(ms) for topic, ms in bag.items() if topic.startswith("/cf1/mavlink/")}
@@ -166,7 +166,7 @@ def test_foxglove_layout_names_topics_and_fields_that_are_there(log):
                 assert config.get(key, "/rosout") in topics, name
             assert set(config.get("topics", {})) <= topics
         assert checked > 25
-        frames = {f"frame:{name}" for name in ("map_ned", "target_pad", "target", "cf1/base_link")}
+        frames = {f"frame:{name}" for name in ("map_ned", "cf1/target_pad", "cf1/target", "cf1/base_link")}
         assert set(panels["3D!scene"]["transforms"]) <= frames
 
 
@@ -191,7 +191,7 @@ def test_the_commands_of_the_page_run(log, tmp_path):
         done = flightstack(*line.split()[1:], cwd=tmp_path)
         assert done.code == 0, (line, done.err)
         assert (tmp_path / line.split()[-1]).exists()
-    for frame in ("map", "map_ned", "cf1/base_link", "target", "target_pad"):
+    for frame in ("map", "map_ned", "cf1/base_link", "cf1/target", "cf1/target_pad"):
         assert f"| `{frame}` |" in page
 
 
