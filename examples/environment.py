@@ -12,7 +12,7 @@ seen, infos = env.reset(seed=[7, 8])
 print(f"observations {env.observation_space.shape}, actions {env.action_space.shape}")
 ended = np.zeros(2, bool)
 while not ended.all():
-    actions = np.array(env.call("builtin_action"))  # an agent would compute them from ``seen``
+    actions = np.array(env.call("builtin_action"))  # a trained agent computes actions from ``seen``
     seen, rewards, terminated, truncated, infos = env.step(actions)
     for n in np.flatnonzero((terminated | truncated) & ~ended):
         print(f"environment {n}: {infos['outcome'][n]}, last reward {rewards[n]:+.1f}")

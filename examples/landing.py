@@ -17,4 +17,4 @@ print(f"{verdict.outcome}: {verdict.reason}")
 if verdict.h_min_outside_pad_m is not None:
     print(f"lowest h outside the pad: {1000.0 * verdict.h_min_outside_pad_m:+.0f} mm (below 0 is unsafe)")
 if len(sys.argv) > 3:
-    landing.plot().write_html(sys.argv[3])  # the path over the barrier
+    landing.plot().write_html(sys.argv[3])  # draws the flown path and the boundary of the barrier

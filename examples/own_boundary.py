@@ -1,4 +1,4 @@
-"""Your own shape of the boundary: a plain cone over the pad, enforced with the exact projection.
+"""Your own boundary: a truncated cone over the pad. The filter returns the nearest admissible velocity.
 
     flightstack sitl --scenario paper_moving_1 --lockstep --filter examples.own_boundary:ConeFilter
     flightstack campaign paper_moving_1 --runs 20 --filter examples.own_boundary:ConeFilter
@@ -88,11 +88,11 @@ class ConeFilter(fs.Filter):
         self._config, self._cone = config, Cone(barrier.slope_max, barrier.peak_height_m)
 
     def barrier(self, at: Relative) -> Cone:
-        """Return the cone, which is the same in every tick."""
+        """Return the cone; its shape does not change during the flight."""
         return self._cone
 
     def program(self) -> Projection:
-        """Return the exact projection."""
+        """Return the solver that computes the admissible velocity."""
         return Projection(self.rate_1_s)
 
     def may_touch(self, at: Relative) -> bool:

@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 import flightstack as fs
 
 TICKS = 10  # ticks of 0.01 s for each decision
-TRAINING = {"duration_max_s": 25.0}  # a landing takes 5 to 10 s; an untrained agent flies away
+TRAINING = {"duration_max_s": 25.0}  # maximum duration of an episode; a landing takes 5 to 10 s
 GAMMA = 0.95  # discount of a decision (0.1 s); small, because the vehicle responds within 0.5 s
 
 
@@ -39,7 +39,7 @@ class Decisions(gymnasium.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarray
 
 
 def made(filter: str | None = None, changes: dict[str, float] | None = None) -> RescaleAction:
-    """Return an environment with actions from -1 to 1."""
+    """Return an environment whose actions are scaled to the range from -1 to 1."""
     return RescaleAction(Decisions(fs.make_env("lab", filter, changes)), -1.0, 1.0)
 
 
@@ -49,7 +49,7 @@ training = VecNormalize(make_vec_env(lambda: made(changes=TRAINING), n_envs=16, 
 ppo = {"n_steps": 64, "batch_size": 256, "gamma": GAMMA, "learning_rate": 1e-3}
 agent = PPO("MlpPolicy", training, **ppo, seed=0, device="cpu", verbose=1)
 agent.learn(decisions)
-training.training = False  # the scale of the observations is fixed now
+training.training = False  # stops the update of the observations' mean and variance
 for name in (None, "paper", "robust"):
     env, found = made(name), Counter[str]()
     for seed in range(seeds):

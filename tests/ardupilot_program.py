@@ -1,4 +1,4 @@
-"""Imitates ArduCopter's SITL program with the fake autopilot: its arguments and its TCP port."""
+"""Imitates ArduCopter's SITL program: accepts its arguments and serves the fake autopilot on its TCP port."""
 
 import argparse
 import select

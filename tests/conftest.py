@@ -15,11 +15,11 @@ from flightstack.config.files import path_of
 from tests.real_time import in_real_time, repeated_after_a_pause
 from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 
-# workers that fly in real time: two cores run three of them, because other workers have lower priority
+# number of workers that fly in real time; two cores run three, because other workers have lower priority
 STREAMS = int(os.environ.get("FLIGHTSTACK_TEST_STREAMS", "3"))
-STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # the first one flies a real PX4
+STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # "stream 0" flies the real PX4
 
-# A shell's background job ignores Ctrl-C, and so would all processes that the tests start and interrupt.
+# A shell starts background jobs with Ctrl-C ignored, and the processes of the tests would inherit this.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # a process started by nohup ignores a closed terminal
 
@@ -73,12 +73,12 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return streams + (os.cpu_count() or 1)
 
 
-@pytest.hookimpl(tryfirst=True)  # before the workers read the groups
+@pytest.hookimpl(tryfirst=True)  # runs before pytest-xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """With a given vehicle, run only the tests made for it, and arm only with permission."""
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
-        if config.getoption("--flights") == 1:  # other tests fly the simulated vehicle in the same way
+        if config.getoption("--flights") == 1:  # other tests already fly the simulated vehicle
             items[:] = [item for item in items if not _marked(item, "given")]
             _deal_out(items)
         return
@@ -106,7 +106,7 @@ def _deal_out(items: list[pytest.Item]) -> None:
 
 
 def _marked(item: pytest.Item, name: str) -> bool:
-    """Return whether a test has this marker; its keywords also contain the values of its parameters."""
+    """Return whether a test has this marker; ``keywords`` cannot be used, as it contains parameter values."""
     return item.get_closest_marker(name) is not None
 
 

@@ -1,6 +1,6 @@
 """Imitates ArduCopter, or the parameters of PX4, for tests of the companion: any release, any parameters.
 
-In GUIDED it is a point that follows velocities in NED. It shares no code with the simulator.
+In mode GUIDED the vehicle is a point that follows velocities in NED. It shares no code with the simulator.
 """
 
 import math
@@ -18,8 +18,8 @@ PERIOD_S = 0.01
 
 
 class FakeAutopilot:
-    """Pure computation from messages and times; ``says_unknown``: it answers requests of unknown
-    parameters."""
+    """Computes replies from messages and times; ``says_unknown``: requests of unknown
+    parameters get a reply."""
 
     def __init__(self, autopilot, version, parameters, *, says_unknown=True):
         self._px4 = autopilot == "px4"
@@ -65,7 +65,7 @@ class FakeAutopilot:
         if number == dialect.MAVLINK_MSG_ID_SYS_STATUS:
             health = dialect.MAV_SYS_STATUS_PREARM_CHECK if positioned and self.mode == GUIDED else 0
             return [dialect.MAVLink_sys_status_message(0, 0, health, 0, 12000, -1, 90, 0, 0, 0, 0, 0, 0)]
-        if number == dialect.MAVLINK_MSG_ID_ATTITUDE:  # its nose points east
+        if number == dialect.MAVLINK_MSG_ID_ATTITUDE:  # the nose of the vehicle points east
             return [dialect.MAVLink_attitude_message(ms, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0)]
         if number == dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
             return [dialect.MAVLink_extended_sys_state_message(0, 1 if self.standing else 2)]
@@ -89,7 +89,7 @@ class FakeAutopilot:
             self.origin = True
             return [dialect.MAVLink_gps_global_origin_message(m.latitude, m.longitude, m.altitude)]
         if kind == "SET_POSITION_TARGET_LOCAL_NED" and self.mode == GUIDED:
-            self._wanted, self._climb_to_m = [m.vx, m.vy, m.vz], None  # ends a take-off
+            self._wanted, self._climb_to_m = [m.vx, m.vy, m.vz], None  # ends the take-off
             self._until_s = self.now_s + self._parameters["GUID_TIMEOUT"]
         return []
 
@@ -100,7 +100,7 @@ class FakeAutopilot:
             answer = (0, self._version, 0, 0, 0, zeros, zeros, zeros, 0, 0, 0)
             return [dialect.MAVLink_autopilot_version_message(*answer)] if known else []
         if self._px4:
-            return []  # it is not flying
+            return []  # the vehicle is not flying
         if number == dialect.MAV_CMD_REQUEST_MESSAGE:
             return self._telemetry(round(one))
         done = True

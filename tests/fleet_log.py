@@ -27,7 +27,7 @@ from tests.unit.logs.replay.replay_helpers import NoSession
 
 
 def near() -> TeamScenario:
-    """Three vehicles with pads so close that one lands at a time, with message losses."""
+    """Return a team of three whose pads are so close that one vehicle lands at a time; messages are lost."""
     team = load("fleet_3")
     near = {"pad_distance_m": 1.5, "wait_distance_m": 1.6}
     members = tuple(
@@ -68,14 +68,14 @@ class MemberFeed:
         self._handle(Kind.ATTACHMENT, head.encode() + text.encode())
 
     def flush(self):
-        """Do not wait."""
+        """Do nothing: the records are already in the file."""
 
     def close(self):
         self._handle(Kind.GOODBYE, b"")
 
 
 class RecordedCompanion(Companion):
-    """A member that writes its log."""
+    """Companion of a member, which writes the member's log."""
 
     recorder: Recorder
 
@@ -107,7 +107,7 @@ class RecordedCompanion(Companion):
         def note_event(t_s, level, source, text):
             event(t_s, level, source, text)
             at_ns = EPOCH_NS + round(t_s * 1e9)
-            if source != CONTROLLER:  # the onboard process writes these itself
+            if source != CONTROLLER:  # the onboard process writes the texts of its controller itself
                 self.feed.write(rosout, at_ns, at_ns, 0, pack_log(at_ns, level, names.logger(source), text))
 
         self._notes.truth, self._notes.event = note_truth, note_event
@@ -121,7 +121,7 @@ class RecordedCompanion(Companion):
 
 
 class RecordedRoom(Room):
-    """A room that writes its log."""
+    """Simulated room, which writes the simulator's log."""
 
     recorder: Recorder
 

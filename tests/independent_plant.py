@@ -7,8 +7,8 @@ Rigid body and four rotors with vertical shafts, angular momentum balance of the
 
 with s_i = +1 for a rotor that turns counter-clockwise seen from above. The drag of the air on such a rotor
 acts clockwise, on the rotor and through the motor on the body. Speeds follow their commands with the
-first-order or the slow lag. Numbers are those of the L250 identification (drone-models 0.1.0) and its
-geometry; integrated with an error control far below what is compared.
+first-order or the slow lag. Parameters and geometry are those of the L250
+identification (drone-models 0.1.0). The integration error is far below the compared differences.
 """
 
 from dataclasses import dataclass
@@ -17,15 +17,15 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 G = 9.81  # gravity, m/s^2
-MASS = 0.0319  # kg
-INERTIA = np.array([16.8e-6, 16.8e-6, 29.8e-6])  # kg m^2
-DRAG = np.array([0.0147, 0.0147, 0.0128])  # N s/m
+MASS = 0.0319  # vehicle mass, kg
+INERTIA = np.array([16.8e-6, 16.8e-6, 29.8e-6])  # moments of inertia, body axes, kg m^2
+DRAG = np.array([0.0147, 0.0147, 0.0128])  # drag coefficients along the body axes, N s/m
 ARM = 0.03253  # distance along x and along y, m
 ROTOR_XY = ARM * np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]])  # M1 front right, then clockwise from above
-SPIN = np.array([1, -1, 1, -1])  # M1 and M3 counter-clockwise
+SPIN = np.array([1, -1, 1, -1])  # sense of rotation; M1 and M3 turn counter-clockwise
 THRUST = np.array([2.4583e-10, -5.382e-7, 0.0])  # thrust, N, as polynomial of rpm
 TORQUE = np.array([1.4593e-12, 1.4105e-9, 0.0])  # torque, N m, as polynomial of rpm
-ROTOR_INERTIA = 34.5e-9  # kg m^2
+ROTOR_INERTIA = 34.5e-9  # moment of inertia of one rotor, kg m^2
 RAD_S = 2.0 * np.pi / 60.0
 
 

@@ -61,7 +61,7 @@ class Landing:
 
 
 def scenario(seed: int) -> Scenario:
-    """Return a scenario with sensors, spreads and gusts of ``lab``; the robot drives from the start, away."""
+    """Return a scenario with sensors, spreads and gusts of ``lab``; the robot drives away from time zero."""
     lab, chance = load("lab"), stream(seed, "crazyflie_landings")
     target = replace(
         lab.target, path=PATHS[seed % len(PATHS)], speed_m_s=SPEED_MAX_M_S, speed_max_m_s=SPEED_MAX_M_S,
@@ -199,7 +199,7 @@ def line(seed: int, name: str, landing: Landing) -> str:
 
 
 def faults(words: list[str]) -> None:
-    """Fly the faults with one of these words in their name once, and print the results."""
+    """Fly once each fault whose name contains one of these words; print the results."""
     chosen = [name for name in FAULTS if not words or any(word in name for word in words)]
     for seed, name in enumerate(chosen, 1):
         more, fault = FAULTS[name]

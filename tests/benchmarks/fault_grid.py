@@ -12,7 +12,7 @@ from tests.fault_grid.run import Result, fly, scenario
 from tests.fault_grid.table import GRID, H_MIN_M, WITHIN_S, End, Moment, Need, Part, Way
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "fault_grid.md"
-# headings around the tables; the other text of the page is hand-written
+# headings before and after the generated tables; the other text of the page is hand-written
 _FIRST, _LAST = "\n## Vehicle state\n", "\n## What the companion can detect\n"
 
 

@@ -1,4 +1,4 @@
-"""Teams of ``fleet_3`` in which a member fails at a random time, or whose messages are late and lost.
+"""Flies teams of ``fleet_3``: one member fails at a random time, or messages arrive late or are lost.
 
 ``python -m tests.benchmarks fleet_faults [--runs N] [--first SEED] [--only KIND ...]``
 
@@ -50,7 +50,7 @@ class Counts:
     distance_min_m: float = float("inf")
 
     def add(self, verdict: FleetVerdict, who: int) -> None:
-        """Count a team; ``who``: failed member, 0: none."""
+        """Add the result of a team; ``who``: number of the failed member; 0: no member failed."""
         self.teams += 1
         self.collisions += verdict.collisions or 0
         self.inside += verdict.ellipsoid_violations or 0
@@ -65,7 +65,7 @@ class Counts:
 
 
 def failing(whole: TeamScenario, kind: str, seed: int) -> tuple[TeamScenario, int]:
-    """Return the team of a seed, and the number of the failed member; 0: none."""
+    """Return the team of a seed, and the number of the failed member; 0: no member failed."""
     way = KINDS[kind]
     if way is None:
         return replace(whole, exchange=LATE), 0

@@ -35,7 +35,7 @@ BEFORE_S = (4.0, 2.0, 0.0)  # times before the first contact at which robot and 
 REACH_M = 1.0  # distance on both sides of the robot over which a barrier is drawn, m
 POINTS_MAX = 300  # maximum points of a line; more are not visible
 STYLE = {
-    "svg.hashsalt": "landing",  # makes the file reproducible
+    "svg.hashsalt": "landing",  # fixes the ids in the file, so that the file is reproducible
     "font.size": 9.0, "axes.titlesize": 9.5, "legend.fontsize": 8.0, "legend.frameon": False,
     "axes.edgecolor": "#9aa5b1", "axes.labelcolor": INK, "text.color": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.grid": True, "grid.color": GRID, "axes.axisbelow": True,

@@ -52,12 +52,12 @@ def base(name: str, kind: str) -> Scenario:
 
 
 class Parameter(NamedTuple):
-    """A number of the configuration with its allowed span."""
+    """One numeric parameter of the configuration, with its allowed span."""
 
     path: tuple[str, ...]
     low: float
     high: float
-    whole: bool  # whether it is an integer
+    whole: bool  # whether the parameter is an integer
     components: int  # number of components of a vector; 0: a scalar
 
 

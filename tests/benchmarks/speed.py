@@ -61,7 +61,7 @@ def inputs(tick: int, position_enu_m: Vec3 = (1.1, 0.0, 0.76), velocity_enu_m_s:
 
 
 def approach(controller: Controller, azimuth_rad: float) -> list[float]:
-    """Return microseconds of each step from near the boundary to above the pad; the barrier mostly acts."""
+    """Fly from near the boundary to above the pad; return the duration of each step, us."""
     p, v = (1.6 * math.cos(azimuth_rad), 1.6 * math.sin(azimuth_rad), 1.0), ZERO
     took = []
     for tick in range(STEPS_MAX):
@@ -81,7 +81,7 @@ def approach(controller: Controller, azimuth_rad: float) -> list[float]:
 
 
 def one_round(make: Callable[[FlightConfig], Controller]) -> list[float]:
-    """Return microseconds of each step of some approaches from all sides."""
+    """Return the durations of all steps of ``APPROACHES`` approaches from all sides, us."""
     config = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}})
     took: list[float] = []
     gc.collect()
@@ -123,7 +123,7 @@ STAMP_NS = 1_577_836_800_000_000_000
 
 
 def best_us(calls) -> dict[str, float]:
-    """Return the smallest microseconds per call of each function; the functions take turns."""
+    """Return the shortest time per call of each function, us; the functions are called alternately."""
     best = dict.fromkeys(calls, float("inf"))
     for _ in range(PACK_ROUNDS):
         for name, call in calls.items():
@@ -199,9 +199,9 @@ for worlds in (1, 64, 1024):
 
 
 def environment() -> None:
-    """Steps a second of the environment with a policy in Python, and of peers beside it.
+    """Print the steps per second of this environment, of Pendulum-v1, and of crazyflow if requested.
 
-    Argument: a Python in which crazyflow is installed; its steps of 0.01 s are flown beside.
+    Argument: path of a Python interpreter with crazyflow installed, which is measured with steps of 0.01 s.
     """
     import gymnasium
 
@@ -237,7 +237,7 @@ def paper_row(scenario: str, seeds: int, filter_name: str) -> str:
         with tempfile.TemporaryDirectory() as folder:
             runs.append(sitl(folder, scenario, seed, "--lockstep", "--filter", filter_name))
     landed = sum(run["outcome"] == "landed" for run in runs)
-    violations = sum(run["violation"] is not False for run in runs)  # unknown counts as a violation
+    violations = sum(run["violation"] is not False for run in runs)  # an unknown result counts as a violation
     median = {
         key: statistics.median(run[key] for run in runs if run[key] is not None)
         for key in ("touchdown_error_m", "touchdown_speed_vertical_m_s", "time_to_land_s")

@@ -26,9 +26,9 @@ class Limits:
 
     landed_min: float  # fraction of all landings
     violations_max: float  # fraction of all landings
-    error_m: tuple[float, float]  # touchdown error, median and 95 %
-    vertical_m_s: float  # vertical touchdown speed relative to the pad, 95 %
-    horizontal_m_s: float  # horizontal touchdown speed relative to the pad, 95 %
+    error_m: tuple[float, float]  # touchdown error, median and 95th percentile, m
+    vertical_m_s: float  # vertical touchdown speed relative to the pad, 95th percentile
+    horizontal_m_s: float  # horizontal touchdown speed relative to the pad, 95th percentile
     slower_max: float | None  # ratio of the median time to land to that of the paper's filter; None: no limit
 
 
@@ -44,7 +44,7 @@ LIMITS: dict[Tier, Limits] = {
 def misses(tier: Tier, rows: Sequence[Row], paper: Sequence[Row] | None) -> list[str]:
     """Return the limits that a campaign does not meet, as text; empty if it meets all.
 
-    ``tier``: tier of the limits; ``rows``: one or more; ``paper``: rows of the paper's filter on the same
+    ``tier``: tier of the limits; ``rows``: campaign rows; ``paper``: rows of the paper's filter on the same
     scenario; without them a limit on the time counts as not met.
     """
     limits, counts = LIMITS[tier], count(rows)

@@ -36,11 +36,11 @@ class Bench:
         self.firmware = firmware or Firmware()
         self.node = Node(rules or Rules())
         self.now_s = 0.0
-        self.sent: list[tuple[float, Packet]] = []  # packets of the bridge with their times
-        self.out: list[tuple[float, object]] = []  # telemetry with its times
+        self.sent: list[tuple[float, Packet]] = []  # (time, packet) of all packets that the bridge sent
+        self.out: list[tuple[float, object]] = []  # (time, message) of all telemetry that the bridge sent
         self.replies: list[object] = []
         self.mute = self.deaf = self.client_gone = self.disarm_lost = False
-        self.stream: tuple[float, float, float] | None = None  # NED
+        self.stream: tuple[float, float, float] | None = None  # velocity that the client streams, m/s NED
         self.connect()
 
     @property
@@ -49,7 +49,7 @@ class Bench:
 
     @property
     def texts(self) -> list[str]:
-        """All received texts, with long texts reassembled."""
+        """All received STATUSTEXT messages, with long texts reassembled."""
         said = ""
         for _, m in self.out:
             if m.get_type() == "STATUSTEXT":
@@ -57,7 +57,7 @@ class Bench:
         return said.splitlines()
 
     def connect(self) -> None:
-        self.firmware.packet(b"\x5d\x05", self.now_s)  # removes requests of an earlier connection
+        self.firmware.packet(b"\x5d\x05", self.now_s)  # deletes the log blocks of an earlier connection
         params = {name: f"{p.value:g}" for name, p in self.firmware.params.items()}
         self._take(Connected(self.firmware.protocol, params))
         self._ask_logs()
@@ -90,11 +90,11 @@ class Bench:
     def step(self) -> None:
         self.now_s += STEP_S
         if not self.deaf:
-            self.firmware.packet(b"\xff", self.now_s)  # keep-alive packet of the link
+            self.firmware.packet(b"\xff", self.now_s)  # null packet, which keeps the link alive
         for raw in self.firmware.step(self.now_s):
             self._log(raw)
         if not (self.firmware._blocks or self.deaf or self.now_s - self._asked_s < 1.0):
-            self._ask_logs()  # as the link does
+            self._ask_logs()  # the link of the bridge also repeats a request that got no data
         beat = mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
         if not self.client_gone and round(self.now_s / STEP_S) % 50 == 0:
             self.node.handle(beat, CLIENT, self.now_s)

@@ -16,7 +16,7 @@ from tests.crazyflie_firmware.tables import CODE, LOGS, Param, log_toc, param_to
 STOP, VELOCITY_WORLD = 0, 8
 UP = (0.0, 0.0, 1.0)
 SILENT_S = 1.0  # time without any packet after which the log blocks are deleted (crtp.c, log.c)
-START_S = 3.0  # duration of a start; it arms itself at 3.1 s
+START_S = 3.0  # duration of a start; the firmware arms itself 3.1 s after power-on
 
 
 @dataclass
@@ -30,7 +30,7 @@ class Block:
 class Firmware:
     """One Crazyflie.
 
-    ``protocol``: CRTP's; before 12 it is CrazySim's firmware of 2024: no arming by the supervisor's port;
+    ``protocol``: CRTP protocol version; below 12: CrazySim's firmware of 2024, without the supervisor port;
     ``tables``: entries of the tables of logs and parameters; the real ones have 567 and 334.
     """
 
@@ -46,13 +46,13 @@ class Firmware:
     ):
         self.plant = plant if plant is not None else Point()
         self.protocol = protocol
-        self.needs_poses = needs_poses  # whether it has a position only as long as poses arrive
-        self.clock_rate = clock_rate  # seconds of its clock per second of the host; 0.97 measured in CrazySim
+        self.needs_poses = needs_poses  # whether the position is valid only as long as poses arrive
+        self.clock_rate = clock_rate  # ratio of firmware clock to host clock; 0.97 measured in CrazySim
         self.battery_v = 4.1
         self.power_state = 0
         # (time, velocity, yaw rate in deg/s) of the newest velocity set-points
         self.setpoints: deque = deque(maxlen=4096)
-        self.poses: deque = deque(maxlen=4096)  # (time, seven numbers) of the newest external poses
+        self.poses: deque = deque(maxlen=4096)  # (time, position and quaternion) of the newest external poses
         self.refuse_arming = False
         self._auto_arm, self._tables = auto_arm, tables
         self._host_s = self._now_s = self._stepped_s = self._stalled_until_s = self._started_s = 0.0
@@ -68,21 +68,21 @@ class Firmware:
         self._setpoint_s = -1e9
         self._priority = 0
         self._heard_s = self._supervised_s = self._now_s
-        self._boot_s = self._now_s  # zero of the reported time
+        self._boot_s = self._now_s  # time at which the reported time is zero
 
     def restart(self) -> None:
-        """Restart now, also in the air: it sends nothing for some seconds, then it arms itself."""
+        """Restart now, also in the air: the firmware sends nothing for some seconds, then it arms itself."""
         self._start()
         self._started_s = self._now_s + START_S
         self._supervised_s = self._started_s
         self.plant.restart()
 
     def stall(self, seconds: float) -> None:
-        """Freeze the vehicle with its clock, like a simulator that is not scheduled."""
+        """Freeze vehicle and clock for a time, like a simulator that gets no processor time."""
         self._stalled_until_s = self._host_s + seconds
 
     def _clock(self, host_s: float) -> float:
-        """Advance to a time of the host; return its own time."""
+        """Advance to a time of the host clock; return the time of the firmware clock."""
         begin_s = max(self._host_s, min(self._stalled_until_s, host_s))
         self._now_s += self.clock_rate * (host_s - begin_s)
         self._host_s = host_s
@@ -124,8 +124,8 @@ class Firmware:
         stalls, now_s = now_s < self._stalled_until_s, self._clock(now_s)
         dt_s, self._stepped_s = now_s - self._stepped_s, now_s
         while now_s - self._supervised_s >= PERIOD_S:
-            self._supervised_s += PERIOD_S  # fixed period, also if the host runs late
-            # a relaxed commander takes set-points from the planner
+            self._supervised_s += PERIOD_S  # the period is fixed, also if the host runs late
+            # with priority 0 the planner sends the set-points, so the watchdog does not act
             age_s = self._supervised_s - self._setpoint_s if self._priority else 0.0
             self.supervisor.setpoints_rule = self._priority > 0
             self.supervisor.step(self._supervised_s, age_s, self.plant.motors)

@@ -9,7 +9,7 @@ DRAG_1_S = 0.46  # deceleration at level attitude by drag alone
 
 
 def variance_m2(pose_age_s: float) -> float:
-    """Variance of a position in the firmware's filter, propagated since the last pose (firmware 2026.08)."""
+    """Return the position variance of the filter of firmware 2026.08 after this time without a pose."""
     t = pose_age_s
     if t == math.inf:
         return 100.0
@@ -69,7 +69,7 @@ class Point:
         """Ignore a new set-point: ``command`` passes it at every step."""
 
     def command(self, velocity: tuple[float, float, float], yaw_rate: float, level: bool) -> None:
-        """Advance the flight; ``level``: no tilt, control only the height."""
+        """Advance the flight; ``level``: the vehicle keeps zero tilt and controls only its height."""
         self._wanted, self._level, self.motors = list(velocity), level, True
         self.yaw_rate = 0.0 if level else yaw_rate
 

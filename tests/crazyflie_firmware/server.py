@@ -16,7 +16,7 @@ TICK_S = 0.002
 class Server:
     """Serves one firmware; ``with Server(firmware) as server: ... server.uri``.
 
-    ``mute``: packets from it are lost; ``deaf``: packets to it are lost.
+    ``mute``: packets from the firmware are lost; ``deaf``: packets to the firmware are lost.
     """
 
     def __init__(self, firmware: Firmware, *, loss: float = 0.0, seed: int = 0) -> None:

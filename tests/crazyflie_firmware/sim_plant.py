@@ -1,7 +1,7 @@
 """The simulated vehicle under the firmware model's CRTP: MuJoCo, rotors, battery, attitude and velocity loop.
 
-Filter and velocity loop are the firmware's in all scenarios: body z only, ``kalman.dragB_*``
-(``sim.firmware.estimator``), PID.
+All scenarios use the filter of the firmware (``sim.firmware.estimator``), with drag only along body z and by
+``kalman.dragB_*``, and the PID velocity loop of the firmware.
 """
 
 import math
@@ -14,16 +14,16 @@ from sim.scenarios.scenario import Scenario, VelocityLoop, load
 from sim.vehicle.vehicle import VehicleSim, warm_up
 from tests.crazyflie_firmware.plant import variance_m2
 
-MS_MAX = 50  # longest step; a longer pause of the machine also pauses simulated time
+MS_MAX = 50  # longest step; during a longer pause of the machine simulated time also pauses
 
 
 class SimPlant:
     """A ``VehicleSim`` with the interface of ``plant.Point``; its deck follows the robot's true pose.
 
-    The simulated firmware levels out and stops by its own watchdog, so only new set-points are handed over.
+    The simulated firmware levels out and stops by its own watchdog, so only new set-points are passed to it.
 
     ``session``: Zenoh session of the poses of the robot in ``namespace``; None: the deck stays at its start;
-    ``by_poses``: it receives external poses instead of the scenario's motion capture.
+    ``by_poses``: the vehicle receives external poses instead of the scenario's motion capture.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class SimPlant:
 
     def advance(self, dt_s: float) -> None:
         self._now_s += dt_s
-        # controller_pid.c: without thrust the yaw set-point is the vehicle's yaw
+        # without thrust, the yaw set-point follows the yaw of the vehicle (controller_pid.c)
         if self.vehicle.armed:
             self._yaw += self._yaw_rate * dt_s
         else:

@@ -3,13 +3,13 @@
 from enum import Enum, auto
 
 PERIOD_S = 0.04
-WARN_S, TIMEOUT_S = 0.5, 2.0  # age of the set-point
-FLYING_S = 2.0  # idle time of the motors after which it no longer counts as flying
+WARN_S, TIMEOUT_S = 0.5, 2.0  # set-point age: level out, stop the motors
+FLYING_S = 2.0  # idle time of the motors after which the vehicle no longer counts as flying
 LANDED_S, PREFLIGHT_S = 3.0, 30.0
 
 
 class State(Enum):
-    """States with the firmware's names."""
+    """States of the supervisor, with the names of the firmware."""
 
     CHECKS_FAILED = auto()
     CHECKS_PASSED = auto()

@@ -52,7 +52,7 @@ def params(entries: int) -> dict[str, Param]:
 
 @dataclass
 class Toc:
-    """Names and types by number."""
+    """Table of contents: names and types of the entries, by number."""
 
     entries: list[tuple[str, int]] = field(default_factory=list)
 
@@ -81,7 +81,7 @@ def param_toc(table: dict[str, Param]) -> Toc:
 
 
 def quaternion_bits(wxyz: tuple[float, float, float, float]) -> int:
-    """Quaternion in 32 bits (firmware quatcompress.h): largest element's index, three of sign and 9 bits."""
+    """Pack a quaternion into 32 bits (quatcompress.h): index of the largest element, then the other three."""
     q = (wxyz[1], wxyz[2], wxyz[3], wxyz[0])
     largest = max(range(4), key=lambda i: abs(q[i]))
     bits = largest

@@ -28,7 +28,7 @@ from logs.schema.names import Names
 from tests.fault_grid.flight import Flight
 from tests.fault_grid.table import Way
 
-SLOW_B_S = 1e6  # write speed of a slow disk, bytes/s, a tenth of a memory card's
+SLOW_B_S = 1e6  # write speed of a slow disk, bytes/s; a memory card is ten times faster
 LATE_S = 0.2  # delay of a late disk before each block of data
 BLOCK_B = 4096
 CLOSE_S = 0.3  # time-out of the feed for a disk that hangs; the default is 5 s
@@ -59,7 +59,7 @@ class Disk(io.RawIOBase):
         self._way = way
 
     def heal(self) -> None:
-        """Release blocked writes."""
+        """Release the writes that a hanging disk blocks."""
         self._healed.set()
 
     def write(self, data: Any) -> int:
@@ -112,8 +112,8 @@ class _NoSession:
 class Recording:
     """A recorder and the companion's log.
 
-    ``failure``: why the recorder stopped, empty without an error; ``dropped``: number of records that the
-    companion dropped.
+    ``failure``: error that stopped the recorder, empty without an error; ``dropped``: number of records
+    that the companion dropped.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -157,7 +157,7 @@ class Recording:
             raise RuntimeError(f"the recorder did not end within {END_S:g} s")
 
     def says(self) -> str:
-        """Return the messages of recorder, companion and file about the disk, after all are closed."""
+        """Return the first problem of recorder, companion or log file; all of them must be closed."""
         if self.failure:
             return f"recorder: {self.failure}"
         if self.dropped:

@@ -1,4 +1,4 @@
-"""Fault grid of a fleet: fault and moment, and flights of ``fleet_3`` with them."""
+"""Fault grid of a fleet: flights of ``fleet_3``, each with one fault at one moment."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Way(StrEnum):
 
 
 def _lying(exchange: Words, from_tick: int) -> Exchange:
-    """Exchange that replaces one member's position from a tick on."""
+    """Message exchange that falsifies one member's position from a tick on."""
 
     def tell(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
         told, out = list(outputs), outputs[WHO - 1]
@@ -63,7 +63,7 @@ def broken(team: TeamScenario, way: Way, who: int, at_s: float) -> TeamScenario:
     team = replace(team, exchange=ExchangeLink(silent=(who,), broken_from_s=at_s))
     if way is Way.SILENT:
         return team
-    # the autopilot's fail-safe ends the flight
+    # the member's autopilot ends the flight by its fail-safe
     return _with_fault(team, who, Fault(What.LINK_IN, Kind.OFF, start_s=at_s))
 
 
@@ -107,6 +107,6 @@ def row(way: Way, moment: str, verdict: FleetVerdict) -> str:
 
 
 def section() -> str:
-    """Fly all cells; return their part of the page."""
+    """Fly all cells; return the fleet's section of the page."""
     cells = [row(way, moment, fly(way, at_s, SEED)) for way in Way for moment, at_s in MOMENTS_S.items()]
     return FLEET_HEAD + "\n".join([*cells, NAMESAKES]) + "\n"

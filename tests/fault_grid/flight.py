@@ -2,7 +2,7 @@
 
 The vehicle's lockstep loop, its autopilot, the robot, the companion's link and ``Runner`` are those of a real
 run (as in ``sim.runners.landing``); target samples are CDR bytes. When the companion ends, nothing more is
-sent, as after the end of its process; the vehicle's later behaviour belongs to the flight.
+sent, as after the end of its process; the vehicle is simulated until it is down.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ class Flown:
 
 
 class _Target(DirectTarget):
-    """Robot whose samples are serialised as over Zenoh, and which drives ahead as little as possible.
+    """Robot whose samples are serialised as over Zenoh, and which is simulated few ticks in advance.
 
-    So a fault starts immediately, not after the ticks driven ahead.
+    Therefore a fault starts immediately, not after the ticks that are already simulated.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
@@ -111,7 +111,7 @@ def _cdr(sample: Sample) -> bytes:
 
 
 class _Log(VehicleNotes):
-    """Also records the time at which the motors stopped finally."""
+    """Log that also records the time at which the motors stopped for the last time."""
 
     down_s, height_m = math.nan, 0.0
 
@@ -137,7 +137,7 @@ class Flight(Companion):
         disturb: Callable[[Flight], None],
     ) -> None:
         super().__init__(scenario, seed, on_step=lambda _tick, _out: None)
-        self.asked = Operator.NONE  # request of the operator from the next tick on
+        self.asked = Operator.NONE  # request of the operator, which the next tick reads
         # called after every controller step, for the log
         self.on_step: Callable[[Tick, Taken, Outputs], None] | None = None
         self.phases: list[Phase] = []
@@ -159,7 +159,7 @@ class Flight(Companion):
 
     @property
     def climbing(self) -> bool:
-        """Whether it is in the take-off and off the ground."""
+        """Whether the vehicle is in the take-off and off the ground."""
         return self.phase is Phase.TAKEOFF and self.node.log.height_m > self._ground_m + CLIMB_M
 
     def fly(self) -> Flown:
@@ -226,7 +226,7 @@ class Flight(Companion):
         return rests or self.vehicle.time_s - self._disturbed_s > WATCH_MAX_S
 
     def _answer_only(self) -> None:
-        """Advance the simulated time after the companion has ended."""
+        """Simulate a tick in which the companion has ended and sends nothing."""
         endpoint = self._link.endpoint
         for received in endpoint.receive():
             if _is_request(received):

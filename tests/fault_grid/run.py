@@ -36,7 +36,7 @@ _WHAT: Mapping[Part, What] = MappingProxyType(
         Part.CLOCK: What.CLOCK,
     }
 )
-# values that differ from the defaults of the simulator's table
+# fault values that differ from the defaults of the simulator's fault table
 _VALUES: Mapping[tuple[Part, Way], Mapping[str, Any]] = MappingProxyType(
     {
         (Part.OWN_STATE, Way.WRONG): {"offset_m": _OFFSET_M},
@@ -61,7 +61,7 @@ def disturb(part: Part, way: Way, seed: int) -> Callable[[Flight], None]:
 
 
 def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
-    """Returns the function that changes the payloads sent over Zenoh as the cell says."""
+    """Return the function that applies this kind of failure to payloads sent over Zenoh."""
     first: list[bytes] = []
     held: list[tuple[float, bytes]] = []
     number = itertools.count(1)
@@ -79,7 +79,7 @@ def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
                 return first * len(payloads)
             case Way.GARBAGE:  # change one byte of each payload
                 return [damaged(payload) for payload in payloads]
-            case Way.WRONG:  # insert samples of another robot under the same key
+            case Way.WRONG:  # replace the samples by those of another robot, under the same key
                 return [payload.replace(b"target\0", b"nearby\0") for payload in payloads]
             case Way.SLOW:
                 return [payload for payload in payloads if next(number) % 10 == 0]
@@ -93,7 +93,7 @@ def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
                     lost = not lost
                     until_s = max(until_s, now_s) + rng.exponential(0.3 if lost else 1.0)
                 return [] if lost else payloads
-        return []  # off
+        return []  # Way.OFF: all payloads are lost
 
     return mangle
 
@@ -108,9 +108,9 @@ class Result:
     """Result of a cell; times in s since the fault, NaN for events that did not occur."""
 
     end: End
-    noticed_s: float  # time until abort, detection of lost inputs, or a fail-safe
+    noticed_s: float  # time until the abort, the detection of lost inputs, or a fail-safe
     down_s: float  # time until the motors were finally off
-    h_min_m: float  # lowest h outside the pad while the companion flew; NaN if the landing did not start
+    h_min_m: float  # lowest h outside the pad as long as the companion flew; NaN: no landing
     impact_m_s: float  # fastest downward speed at a contact
     said: str  # first text about the fault
     flown: Flown
@@ -128,7 +128,7 @@ def fly(part: Part, way: Way, moment: Moment, seed: int = SEED) -> Result:
 
 
 def _fly_on(way: Way, moment: Moment, seed: int) -> Result:
-    """Fly with a real recorder whose disk fails."""
+    """Fly with a real recorder whose disk fails at this moment; return the result."""
     with tempfile.TemporaryDirectory() as folder:
         with recording(Path(folder)) as record:
             flight = Flight(scenario(), seed, AT[moment], lambda _: record.disk.fail(way))
@@ -145,7 +145,7 @@ def _result(end: End, told: str, flown: Flown) -> Result:
 
 @lru_cache(maxsize=4)
 def undisturbed(moment: Moment, seed: int) -> Flown:
-    """Fly the same flight without a fault."""
+    """Return the flight of this moment and seed without a fault."""
     return Flight(scenario(), seed, AT[moment], lambda _: None).fly()
 
 
@@ -158,8 +158,8 @@ def equal(a: Truth, b: Truth) -> bool:
 
 
 def said(flown: Flown) -> str:
-    """Return the time of the companion's first abort phase, or of the autopilot's fail-safe, after
-    the fault."""
+    """Return the text of the companion's first abort phase after the fault, or of the autopilot's
+    fail-safe."""
     since_s = flown.disturbed_at_s
     for event in flown.seen.events:
         change = parse(event.text)
@@ -204,8 +204,8 @@ def impact(truth: Truth) -> float:
 
 
 def h_min(flown: Flown) -> float:
-    """Return the lowest true h outside the pad while the companion flies: until it is clear, or hands
-    over."""
+    """Return the lowest true h outside the pad until the vehicle is clear after an abort, or until the
+    autopilot takes over from the companion."""
     truth, start_s = flown.truth, flown.seen.landing_start_s
     if start_s is None:
         return math.nan

@@ -42,7 +42,7 @@ class Way(StrEnum):
 class Moment(Enum):
     """Moment of the failure, which is permanent."""
 
-    TAKEOFF = Phase.TAKEOFF  # in the climb, 0.2 m above the ground, because on the ground it cannot fall
+    TAKEOFF = Phase.TAKEOFF  # in the climb at 0.2 m, because a vehicle on the ground cannot fall
     APPROACH = Phase.APPROACH
     LAND = Phase.LAND
     TOUCHDOWN = Phase.TOUCHDOWN
@@ -51,11 +51,11 @@ class Moment(Enum):
 class End(StrEnum):
     """End of a flight."""
 
-    LANDED = "LANDED"  # it rests upright on the pad, motors off
+    LANDED = "LANDED"  # the vehicle rests upright on the pad, motors off
     ABORTED = "ABORTED"  # declared abort, upright on the floor, motors off
     VEHICLE_LANDS = "VEHICLE_LANDS"  # upright on the floor after the autopilot's own fail-safe
     CONTINUES = "CONTINUES"  # equal bit for bit to the flight without the fault
-    CRASHED = "CRASHED"  # it fell, tumbled, or hit the robot or the pad's edge
+    CRASHED = "CRASHED"  # the vehicle fell, tumbled, or hit the robot or the pad's edge
     MISSED = "MISSED"  # on the floor without a declared abort
     FLYING = "FLYING"  # motors still running at the end
 
@@ -73,8 +73,8 @@ class Need:
     within_s: float | None = WITHIN_S
     h_min_m: float = H_MIN_M  # lowest h outside the pad while the companion flies
     undetectable: bool = False  # no process on board can detect it; the requirements limit the harm
-    falls_short: str = ""  # known failure by chance and its reason; empty if there is none
-    short_ends: frozenset[End] = frozenset()  # ends of that failure
+    falls_short: str = ""  # reason of a failure that is known to occur by chance; empty: no such failure
+    short_ends: frozenset[End] = frozenset()  # ends of the flight in this known failure
 
 
 def _need(*ends: End, why: str, **more: object) -> Need:
@@ -168,7 +168,7 @@ _NOT_FLOWN_YET = _need(
 )
 _STAMPS = _need(LANDED, why="ages count from the arrival; stamps only give the order", within_s=None)
 
-# in the order of Moment
+# columns in the order of Moment
 _Row = tuple[Need, Need, Need, Need]
 _ALWAYS_HARMLESS: _Row = (_HARMLESS, _HARMLESS, _HARMLESS, _HARMLESS)
 _OWN: _Row = (_NO_OWN, _NO_OWN, _NO_OWN_OVER, _ON_THE_PAD)

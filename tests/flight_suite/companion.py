@@ -77,22 +77,22 @@ ABORT_MAX_S = 40.0  # time-out from an abort to its end
 
 
 class Companion:
-    """One flight of ``flightstack onboard``. ``watch``: subscriber to its published state."""
+    """One flight of ``flightstack onboard``. ``watch``: subscriber to the state of the process."""
 
     def __init__(self, room: Room, child: Child, watch: Watch) -> None:
         self._room, self.child, self.watch = room, child, watch
-        self.said: list[str] = []  # lines of its output
+        self.said: list[str] = []  # printed lines of the onboard process
         self._start: tuple[float, float, float] | None = None
 
     def until(self, word: str, limit_s: float) -> None:
-        """Watch it until it prints a line with this word.
+        """Watch the flight until the process prints a line with this word.
 
-        Raises AssertionError: it ended early, took too long, or left the fence, after which it was aborted.
+        Raises AssertionError: the flight ended early, took too long, or left the fence and was aborted.
         """
         self._until(lambda: any(word in line for line in self.said), word, limit_s)
 
     def until_high(self, height_m: float, limit_s: float) -> None:
-        """Watch it until the vehicle is this height above its first observed position.
+        """Watch the flight until the vehicle is this height above its first observed position.
 
         Raises AssertionError: as in ``until``.
         """
@@ -119,7 +119,7 @@ class Companion:
         return step.own_position_enu_m[2] - self._start[2]
 
     def ended(self, limit_s: float) -> int:
-        """Watch it until its end; return the exit status."""
+        """Watch the flight until the process ends; return the exit status."""
         until_s = time.monotonic() + limit_s / self._room.speed
         while self.child.alive():
             self._look(POLL_S)
@@ -136,7 +136,7 @@ class Companion:
         self.child.process.send_signal(number)
 
     def kill(self) -> None:
-        """Kill it, and wait until the system has closed its sockets: the next step opens the same ones."""
+        """Kill the process, and wait until its sockets are closed, because the next step opens them."""
         self.signal(signal.SIGKILL)
         self.child.process.wait(END_TIME_MAX_S)
 
@@ -147,7 +147,7 @@ class Companion:
     def _trouble(self) -> str | None:
         step = self.watch.step
         if step is None or self.watch.news is not News.FRESH or not step.own_valid:
-            return None  # unknown state; the process itself judges it
+            return None  # the state is unknown; the onboard process itself reacts to this
         if self._start is None:
             self._start = step.own_position_enu_m
         x, y, z = (a - b for a, b in zip(step.own_position_enu_m, self._start, strict=True))
@@ -157,8 +157,8 @@ class Companion:
         return None
 
     def _call_off(self) -> None:
-        """Request an abort; if the process does not end, end it: the vehicle's own fail-safe then
-        lands it."""
+        """Request an abort; if the process does not end, kill it: then the vehicle lands by its own
+        fail-safe."""
         self.signal(signal.SIGINT)
         until_s = time.monotonic() + ABORT_MAX_S
         while self.child.alive() and time.monotonic() < until_s:
@@ -176,7 +176,7 @@ def onboard_words(room: Room) -> list[str]:
     words += [word for endpoint in room.connect for word in ("--connect", endpoint)]
     if room.recorder is not None:
         words += ["--recorder", str(room.recorder)]
-    elif room.target is not None:  # a real flight is recorded
+    elif room.target is not None:  # flights of a real vehicle are recorded
         words += ["--no-record"]
     return words + (["--signing-key", str(room.signing_key)] if room.signing_key else [])
 

@@ -18,7 +18,7 @@ from flightstack.core.types import ZERO, Landed, Mode, OwnState, Request, Vec3, 
 from tests.flight_suite.room import LIMITS, Limits, Room
 
 RATE_HZ = 50
-STATE_AGE_MAX_S = 2.0  # a larger limit, because the vehicle holds by its own state, not by the received one
+STATE_AGE_MAX_S = 2.0  # maximum state age; large, because the vehicle holds position by its own estimate
 WALL_FACTOR = 5.0  # ratio of wall time to a limit; a simulated vehicle's clock pauses with its machine
 HEARTBEAT_AGE_MAX_S = 3.5
 CONNECT_MAX_S = 60.0  # time-out from boot to a valid position estimate
@@ -42,7 +42,7 @@ class Pilot:
     def __init__(self, room: Room) -> None:
         self._room = room
         place = load(room.config).vehicle.origin_wgs84
-        # the companion's end of the vehicle link
+        # the pilot uses the vehicle link of the companion
         key = load_key(room.signing_key) if room.signing_key else None
         self.link = VehicleLink(
             Endpoint(room.url, room.system_id, COMPONENT_ID, signing_key=key),
@@ -55,7 +55,7 @@ class Pilot:
             RATE_HZ, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
         )
         self.now_s = 0.0
-        self.texts: list[str] = []  # texts of the vehicle
+        self.texts: list[str] = []  # texts that the vehicle sent
         self.start_enu_m: Vec3 | None = None
         self.max_height_m = 0.0  # largest height above the start so far
 
@@ -101,7 +101,7 @@ class Pilot:
         return self.own.position_enu_m[2] - self.start_enu_m[2]
 
     def connect(self) -> None:
-        """Wait for heartbeat, state and landed state; the position is then the start."""
+        """Wait for heartbeat, state and landed state; store the position as the start."""
         self.watch("connect", self._known, CONNECT_MAX_S)
         self.start_enu_m = self.own.position_enu_m
 
@@ -114,7 +114,7 @@ class Pilot:
         return self.ask(step, Request.NONE, done, limit_s)
 
     def ask(self, step: str, request: Request, done: Callable[[], bool], limit_s: float) -> float:
-        """Send what leads to a request."""
+        """Send the commands that a request needs."""
         return self._run(step, lambda: self.link.command(request, self.now_s), done, limit_s)
 
     def fly(self, step: str, velocity_enu_m_s: Vec3, done: Callable[[], bool], limit_s: float) -> float:

@@ -35,9 +35,9 @@ class Limits:
 
     settle_s: float  # settling time at zero velocity before the evaluation
     still_m_s: float  # largest speed of a vehicle that holds
-    drift_m: float  # largest motion in five seconds of zero velocity
+    drift_m: float  # largest motion during five seconds at zero velocity
     step_m_s: float  # speed of the step to the north and back
-    step_s: float  # duration of each of the two
+    step_s: float  # duration of each direction of the step
     moved_share: tuple[float, float]  # range of the step's distance, as a fraction of speed times duration
     lost: Lost  # reaction without set-points
     lost_s: float  # time until this reaction
@@ -45,9 +45,9 @@ class Limits:
 
 _OWN = Limits(
     settle_s=3.0, still_m_s=0.15, drift_m=0.3,
-    # a velocity lag T makes the share 1 - 1.5 T / step_s: lags below 0.8 s
+    # a velocity lag T gives the fraction 1 - 1.5 T / step_s; 0.4 allows lags below 0.8 s
     step_m_s=0.3, step_s=2.0, moved_share=(0.4, 1.2),
-    lost=Lost.LANDS, lost_s=2.0,  # COM_OF_LOSS_T = 0.5 s, and its heartbeat once a second
+    lost=Lost.LANDS, lost_s=2.0,  # COM_OF_LOSS_T = 0.5 s plus the period of the heartbeat, 1 s
 )  # fmt: skip
 
 # PX4 holds velocity, not position: a change of force of 1 N on 1 kg moves it by 1 / MPC_XY_VEL_I_ACC = 2.5 m,
@@ -57,7 +57,7 @@ _OWN = Limits(
 _PX4 = Limits(
     settle_s=5.0, still_m_s=0.3, drift_m=1.0,
     step_m_s=0.5, step_s=3.0, moved_share=(0.25, 1.0),
-    lost=Lost.LANDS, lost_s=2.5,  # COM_OF_LOSS_T = 1.0 s, checked at 10 Hz; heartbeat once a second
+    lost=Lost.LANDS, lost_s=2.5,  # COM_OF_LOSS_T = 1.0 s, checked at 10 Hz, plus one heartbeat period
 )  # fmt: skip
 
 LIMITS: Mapping[str, Limits] = MappingProxyType(
@@ -87,7 +87,7 @@ class Room:
     """All parameters of a step."""
 
     url: str  # MAVLink URL of the vehicle
-    autopilot: str  # name of its profile
+    autopilot: str  # name of the autopilot's profile
     target_key: str  # Zenoh key of the target's odometry
     connect: tuple[str, ...]  # Zenoh endpoints of the target
     listen: str  # Zenoh endpoint of the onboard process
@@ -103,12 +103,12 @@ class Room:
     clock: Path | None = None  # simulator clock that the onboard process uses; None: wall clock
     target: Child | None = None  # the simulated robot; None on hardware
     vehicle: Child | None = None  # the simulated vehicle; None on hardware
-    px4: Px4Program | None = None  # the program that flies it; None without PX4
-    recorder: Path | None = None  # socket of the onboard process's recorder; None: as ``target`` says
+    px4: Px4Program | None = None  # PX4 program that flies the vehicle; None without PX4
+    recorder: Path | None = None  # socket of the recorder; None: only a real flight is recorded
 
 
 def configured(scenario: Scenario, folder: Path) -> Path:
-    """Write a scenario's onboard configuration with a short climb, because no lost target returns here."""
+    """Write a scenario's onboard configuration with a short climb: a lost target never returns here."""
     checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # shortens the wait
     side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     file = folder / "onboard.toml"
@@ -183,7 +183,7 @@ def on_px4(
 
     Args:
         folder: for output of processes.
-        place: location of PX4's program, as for ``sim.px4.program.find_px4``.
+        place: location of PX4's program (argument of ``sim.px4.program.find_px4``).
         scenario_name: name or file of the scenario; its robot waits for the first approach.
         seed: seed of wind, noise and the vehicle's spread.
         speed: ratio of simulated to real time.
@@ -225,7 +225,7 @@ def on_px4(
         target = start("target", "--listen", target_at, "--connect", onboard_at, *(clock or paced))
         yield Room(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
-            configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # PX4's rule for it
+            configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # PX4's rule for the id
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
             speed=1.0 if clocked else speed, clock=folder / "clock" if clocked else None, px4=px4,
         )  # fmt: skip

@@ -19,7 +19,7 @@ TOPICS = (
     "target/odom",
 )  # fmt: skip
 WIRE = ("mavlink_source", "mavlink_sink")
-CHUNK_BYTES = 16 * 2**20  # one chunk, so that compression finds repetitions over the whole flight
+CHUNK_BYTES = 16 * 2**20  # a whole flight fits into one chunk, so that it compresses better
 METADATA = ("onboard", "run")
 
 
@@ -52,7 +52,7 @@ def write_kept(
         for name in METADATA:
             values = dict(log.metadata().get(name, {}))
             if name == "onboard" and not wire:
-                values.pop("lockstep", None)  # the stored log has no frames, so the wire is not replayed
+                values.pop("lockstep", None)  # without frames the wire cannot be replayed
             writer.add_metadata(names.record(name), values)
         channels: dict[str, int] = {}
         for message in whole.messages(topics):
@@ -73,7 +73,7 @@ def write_kept(
 
 FOLDER = Path(__file__).parent
 BYTES_MAX = 450_000  # maximum size of one log, because the repository stores it
-FLIGHT_MAX_S = 300.0  # wall time
+FLIGHT_MAX_S = 300.0  # time-out of a flight, wall time, s
 
 
 @dataclass(frozen=True)
@@ -82,16 +82,16 @@ class Flight:
 
     scenario: str  # name of a scenario
     phases: tuple[str, ...]  # phases that the flight must contain
-    # scenario keys with other values; a slower loop makes a smaller log
+    # changed scenario keys with their values; a slower loop makes a smaller log
     changes: dict[str, object] = field(default_factory=dict)
-    lockstep: bool = True  # False: in real time, with the actual times of ticks and arrivals
+    lockstep: bool = True  # whether the flight runs in lockstep; False: in real time, with varying times
     wire: bool = True  # also store MAVLink frames and odometry, which doubles the size
     seed: int = 0  # seed of all random draws
-    member: str | None = None  # stored vehicle of a scenario with several
+    member: str | None = None  # member of a team whose flight is stored
 
 
 _SLOW = {"onboard.loop.rate_hz": 40, "odometry.rate_hz": 40.0}
-_SLOWER = {"onboard.loop.rate_hz": 25, "odometry.rate_hz": 25.0}  # the wait at the start is random
+_SLOWER = {"onboard.loop.rate_hz": 25, "odometry.rate_hz": 25.0}  # rates that make the log smaller
 _SLOWEST = {"onboard.loop.rate_hz": 15, "odometry.rate_hz": 15.0}
 _LOSSES = {"odometry.dropout_every_s": 2.5, "odometry.dropout_max_s": 4.0, "duration_max_s": 11.0}
 FLIGHTS = {

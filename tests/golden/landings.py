@@ -25,7 +25,7 @@ from sim.scenarios.scenario import Scenario, names
 
 FILE = Path(__file__).with_name("landings.json")
 TIERS = ("lab", "room", "field", "storm", "deck")
-# scenarios of the package with other keys: loops, motors, estimators, paths of the robot, rates
+# name of a variant: scenario of the package, and the keys that the variant changes
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "pid": ("lab", {"vehicle.velocity_loop": "pid"}),
     "slow motors": ("lab", {"vehicle.slow_motors": True, "vehicle.motor_lag_spread": 0.3}),
@@ -49,13 +49,13 @@ VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "late states": ("lab", {"vehicle.own": {"delay_s": 0.05, "delay_shared": True, "tilt_rad": 0.03},
                             "odometry.error": {"delay_s": 0.05, "delay_shared": True}}),
 }  # fmt: skip
-# columns of the true states that a result holds the means of
+# columns of the true states; a result contains the mean of each
 COLUMNS = (
     "position_enu_m", "velocity_enu_m_s", "orientation", "angular_velocity_flu_rad_s", "rotor_rpm",
     "pad_position_enu_m", "pad_velocity_enu_m_s", "pad_yaw_rad", "h_m", "contacts", "battery_v",
     "wind_enu_m_s",
 )  # fmt: skip
-OMITTED = ("cells", "wall_s", "seed")  # of a campaign's row: a map of h, and what is not the flight's result
+OMITTED = ("cells", "wall_s", "seed")  # fields of a campaign row that are not compared
 
 
 def faulty(what: What, kind: Kind) -> Scenario:
@@ -114,7 +114,7 @@ CASES = _cases()
 
 
 def differences(stored: Any, found: Any, place: str = "") -> list[str]:
-    """Return what differs; numbers may differ as much as another processor's rounding makes them."""
+    """Return the differences; numbers are compared with a tolerance for the rounding of other processors."""
     if isinstance(stored, dict) and isinstance(found, dict):
         keys = sorted(stored.keys() | found.keys())
         return [

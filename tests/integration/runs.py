@@ -19,8 +19,8 @@ from tests.processes.bounded import PATIENCE_S, killed
 from tests.processes.started import Started, run_verb
 
 WALL_MAX_S = 240.0
-# Verbs that start nothing and handle no signal run in this process, which has loaded their packages: loading
-# takes one to three seconds.
+# Verbs that start no process and handle no signal run in this process, because loading their packages takes
+# one to three seconds.
 CALLED = {
     "check",
     "compare",
@@ -63,7 +63,7 @@ def flightstack(*arguments, cwd=None, apart=False) -> Result:
 
 
 def called(*arguments, cwd=None) -> Result:
-    """Run a verb in this process: one that only reads, or one that rejects its arguments."""
+    """Run a verb in this process; it must only read, or reject its arguments."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         with contextlib.chdir(cwd or Path.cwd()):
@@ -112,19 +112,19 @@ class Background:
             self.lines.append(line.rstrip())
 
     def said(self, words: str) -> bool:
-        """Return whether a line contains these words."""
+        """Return whether a printed line contains this text."""
         return any(words in line for line in list(self.lines))
 
     def until(self, *words: str, each: Callable[[], object] = lambda: None) -> str:
-        """Return the next line with all the words; kill the process if there is none.
+        """Return the next printed line that contains all texts; kill the process if there is none.
 
-        Call ``each`` meanwhile.
+        Call ``each`` between the checks.
         """
         until_s, more = time.monotonic() + WALL_MAX_S, True
         while more and time.monotonic() < until_s:
             each()
             self._reader.join(0.02)
-            more = self._reader.is_alive()  # read before the lines, else the last ones could be missed
+            more = self._reader.is_alive()  # before the lines: otherwise the last ones could be missed
             while self._looked < len(self.lines):
                 self._looked += 1
                 if all(word in self.lines[self._looked - 1] for word in words):
@@ -133,9 +133,9 @@ class Background:
         raise AssertionError(f"no line with {words}: {self.lines}")
 
     def end(self, number: int | None = None) -> int:
-        """Wait for its end and the end of its output, with a time-out; return the exit status.
+        """Wait for the end of process and output, with a time-out; return the exit status.
 
-        ``number``: signal that it is sent first, unless it has ended.
+        ``number``: signal that is sent first, unless the process has ended.
         """
         if number is not None:
             self.process.send_signal(number)
@@ -156,7 +156,7 @@ class Background:
             self.process.stdout.close()
 
     def pids(self) -> list[int]:
-        """Return the ids of its child processes."""
+        """Return the ids of the child processes of this verb."""
         pid = self.process.pid
         return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 

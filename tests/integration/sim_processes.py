@@ -60,13 +60,13 @@ def _simulate(name: str, options: dict[str, object]) -> None:
 
 
 def terminate(child: Started, number: signal.Signals = signal.SIGTERM) -> None:
-    """Request its end; it must end immediately and in order."""
+    """Send SIGTERM; the process must end immediately and with status 0."""
     child.send_signal(number)
     assert child.wait(AT_ONCE_S) == 0
 
 
 def priority_or_skip() -> None:
-    """Skip the test if the system gives no priority."""
+    """Skip the test if the system refuses a higher priority."""
     if not ask_for_priority():
         pytest.skip("this system gives no priority: its tests run without it")
     give_up_priority()
@@ -76,7 +76,7 @@ def prompt_threads(pid: int) -> set[int]:
     """Return the threads of a process with a priority above ordinary programs."""
     found = set()
     for each in Path(f"/proc/{pid}/task").iterdir():
-        with suppress(ProcessLookupError):  # it has ended in the meantime
+        with suppress(ProcessLookupError):  # the thread may have ended
             if os.sched_getscheduler(int(each.name)) == os.SCHED_FIFO:
                 found.add(int(each.name))
     return found

@@ -18,13 +18,13 @@ BENCH = (  # mass, g; rotor speed, rpm; duty cycle; battery, V
     (28.6, 17174.0, 0.5625, 3.67),
     (57.9, 23882.0, 0.9375, 3.30),
 )
-BENCH_FIT = (1.0942e-7, -2.1059e-4, 0.15417)  # fit on the same page: grams from rpm
-BENCH_STEP_S = 0.180  # Bitcraze blog, step test from standstill to 25000 rpm
-FOERSTER_LAG_S = 0.002 / -math.log(0.9695404)  # Foerster 2015: pole at 500 Hz
-ESCHMANN_LAG_S = 0.072  # quoted by rotorpy 3.0.0, crazyflie_params.py
+BENCH_FIT = (1.0942e-7, -2.1059e-4, 0.15417)  # polynomial of the thrust, g, in rpm (page of ``BENCH``)
+BENCH_STEP_S = 0.180  # rise time from standstill to 25000 rpm (Bitcraze blog)
+FOERSTER_LAG_S = 0.002 / -math.log(0.9695404)  # motor lag from Foerster's discrete pole at 500 Hz (2015)
+ESCHMANN_LAG_S = 0.072  # motor lag after Eschmann, quoted in rotorpy 3.0.0, crazyflie_params.py
 L250_RISE_S, L250_FALL_S = 0.136, 0.108  # drone-models 0.1.0, params.toml: reciprocal of its rates, at hover
-L250_HOVER_RPM, L250_HOVER_COUNTS = 18968.0, 42700.0  # L250 curve solved for 31.9 g; firmware's scale
-DATA_SHEET_HOVER_S = 7.0 * 60.0  # Bitcraze, Crazyflie 2.0: flight time
+L250_HOVER_RPM, L250_HOVER_COUNTS = 18968.0, 42700.0  # L250 thrust curve at 31.9 g; motor command
+DATA_SHEET_HOVER_S = 7.0 * 60.0  # flight time in the data sheet of the Crazyflie 2.0 (Bitcraze)
 
 
 def bench_rpm(grams: float) -> float:
@@ -64,7 +64,7 @@ def descend(
     """Simulate the descent of a point mass with rotors; return time and speed of the first touch.
 
     Vertical only, without sensors: paper's velocity law, rotor lag, thrust curve, Cheeseman-Bennett, drag.
-    ``motors_off``: they are off from the start, instead of the commanded descent.
+    ``motors_off``: the motors are off from the start, so there is no commanded descent.
     """
     p1, p2 = ROTOR.thrust_linear_n_rpm, ROTOR.thrust_square_n_rpm2
     plane = ROTOR.above_com_m - PARAMS.geometry.foot_bottom_m  # height of the rotors above the feet

@@ -66,12 +66,12 @@ def roll(slow: bool) -> Step:
     """Release the vehicle at a roll of 10 degrees."""
     rolled = runs.roll_release(RELEASE_RAD, STEPS_S["roll"], slow=slow).roll / RELEASE_RAD
     model = analysis.roll_loop(LAGS[slow])
-    return _step(rolled, 1.0 - model.response(STEPS_S["roll"]), model.poles())  # the response of the error
+    return _step(rolled, 1.0 - model.response(STEPS_S["roll"]), model.poles())  # decay of the error
 
 
 @cache
 def velocity(slow: bool, axis: int, *, late: bool = False) -> Step:
-    """Step the velocity; half the difference of both directions, which removes biases and curvature.
+    """Return a velocity step: half the difference of a step in both directions, which removes biases.
 
     ``late``: with the motion capture's delay of 10 ms, which the linear models omit.
     """
@@ -112,11 +112,11 @@ def touch_index(run: runs.Run) -> int:
 
 
 def rise_s(t: F64, y: F64, end: float) -> float:
-    """Return the time from 10 to 90 % of the final value."""
+    """Return the rise time from 10 to 90 % of the final value."""
     low, high = (float(t[np.argmax(y >= share * end)]) for share in (0.1, 0.9))
     return high - low
 
 
 def increase(height_m: float) -> float:
-    """Return T/T0 - 1 of the simulated rotor above a wide surface."""
+    """Return the relative thrust increase T/T0 - 1 of the simulated rotor in ground effect."""
     return thrust_increase(set_up_ground(new(GroundRecord), ROTOR, 1.0, 0.1), height_m)

@@ -95,7 +95,7 @@ def hold(sim: VehicleSim, velocity: tuple[float, float, float], yaw: float = 0.0
 
 
 def hover_until_empty(seconds: float) -> Run:
-    """Hover, recorded every 100 ms."""
+    """Hover with a decreasing battery charge; return the record with a sample every 100 ms."""
     sim = make()
     return record(sim, seconds, hold(sim, (0.0, 0.0, 0.0)), every_ms=100)
 
@@ -151,7 +151,7 @@ def touchdown(
 ) -> Run:
     """Descend to the pad from 25 cm at the pad's horizontal velocity.
 
-    ``motors_off_below_m``: stop set-point below this height over the pad; None: half a second after contact;
+    ``motors_off_below_m``: height over the pad at which the motors stop; None: 0.5 s after contact;
     ``target``: a driving pad; None: the pad at rest.
     """
     spec = target or TargetSpec()

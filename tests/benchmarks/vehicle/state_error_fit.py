@@ -15,7 +15,7 @@ from sim.flights.screening import Screened
 from sim.flights.tape import STILL_M_S, Piece, Tape, tape_of
 from sim.scenarios.scenario import StateError
 
-FLIGHTS_MIN = 3  # minimum for a spread between flights
+FLIGHTS_MIN = 3  # minimum number of flights from which a spread between flights is computed
 LAG_MAX_S = 3.0  # largest lag of the fitted correlations
 LAGS = 40
 SPEEDS = 12  # number of speed bands with equal sample counts for the velocity error
@@ -23,14 +23,14 @@ DIGITS = 2  # significant digits of the result
 
 
 def fit(flights: Sequence[Screened]) -> StateError:
-    """Find the parameters of the model from flights; what it does not know keeps its default.
+    """Return the parameters of the model, fitted to flights; parameters without a fit keep their default.
 
-    The variation of the delay is split into a fast and a slow part by its mean autocovariance; their sizes in
-    single flights follow with the times held. Sizes are the median flight's, and the spread of the logarithm
-    makes the mean square of all flights right, which a few bad flights dominate. The attitude's variation is
-    not fitted: most of what is recorded comes from the log and from motion capture.
+    The mean autocovariance splits the variation of the delay into a fast and a slow part. With these two
+    time constants, the sizes of the parts are fitted to each flight. The result is the median size, with the
+    log-normal spread that gives the mean square of all flights. The variation of the attitude is not fitted,
+    because most of the recorded variation comes from the log and from motion capture.
 
-    Raises ValueError: fewer than ``FLIGHTS_MIN`` flights with an estimate that can be used.
+    Raises ValueError: fewer than ``FLIGHTS_MIN`` flights with a usable estimate.
     """
     tapes = [tape for flight in flights if (tape := tape_of(flight)) is not None]
     if len(tapes) < FLIGHTS_MIN:
@@ -90,14 +90,14 @@ def _centred(values: Floats) -> Floats:
 
 
 def _velocity_error(piece: Piece) -> Floats:
-    """Return (n, 3) along, across and vertical, m/s: ``tape_of`` has split the first two."""
+    """Return the velocity errors (n, 3) along the motion, across it and vertical, m/s."""
     along, across = piece.along, piece.across
     speed, (still_1, still_2) = piece.speed_m_s, STILL_M_S
     return np.column_stack((along * (speed + still_1), across * (speed + still_2), piece.velocity_m_s[:, 2]))
 
 
 def _autocovariance(parts: list[Floats], lags: np.ndarray) -> Floats:
-    """Return the mean product at each lag, over all parts that are long enough."""
+    """Return the autocovariance at each lag: mean product over all parts that are long enough."""
     found = np.zeros(len(lags))
     for at, lag in enumerate(lags.tolist()):
         long = [part for part in parts if len(part) > lag]
@@ -107,7 +107,7 @@ def _autocovariance(parts: list[Floats], lags: np.ndarray) -> Floats:
 
 
 def _smooth(lag_s: Floats, time_s: float) -> Floats:
-    """Return the correlation of second-order noise."""
+    """Return the autocorrelation of second-order noise with this time constant."""
     ratio = lag_s / time_s
     return np.asarray((1.0 + ratio) * np.exp(-ratio))
 
@@ -118,7 +118,7 @@ def _two_parts(lag_s: Floats, fast: float, fast_s: float, slow: float, slow_s: f
 
 
 def _sizes(covariance: Floats, lags_s: Floats, fast_s: float, slow_s: float) -> Floats:
-    """Return the variances of the two parts in one flight."""
+    """Return the variances of the fast and the slow part in one flight."""
     variances: Floats = nnls(np.column_stack((_smooth(lags_s, fast_s), _smooth(lags_s, slow_s))), covariance)[
         0
     ]
@@ -126,20 +126,20 @@ def _sizes(covariance: Floats, lags_s: Floats, fast_s: float, slow_s: float) -> 
 
 
 def _spread(sizes: Floats) -> tuple[float, float]:
-    """Return the median of log-normal sizes, and their logarithm's deviation from the mean square."""
+    """Return the median of log-normal sizes, and the logarithmic spread that gives their mean square."""
     median = float(np.median(sizes))
     return median, math.sqrt(max(0.0, math.log(max(_rms(sizes), 1e-12) / max(median, 1e-12))))
 
 
 def _scale(tape: Tape) -> float:
-    """Return the relative excess of the estimated velocity, constant in a flight."""
+    """Return the mean scale error of the estimated velocity in a flight, as a fraction of the speed."""
     speed = _all(tape, "speed_m_s")
     along = np.concatenate([_velocity_error(piece)[:, 0] for piece in tape.pieces])
     return float(np.dot(along, speed) / np.dot(speed, speed))
 
 
 def _velocity(tapes: Sequence[Tape], scales: Floats) -> tuple[float, float, float, float]:
-    """Return the errors of the velocity: along and across as shares of the speed, at rest, and vertical."""
+    """Return the velocity errors: along and across divided by the speed, then at rest and vertical, m/s."""
     speed = np.concatenate([_all(tape, "speed_m_s") for tape in tapes])
     error = np.concatenate([_velocity_error(piece) for tape in tapes for piece in tape.pieces])
     error[:, 0] -= speed * np.repeat(scales, [len(_all(tape, "speed_m_s")) for tape in tapes])

@@ -37,7 +37,7 @@ def test_the_built_in_policy_flies_as_land_does_bit_by_bit(name):
 
 @pytest.mark.parametrize("name", [None, "paper", "robust"])
 def test_an_agent_sees_and_flies_the_same_without_compiled_ticks(name, monkeypatch):
-    """The agent is asked once per tick, even if compiled code returns the tick to Python after its choice."""
+    """The agent acts once per tick, even if compiled code leaves the tick to Python after the action."""
 
     def seen():
         env, rng = fs.make_env("storm", filter=name), np.random.default_rng(4)
@@ -56,7 +56,7 @@ def test_an_agent_sees_and_flies_the_same_without_compiled_ticks(name, monkeypat
     assert all(np.array_equal(a, b) for a, b in zip(compiled, plain, strict=True))
 
 
-@pytest.mark.filterwarnings("ignore")  # warnings of the checker: no render modes, float64
+@pytest.mark.filterwarnings("ignore")  # Gymnasium's checker warns about missing render modes and float64
 def test_gymnasium_finds_it_and_its_checker_passes():
     env = gymnasium.make(NAME, scenario="lab", filter="paper")
     check_env(env.unwrapped)
@@ -81,8 +81,8 @@ def test_an_agent_without_a_filter_violates_and_with_one_does_not():
     rewards, bare = flown(fs.make_env("lab"), 1, down)
     _, safe = flown(fs.make_env("lab", filter="robust"), 1, down)
     assert bare["violation"]
-    assert min(rewards[:-1]) < -0.09  # ticks below the barrier
-    assert rewards[-1] <= -10.0  # it crashes
+    assert min(rewards[:-1]) < -0.09  # ticks below the barrier give a negative reward
+    assert rewards[-1] <= -10.0  # the vehicle crashes
     assert safe["violation"] is False
 
 

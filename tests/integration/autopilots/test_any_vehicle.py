@@ -68,7 +68,7 @@ def test_connects_and_tells_who_and_where_it_is(pilot):
     assert speed_m_s(pilot) < STANDING_M_S
 
 
-@pytest.mark.given  # test_preflight_tells_safe_from_unsafe checks the simulated one
+@pytest.mark.given  # for the simulated one: test_preflight_tells_safe_from_unsafe
 def test_its_parameters_are_safe(room):
     words = ["--vehicle", room.url, "--autopilot", room.autopilot, "--config", room.config]
     words += ["--signing-key", room.signing_key] if room.signing_key else []
@@ -90,7 +90,7 @@ def test_takes_off_holds_follows_set_points_and_lands(pilot, room):
     turned = pilot.own.position_enu_m
     pilot.fly_for("south", (0.0, -limits.step_m_s, 0.0), limits.step_s)
     back = pilot.own.position_enu_m
-    moved_m = (2.0 * turned[1] - held[1] - back[1]) / 2.0  # removes a constant drift
+    moved_m = (2.0 * turned[1] - held[1] - back[1]) / 2.0  # this combination removes a constant drift
     least, most = limits.moved_share
     assert least < moved_m / (limits.step_m_s * limits.step_s) < most, f"moved {moved_m:.2f} m"
     pilot.fly_for("stop", ZERO, 2.0)
@@ -118,14 +118,14 @@ def test_a_companion_that_falls_silent_leaves_a_safe_vehicle(pilot):
 
 
 def safe(pilot) -> bool:
-    """Return whether it shows its autopilot's reaction to missing set-points, and no longer the last one."""
+    """Return whether the vehicle has started its fail-safe, and no longer flies the last set-point."""
     if not pilot.status.armed or pilot.status.mode is Mode.LAND:
         return True
     return pilot.limits.lost is Lost.STOPS and speed_m_s(pilot) < pilot.limits.still_m_s
 
 
 def stands(pilot) -> bool:
-    """Return whether it is on the ground with its motors off."""
+    """Return whether the vehicle is on the ground with its motors off."""
     return not pilot.status.armed and pilot.status.landed is Landed.ON_GROUND
 
 
@@ -139,7 +139,7 @@ def test_follows_and_lands_on_the_target(room):
     assert down(room)
 
 
-# the fault grid and test_stops.py fly the simulated one in the other phases, without MAVLink's wires
+# the fault grid and test_stops.py cover the other phases with the simulated vehicle
 @pytest.mark.arms
 @pytest.mark.parametrize(
     "phase", ["TAKEOFF", *(pytest.param(p, marks=pytest.mark.given) for p in ("APPROACH", "LAND"))]
@@ -175,7 +175,7 @@ def left_alone(room) -> None:
 
 
 def down(room) -> bool:
-    """Wait briefly; return whether it stands with its motors off."""
+    """Wait briefly; return whether the vehicle stands with its motors off."""
     with Pilot(room) as pilot:
         pilot.connect()
         pilot.watch("motors off", lambda: not pilot.status.armed, 20.0)

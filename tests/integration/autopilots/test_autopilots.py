@@ -54,7 +54,7 @@ def test_preflight_of_nobody_and_of_nonsense():
     assert (done.code, done.json["safe"]) == (1, False)
     assert "no heartbeat" in done.json["problem"]
     done = flightstack("preflight", "--vehicle", "tcp:127.0.0.1:9", "--wait", 0.5)
-    assert done.code == 1  # the vehicle may appear later, so onboard retries until its time-out
+    assert done.code == 1  # the vehicle may start later, so onboard retries until its time-out
     assert "TCP connection to 127.0.0.1:9 cannot be opened (Connection refused): tried again" in done.err
     assert flightstack("preflight", "--vehicle", "udpout:127.0.0.1:9", "--autopilot", "betaflight").code == 2
     vehicle = ("vehicle", "--scenario", "lab", "--url", "udpin:127.0.0.1:0", "--duration", 1)
@@ -160,7 +160,7 @@ def test_what_does_not_go_together_is_refused(tmp_path, words, said):
     assert said in done.err
     files = []
     for each in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):  # closed in the meantime
+        with suppress(OSError):  # the other end may have closed the connection
             files.append(str(each.readlink()))
     assert files
-    assert not [name for name in files if "flightstack-px4-" in name]  # no instance number is left reserved
+    assert not [name for name in files if "flightstack-px4-" in name]  # all instance numbers are released

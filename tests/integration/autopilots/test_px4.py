@@ -31,7 +31,7 @@ from tests.processes.bounded import AT_ONCE_S
 from tests.processes.started import StartedChild
 from tests.px4_place import px4_or_skip
 
-pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("stream 0")]  # one flight
+pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("stream 0")]  # one PX4
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_r
         said = px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
         place = {words[0]: words[1] for words in map(str.split, said) if len(words) > 1}
         east, north, _ = Px4Plant(scenario, 0).body().position_enu_m
-        assert float(place["y:"]) == pytest.approx(east, abs=0.1)  # NED
+        assert float(place["y:"]) == pytest.approx(east, abs=0.1)  # the local position of PX4 is NED
         assert float(place["x:"]) == pytest.approx(north, abs=0.1)
 
 
@@ -63,7 +63,7 @@ def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, ins
         wait_for(lambda: "Waiting for simulator" in px4.output.read_text(), "PX4 that waits")
         with pytest.raises(Px4Error, match="Waiting for simulator"):
             px4.wait_ready(1.0)
-        os.killpg(px4.process.pid, signal.SIGSTOP)  # even then its end is quick
+        os.killpg(px4.process.pid, signal.SIGSTOP)  # a stopped process must also end quickly
         began_s = time.monotonic()
         px4.end()
         assert time.monotonic() - began_s < AT_ONCE_S
@@ -92,7 +92,7 @@ def test_places_without_a_px4_are_refused_with_what_is_missing(tmp_path):
 FLIGHTS = 2
 SPEED = 4.0  # largest ratio to real time
 FLIGHT_MAX_S = 120.0  # time-out of a flight, wall time, also on slow machines
-LOST_S = 10.0  # the same for COM_OF_LOSS_T = 1.0 s of simulated time and a heartbeat once a second
+LOST_S = 10.0  # time-out of PX4's fail-safe, wall time: COM_OF_LOSS_T = 1.0 s simulated, heartbeat 1 Hz
 LANDED_MAX_S = 60.0
 RECORDED_MAX_S = 60.0
 ROBOT_M_S = 0.2
@@ -102,8 +102,8 @@ KILLED_M = 0.2  # height above the ground, in the climb: PX4 climbs about 0.8 m 
 ERROR_M = 0.25  # allowed touchdown error on a pad of 0.5 m
 STANDS_M = 0.12  # height of the vehicle's reference point on the pad
 NEAR_M = 0.05
-TWITCH_S = 0.1  # longest time with running motors that is not a flight: 12 ms was observed once
-CARRIED_S = 2.0  # time after its motors stopped, in which the robot drives on
+TWITCH_S = 0.1  # a shorter run of the motors is no flight; 12 ms was observed once
+CARRIED_S = 2.0  # time after motors off in which the robot carries the vehicle
 
 
 def scenario_file(folder):
@@ -127,7 +127,7 @@ class Flown:
     truth: Truth  # true states from the first to the last flight, while the robot drives on
 
     def armed_s(self):
-        """Return start and end of each time with running motors; PX4 may run them for one sample before."""
+        """Return start and end of each flight; PX4 may also run the motors for one sample before a flight."""
         running = np.diff(self.truth.motors_running.astype(int), prepend=0, append=0)
         edges = self.truth.t_s[np.minimum(np.flatnonzero(running), len(self.truth.t_s) - 1)]
         times_s = zip(edges[::2], edges[1::2], strict=True)
@@ -192,6 +192,6 @@ def test_killed_in_its_climb_it_came_down_by_itself(flown):
     begin_s, end_s = flown.armed_s()[-1]
     climb = (truth.t_s >= begin_s) & (truth.t_s <= end_s)
     highest_m = truth.position_enu_m[climb, 2].max() - truth.position_enu_m[climb, 2][0]
-    assert KILLED_M - NEAR_M < highest_m < TAKEOFF_M  # it did not climb to the hover height
+    assert KILLED_M - NEAR_M < highest_m < TAKEOFF_M  # the vehicle did not reach the hover height
     assert truth.contacts[-1] > 0
     assert not truth.motors_running[-1]

@@ -65,7 +65,7 @@ def test_a_new_px4_finds_the_vehicle_at_its_start_and_the_same_seed_reads_the_sa
         first, second = first_steps(port), first_steps(port)
         assert {b[0] - a[0] for a, b in itertools.pairwise(first)} == {4000}
         assert first == second
-        assert np.mean([s[2] for s in first[400:]]) < -10.2  # it has left the floor
+        assert np.mean([s[2] for s in first[400:]]) < -10.2  # the vehicle has left the floor
         child.send_signal(signal.SIGTERM)
         said, err = lines(child)
         assert child.returncode == 0

@@ -22,12 +22,12 @@ from tests.processes.ports import free_port
 pytestmark = pytest.mark.xdist_group("real-time")
 
 PAGE = (ROOT / "docs" / "how_to" / "clients.md").read_text()
-READY_MAX_S = 240.0  # compilation of the simulator may be necessary, next to other compilers
+READY_MAX_S = 240.0  # time-out of the start; the simulator may have to be compiled
 STEP_MAX_S = 60.0  # time-out of one step on a busy machine
 EXAMPLE_MAX_S = 180.0
 OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000  # PX4 px4_custom_mode.h
 LEG_M, SPEED_M_S = 0.5, 0.3
-WEST, NORTH = (lambda m: -m.y), (lambda m: m.x)  # the vehicle's nose points east, so back and left
+WEST, NORTH = (lambda m: -m.y), (lambda m: m.x)  # the nose points east: west is back, north is left
 OFFBOARD_LINE = "long DO_SET_MODE 157 6 0"
 # typed line; output to wait for, or the coordinate that grows by LEG_M; line typed repeatedly meanwhile
 STEPS = (
@@ -69,7 +69,7 @@ class Observer(Client):
         return [m for m in self.log if m.get_type() == name]
 
     def changes(self, value) -> list:
-        """Return a value of the heartbeats in its order, each change once."""
+        """Return the successive values of a heartbeat field, without repetitions."""
         values = [value(m) for m in self.all("HEARTBEAT")]
         return [v for n, v in enumerate(values) if n == 0 or v != values[n - 1]]
 
@@ -128,7 +128,7 @@ class Program:
 
 
 def shape(line: str) -> str:
-    """Return a line without its numbers."""
+    """Return a printed line with its numbers removed."""
     return re.sub(r"-?\b[\d.]+", "#", line)
 
 
@@ -138,7 +138,7 @@ def test_the_lines_of_the_page_fly_it_from_mavproxy(tmp_path: Path, flight_numbe
     with vehicle() as watch:
         command = [sys.executable, "-u", "-m", "MAVProxy.mavproxy", f"--state-basedir={tmp_path}"]
         command += [f"--master=udpout:127.0.0.1:{watch._to[1]}"]
-        # it reads start-up files from the home directory, which must not influence a test
+        # MAVProxy reads start-up files from the home directory; they must not influence the test
         with Program(command, watch, env=os.environ | {"HOME": str(tmp_path)}, cwd=tmp_path) as program:
             program.expect("Detected vehicle 1:1 on link 0")
             program.expect(r"Received \d+ parameters")
@@ -173,7 +173,7 @@ def test_the_program_of_the_page_flies_it_by_mavsdk(tmp_path: Path, flight_numbe
     ):
         client.until(lambda: not client.open, "its end", within_s=EXAMPLE_MAX_S)
         assert client.child.wait(STEP_MAX_S) == 0
-    # a HOLD between two of them may be shorter than a tick
+    # HOLD between two modes may be shorter than a tick
     assert [mode for mode in watch.modes() if mode != HOLD] == [TAKEOFF, OFFBOARD, LAND]
     assert watch.armings() == [False, True, False]
     assert max(m.x for m in watch.all("LOCAL_POSITION_NED")) > 0.0

@@ -37,7 +37,7 @@ def untimed(folder):
     return [row.untimed() for row in read_rows(folder / "rows.csv")]
 
 
-shared = pytest.mark.xdist_group("campaign")  # one worker flies it once
+shared = pytest.mark.xdist_group("campaign")  # one worker flies this campaign once
 
 
 @pytest.fixture(scope="module")
@@ -100,10 +100,10 @@ def test_a_killed_worker_costs_no_row(whole, tmp_path):
 @shared
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
-    longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # more landings than are flown before the signal
+    longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # more landings than are flown before the signal arrives
     running = begun(tmp_path, *longer, "--workers", 2)
     workers = running.pids()
-    running.process.send_signal(signal.SIGSTOP)  # else it would end before another one has started
+    running.process.send_signal(signal.SIGSTOP)  # otherwise it could end before the second one starts
     second = called("campaign", *longer, "--out", tmp_path)
     running.process.send_signal(number)
     running.process.send_signal(signal.SIGCONT)
@@ -120,7 +120,7 @@ def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
     assert 2 <= len(kept) < 2 * RUNS
     if number == signal.SIGINT:
         assert all(row.seed >= 40 + RUNS or row in untimed(whole[0]) for row in kept)
-        return  # another test shows that it continues
+        return  # another test checks that a campaign continues
     campaign(*longer, "--workers", 2, "--out", tmp_path)
     rows = untimed(tmp_path)
     assert [row.seed for row in rows] == list(range(40, 40 + 2 * RUNS))
@@ -192,7 +192,7 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.fixture
 def elsewhere(tmp_path):
-    """A working folder with the filter in a module of another name."""
+    """Change to a working folder in which a module with another name contains the filter."""
     shutil.copy(ROOT / "examples" / "own_boundary.py", tmp_path / "mine.py")
     return tmp_path
 
@@ -221,8 +221,8 @@ def test_a_filter_that_there_is_not_is_refused_with_what_is_allowed(verb):
     assert "has no Kone" in done.err
 
 
-TIER_RUNS = 30  # docs/reference/results.md has ten thousand of each
-PAPER_RUNS = 10  # enough for a median
+TIER_RUNS = 30  # landings of each tier; docs/reference/results.md has 10,000
+PAPER_RUNS = 10  # landings with the paper's filter; enough for a median
 
 
 def rows_of(tier, runs, filter_name):

@@ -126,7 +126,7 @@ def test_what_is_not_proven_exits_1_and_says_what_to_change(tmp_path):
     result = run("check", write(tmp_path, config(robust={"commit_speed_m_s": 0.5})))
     assert result.exit_code == 1
     assert "not proven: drift: " in result.output
-    assert "proven: barrier" not in result.output  # only what is not proven
+    assert "proven: barrier" not in result.output  # only unproven checks are printed
     assert "lower robust.commit_speed_m_s" in result.output
     result = run("check", write(tmp_path, config(robust={"rate_1_s": 9.0})))
     assert result.exit_code == 1
@@ -155,7 +155,7 @@ def test_the_papers_scenarios_pass_the_papers_checks(name):
 def test_a_package_of_another_project_with_the_same_name_is_named(name, tmp_path):
     (tmp_path / name).mkdir()
     (tmp_path / name / "__init__.py").touch()
-    program = (  # as from a wheel, without the hook of an editable installation
+    program = (  # imports as after an installation from a wheel, without the editable hook
         "import sys; sys.meta_path[:] = [f for f in sys.meta_path if '__editable__' not in f.__module__]\n"
         f"sys.path[:0] = [{str(tmp_path)!r}]; sys.path.append({str(ROOT)!r})\n"
         "from flightstack.cli.main import main\n"
@@ -176,7 +176,7 @@ def flights(flown):
 
 
 def step_lag_s(axis):
-    """Return the group delay: the area between final value and step response, over the final value."""
+    """Return the group delay, s: area between final value and step response, divided by the final value."""
     still = replace(scenario.load("lab"), wind=scenario.Wind())
     plant = VehicleSim(still, 1)
     plant.arm()
@@ -204,7 +204,7 @@ def test_the_simulated_crazyflie_is_identified_from_its_flights(flights):
     assert table["envelope"]["target_rate_hz"] == odometry.rate_hz
     loop = table["velocity_loop"]
     for key, axis in (("lag_xy_s", 0), ("lag_z_s", 2)):
-        # a few seconds with gusts, through the links, of vehicles whose motor lag differs by a fifth
+        # short flights with gusts over MAVLink; the motor lags of the vehicles differ by 20 %
         assert loop[key] == pytest.approx(step_lag_s(axis), rel=0.3)
     whole = {name: {**values} for name, values in to_table(config()).items() if isinstance(values, dict)}
     for section, values in table.items():

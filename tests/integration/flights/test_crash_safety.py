@@ -16,11 +16,11 @@ from logs.schema.schemas import CONTROLLER_STEP
 from tests.integration.runs import Flying, flightstack, gone, kill
 
 NS = 1e9
-# Wall time of the kill after the start of the approach, by lockstep: late enough for a replay, before the end
-# of the flight.
-PAST_APPROACH_BYTES = 1_200_000  # of the log: the approach begins at 980,000, and a replay needs some of it
+# ``WHEN_S``: range of the wall time from the start of the approach to the kill; key: lockstep. The kill is
+# late enough for a replay, and before the end of the flight.
+PAST_APPROACH_BYTES = 1_200_000  # log size at the kill; the approach starts at 980,000 bytes
 WHEN_S = {False: (0.7, 8.0), True: (0.3, 0.8)}
-# A topic that each victim logs; for the recorder and for the launcher, which kills all others, any topic.
+# A topic that each victim logs. None: any topic, for the recorder and the launcher, which kills all others.
 OWN_TOPIC = {
     "world": "/cf1/sim/truth",
     "onboard": "/cf1/controller/step",
@@ -30,7 +30,7 @@ OWN_TOPIC = {
 
 
 class FlightOverError(Exception):
-    """The machine was too fast: the flight ended before the kill."""
+    """The flight ended before the kill, because the machine was too fast."""
 
 
 @dataclass(frozen=True)
@@ -116,11 +116,11 @@ def test_a_disk_that_fills_up_in_flight_ends_the_record_and_not_the_flight(tmp_p
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
     run.until("-> APPROACH")
     log = run.some_log()
-    full = log.stat().st_size + 40_000  # a late recorder must not get to the end first
+    full = log.stat().st_size + 40_000  # 40 kB more, so that a recorder that is behind does not end first
     resource.prlimit(run.children()["record"], resource.RLIMIT_FSIZE, (full, full))
-    full = max(full, log.stat().st_size)  # what a quick recorder had written before the limit was there
-    assert run.end() == 1  # landed, but the record of it is not whole
-    said = "\n".join(run.lines)  # in either order: in lockstep a recorder on a busy machine is seconds behind
+    full = max(full, log.stat().st_size)  # a quick recorder may have written more before the limit was set
+    assert run.end() == 1  # the vehicle landed, but the log is incomplete
+    said = "\n".join(run.lines)  # any order: a recorder on a busy machine may be seconds late
     assert "-> LANDED" in said
     assert "record ended in flight" in said or "record did not end in order" in said
     assert "writing failed (File too large)" in said

@@ -18,20 +18,20 @@ from tests.fault_grid.run import SEED, equal, fly, scenario, undisturbed
 from tests.fault_grid.table import GRID, End, Moment, Part, Way
 
 MAKE_ANEW = "run: python -m tests.benchmarks fault_grid"
-# of moments that demand the same of a way to fail, the first one: there it acts for the rest of the flight
+# For each failure, only the first of the moments with the same requirement is flown: its fault lasts longest.
 FLOWN = {(part, way, GRID[part, way, m]): m for part in Part for way in Way for m in reversed(Moment)}
 CELLS = {(part, way, moment) for (part, way, _), moment in FLOWN.items()}
 GROUPS = sorted({(part, moment) for part, _, moment in CELLS}, key=str)
-# another processor may round otherwise: s, s, m
+# tolerances for the rounding of other processors, for the columns in s, s and m
 TOLERANCES = (0.1, 0.5, 0.01)
-_FIRST_NUMBER = 5  # column of the page
+_FIRST_NUMBER = 5  # first numeric column of the page's tables
 
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
     warm_up(scenario())
     gc.collect()
-    gc.freeze()  # the collections after each cell need not look at all that the tests have loaded
+    gc.freeze()  # garbage collections after each cell skip the loaded modules
     yield
     gc.unfreeze()
 
@@ -81,7 +81,7 @@ def test_ways_to_fail_end_as_demanded_and_as_the_page_says(part, moment):
 
 
 def same(old: list[str], fresh: list[str]) -> bool:
-    """Whether two rows are equal, numbers within the tolerance."""
+    """Return whether two rows are equal; numbers are compared with the tolerance."""
     numbers = range(_FIRST_NUMBER - 1, _FIRST_NUMBER + 2)
     words = [i for i in range(len(fresh)) if i not in numbers]
     if [old[i] for i in words] != [fresh[i] for i in words]:

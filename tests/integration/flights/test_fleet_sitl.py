@@ -49,7 +49,7 @@ def direct():
     return land_team(team, SEED, exchange=keep), commands
 
 
-same_flight = pytest.mark.xdist_group("fleet in lockstep")  # one worker reads its log
+same_flight = pytest.mark.xdist_group("fleet in lockstep")  # one worker flies this team and reads its log
 
 
 @same_flight
@@ -119,11 +119,11 @@ def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path):
     fleet = load_fleet(tmp_path / "out" / "flight.mcap")
     verdict = judge_fleet(fleet)
     assert verdict.collisions == verdict.ellipsoid_violations == 0
-    # a vehicle whose pad is too close to the silent one's possible positions lands next to it
+    # a vehicle lands next to its pad if the silent vehicle may be too close to the pad
     for name in ("cf1", "cf3"):
         assert verdict.members[name].outcome in (Outcome.LANDED, Outcome.ABORTED), verdict.members[name]
         assert fleet.flights[name].phase_spans()[-1][0] in (Phase.LANDED, Phase.ABORT)
-    assert not fleet.flights["cf2"].truth.motors_running[-1]  # its autopilot has landed it
+    assert not fleet.flights["cf2"].truth.motors_running[-1]  # the autopilot of cf2 has landed the vehicle
 
 
 @pytest.mark.parametrize(

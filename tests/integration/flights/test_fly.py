@@ -106,7 +106,7 @@ STAMP_NS = 1_700_000_000_000_000_000
 
 
 def config(folder, wait_s):
-    """Return the package's Crazyflie configuration with another waiting time."""
+    """Write the package's Crazyflie configuration with this ``wait_time_max_s``; return its path."""
     text, n = re.subn(
         r"^wait_time_max_s = .*$", f"wait_time_max_s = {wait_s:.1f}",
         (ROOT / "flightstack" / "config" / "crazyflie.toml").read_text(), flags=re.MULTILINE,

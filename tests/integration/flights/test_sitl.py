@@ -69,7 +69,7 @@ def test_an_interrupted_run_ends_everything_and_says_what_was_reached(tmp_path):
     assert set(children) == {"record", "world", "onboard"}
     run.process.send_signal(signal.SIGINT)
     assert run.end() == 1
-    # aborted after arming, so that the vehicle is commanded to land before the process ends
+    # the abort comes after arming, so the process must command a landing before it ends
     assert any(re.search(r"outcome\W+(aborted|timeout)", line) for line in run.lines), run.lines
     assert all(gone(pid) for pid in children.values())
     flight = load_flight(tmp_path / "flight.mcap")
@@ -92,7 +92,7 @@ def test_a_world_that_stands_still_for_some_seconds_only_delays_a_lockstep_fligh
 
 def test_a_killed_world_ends_the_run(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
-    run.until("-> TAKEOFF")  # the first of ten seconds, which lockstep simulates in half a second
+    run.until("-> TAKEOFF")  # lockstep simulates the ten seconds of the flight in half a second
     kill(run.children()["world"])
     assert run.end() == 1
     assert any("world ended in flight" in line for line in run.lines), run.lines

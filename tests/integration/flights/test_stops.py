@@ -31,10 +31,10 @@ from tests.integration.sim_processes import PATIENCE_S, Client, is_a, wait_for
 from tests.integration.wires.bridge_processes import KEY, Mocap, fly, plain_vehicle, verb
 
 STOPPED_S = 0.3  # time-out from the emergency stop to motors off
-# causes of the phases that an undisturbed flight does not have
+# fault that causes the phases that an undisturbed flight does not have
 LOST = Fault(What.TARGET_ODOMETRY, Kind.OFF)
 AT_ONCE, LATER_S = 0.0, 0.3
-# phase and time in it, s: on the ground, and off the ground
+# moments of the request: phase, and time since its start, s
 MOMENTS = [
     (Phase.WAIT, AT_ONCE), (Phase.TAKEOFF, AT_ONCE), (Phase.TAKEOFF, 3.0), (Phase.APPROACH, LATER_S),
     (Phase.LAND, LATER_S), (Phase.TOUCHDOWN, AT_ONCE), (Phase.LANDED, LATER_S), (Phase.HOLD, LATER_S),
@@ -78,7 +78,7 @@ def named(moments):
 
 @pytest.mark.parametrize(("phase", "after_s"), MOMENTS[2::2], ids=named(MOMENTS[2::2]))
 def test_the_emergency_stop_stops_the_motors_in_flight(phase, after_s):
-    """The request is obeyed; tests/unit/core/mission/test_phases.py tests every phase."""
+    """One phase is tested in flight; tests/unit/core/mission/test_phases.py tests every phase."""
     flown = fly_and_ask(Operator.EMERGENCY_STOP, phase, after_s)
     assert flown.phases[-1] is (Phase.LANDED if phase is Phase.LANDED else Phase.ABORT)
     assert not flown.truth.motors_running[-1]
@@ -192,7 +192,7 @@ def beat(vehicle, base_mode):
 
 @contextmanager
 def mocap_bridge():
-    """Run a vehicle that has sent messages to the bridge of its poses."""
+    """Run a motion capture bridge with a plain vehicle that has sent messages to the bridge."""
     with (
         Mocap(KEY, lambda: ((1.0, 2.0, 0.5), (1.0, 0.0, 0.0, 0.0))) as mocap,
         plain_vehicle(12) as vehicle,

@@ -37,7 +37,7 @@ def ended(words, stdout):
 def test_a_reader_that_has_enough_is_no_error(words):
     writes = gone()
     try:
-        assert ended(words, writes) == (int("verdict" in words), "")  # the stored log's verdict: no landing
+        assert ended(words, writes) == (int("verdict" in words), "")  # ``verdict``: the log has no landing
     finally:
         os.close(writes)
 
@@ -83,7 +83,7 @@ def test_a_reader_that_does_not_read_is_not_waited_for_in_a_flight():
         child = subprocess.run([sys.executable, "-c", PRINTS], stdout=writes, stderr=writes, timeout=60.0)
         assert child.returncode == 0
         assert time.monotonic() - began_s < 30.0
-        assert len(os.read(reads, 1 << 20)) > 1000  # the capacity of the pipe
+        assert len(os.read(reads, 1 << 20)) > 1000  # the pipe is full
     finally:
         os.close(reads)
         os.close(writes)

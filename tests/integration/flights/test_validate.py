@@ -22,9 +22,7 @@ FIGURES = 3
 
 def validate(folder, out, *options, code=None):
     """Run the verb; return its JSON and its output."""
-    few = (
-        len(list(folder.iterdir())) < 20
-    )  # compared in this process, which has loaded and compiled everything
+    few = len(list(folder.iterdir())) < 20  # runs in this process, in which everything is compiled
     workers = ("--workers", 1) if few else ()
     done = called("validate", folder, "--json", "--out", out, *workers, *options)
     assert "Traceback" not in done.err
@@ -71,7 +69,7 @@ BAD = {
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory):
-    """A folder with a good flight, one with a gap, and every kind of bad one; result and output."""
+    """Run the verb on a folder with a good flight, one with a gap, and all kinds of bad ones."""
     folder = tmp_path_factory.mktemp("mixed")
     shutil.copy(recorded.PIECE, folder / "good.parquet")
     write(folder / "hole.csv", changed(["qx"], nan_for_a_while))

@@ -65,7 +65,7 @@ def real_time(command):
 
 
 def run_each(chosen, cwd):
-    """Run commands, each once; each must succeed."""
+    """Run each command once; each must succeed."""
     for command in chosen:
         done = run(command, cwd)
         assert done.code == 0, (command, done.out, done.err)
@@ -74,12 +74,12 @@ def run_each(chosen, cwd):
 
 
 def run_here(pages):
-    """Return the commands that are run unchanged and quickly, each once."""
+    """Return the commands that the test can run unchanged in a short time, without repetitions."""
     return [*dict.fromkeys(c for c in commands(pages) if verb(c) in RUN_HERE and not real_time(c))]
 
 
 def stories():
-    """Return the pages whose commands run in one folder: the dependent ones first, then the others."""
+    """Return groups of pages whose commands share a folder: the dependent pages, then each other page."""
     told = [page for name in STORY for page in PAGES if page.name == name]
     return [told, *([page] for page in PAGES if page not in told and run_here([page]))]
 
@@ -102,7 +102,7 @@ def test_the_parts_apart_land(tmp_path):
     page = on_free_ports("\n".join(commands()))
     parts = {verb(c): c for c in page.splitlines() if verb(c) in APART}
     assert list(parts) == list(APART)
-    run(f"{BIN}/python --version", tmp_path)  # creates the folder's .venv
+    run(f"{BIN}/python --version", tmp_path)  # the first command creates the folder's .venv
     running = []
     try:
         for name, command in parts.items():
@@ -136,7 +136,7 @@ def test_make_fly_lands():
     if shutil.which("make") is None or not (ROOT / ".venv").exists():
         pytest.skip("make fly needs make and the checkout's own .venv")
     assert "make fly" in commands()
-    assert "make test" in commands()  # this test is run by it
+    assert "make test" in commands()  # make test runs this test
     done = subprocess.run(
         ["make", "fly"], cwd=ROOT, capture_output=True, text=True, timeout=WALL_MAX_S, check=False
     )
@@ -147,17 +147,17 @@ def test_make_fly_lands():
     assert (ROOT / report).stat().st_size > 100_000
 
 
-# only recorded with a table of the configuration, or with a fleet
+# topics that are recorded only with a certain table of the configuration, or with a fleet
 WITH_TABLE = {"/cf1/controller/power", "/cf1/controller/neighbours", "/cf1/fleet/word", "/fleet/pairs"}
 DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # one line of the page for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")
 PAGE = ROOT / "docs/reference/logs.md"
-log_docs = pytest.mark.xdist_group("log docs")  # they share a flight
+log_docs = pytest.mark.xdist_group("log docs")  # these tests share a flight
 
 
 @pytest.fixture(scope="module")
 def folder(flown, tmp_path_factory):
-    """Provide the logs that commands name: one flight, because other tests compare equal flights."""
+    """Provide the logs that commands name; all are copies of one flight."""
     path = tmp_path_factory.mktemp("docs")
     flight = flown("paper_static_1")
     assert flight.code == 0

@@ -16,7 +16,7 @@ from tests.integration.runs import flightstack, replayed
 def test_a_real_time_flight_replays_bit_by_bit_inputs_from_the_wire_included(tmp_path):
     words = ("sitl", "--scenario", "straight", "--duration", 6, "--no-report", "--json")
     flown = flightstack(*words, "--out", tmp_path)
-    assert (flown.code, flown.json["outcome"]) == (1, "aborted")  # a time-out on purpose
+    assert (flown.code, flown.json["outcome"]) == (1, "aborted")  # the time-out is intended
     assert not load_flight(flown.json["log"]).truth.motors_running[-1]
     found = replayed(tmp_path / "flight.mcap")
     assert "APPROACH" in {change["phase"] for change in found["phases_recorded"]}
@@ -25,7 +25,7 @@ def test_a_real_time_flight_replays_bit_by_bit_inputs_from_the_wire_included(tmp
 
 
 ERROR_M, SPEED_M_S = 0.015, 0.05  # allowed errors of a real flight's verdict
-# The target is measured to 1 cm or better in these: the limits are the method's errors, not the estimates'.
+# The target is measured to 1 cm or better in these flights, so the limits are errors of the method.
 FLIGHTS = [("paper_moving_1", 0), ("large", 0), ("lab", 1), ("stop_and_go", 0)]
 
 

@@ -49,9 +49,9 @@ def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
     assert rows["/safety/h/controller"] == rows["/world/vehicle"] == rows["/world/target"] == len(ROWS)
     assert rows["/velocity/z/filtered"] == len(ROWS)
     assert rows["/phase"] == rows["/events"] == len({r.phase for r in ROWS})
-    assert 5 < rows["/world/vehicle_path"] <= len(ROWS) / 4 + 1  # a path is sent as a whole, so less often
+    assert 5 < rows["/world/vehicle_path"] <= len(ROWS) / 4 + 1  # a whole path is sent less often
     assert any(name.startswith("Arrows3D:vectors") for name in columns["/world/velocity/nominal"])
-    assert "/world/target_spot/barrier" not in columns  # its shape was not published
+    assert "/world/target_spot/barrier" not in columns  # the shape of the barrier was not published
     reader = RrdReader(whole)
     assert (len(reader.recordings()), len(reader.blueprints())) == (1, 1)
 
@@ -88,7 +88,7 @@ def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching)
     for row, timing in zip(ROWS[:120], landing().timing, strict=False):
         puts["controller/step"].put(row.pack())
         puts["loop/timing"].put(timing.pack())
-        time.sleep(0.02)  # the pace of a flight, not a wait
+        time.sleep(0.02)  # sends at the rate of a flight; waits for no event
     wait_for(lambda: out.stat().st_size > size + 20_000, "a recording that grows while it flies")
     child.send_signal(signal.SIGINT)
     _, errors = child.communicate(timeout=60.0)

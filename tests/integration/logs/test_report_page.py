@@ -104,7 +104,7 @@ def test_every_figure_is_drawn_without_a_complaint(tmp_path, browse):
     dom, console = browse(page, "#t=2.5")
     assert errors(console) == []
     seen = Page(dom)
-    assert seen.body["data-shown"] == "-0.5 5.5"  # the same in every figure over time
+    assert seen.body["data-shown"] == "-0.5 5.5"  # every figure over time shows this range, s
     assert seen.body["data-figures"] == str(FIGURES)
     assert seen.body["data-figures-drawn"] == str(FIGURES)
     assert seen.tags["canvas"] >= 1  # the 3-D figure
@@ -120,12 +120,12 @@ def test_the_page_of_a_fleet_is_drawn_without_a_complaint(tmp_path, browse, monk
     assert errors(console) == []
     seen = Page(dom)
     assert seen.body["data-figures"] == seen.body["data-figures-drawn"] == str(FLEET_FIGURES)
-    assert seen.tags["canvas"] >= 1  # the paths in the room
+    assert seen.tags["canvas"] >= 1  # 3-D figure of the paths in the room
     for words in ("All landed", "cf1–cf3", "cf3 right of way", "time since the log began [s]"):
         assert words in seen.text.replace("\N{WORD JOINER}", "")
     assert {each.name for member, each in pages.items() if member} <= set(
         seen.sources
-    )  # links to the members
+    )  # links to the pages of the members
     assert len(pages[""].read_text(encoding="utf-8")) < SIZE_MAX
 
 
@@ -202,4 +202,4 @@ def test_text_from_the_log_stays_text(tmp_path):
     rows.events.append((rows.steps[-1].stamp_ns, 40, evil))
     text = report_of(write_log(tmp_path / "flight.mcap", rows)).read_text(encoding="utf-8")
     assert evil not in text
-    assert Page(text).text.count(evil) == 4  # title, headline, run, event
+    assert Page(text).text.count(evil) == 4  # the text occurs in title, headline, run table and event

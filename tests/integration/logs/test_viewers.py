@@ -26,7 +26,7 @@ from tests.integration.runs import COMMAND, flightstack
 from tests.processes.bounded import killed, lines_of
 
 ROOT = Path(__file__).parents[3]
-pytestmark = pytest.mark.xdist_group("viewers")  # they share a flight
+pytestmark = pytest.mark.xdist_group("viewers")  # these tests share a flight
 LAYOUTS = ROOT / "docs/how_to/layouts"
 RERUN = Path(sys.executable).parent / "rerun"
 PATIENCE_S = 180.0
@@ -202,7 +202,7 @@ def test_view_serves_a_browser_on_this_machine_only(log):
     )  # fmt: skip
     try:
         said = []
-        for line in lines_of(process.stdout, PATIENCE_S):  # the lines end if Rerun does not start
+        for line in lines_of(process.stdout, PATIENCE_S):  # the output ends if Rerun does not start
             said.append(line)
             if "Hosting a web-viewer at" in line:
                 break
