@@ -1,4 +1,4 @@
-"""Flies ordinary ticks of a landing as a batch; the final state is the same as tick by tick."""
+"""Flies many ordinary ticks of a landing in one call; the final state equals that of single ticks."""
 
 from __future__ import annotations
 
@@ -41,21 +41,21 @@ from sim.runners.robot import DirectTarget
 from sim.runners.ticks import BEFORE, MIDDLE, RulesRecord, WatchBook, fly_ticks, look, narrow
 from sim.runners.vehicle_node import VehicleNode
 
-TICKS = 20  # maximum ticks in one call; the robot drives ahead by as many
-SPAN_S = 0.25  # maximum duration of one call; a longer gap would restart the stream of set-points
-_SOON_S = 1e-6  # margin before a due message, s; within it ticks run in Python
-SPEED_MAX_M_S = 2.5  # limit on each axis; above it the autopilot may clip set-points
+TICKS = 20  # maximum number of ticks in one call; the robot is computed for this number of future ticks
+SPAN_S = 0.25  # maximum simulated time of one call, s; a longer gap would restart the set-point stream
+_SOON_S = 1e-6  # ticks within this time before a due message run in Python, s
+SPEED_MAX_M_S = 2.5  # largest set-point on each axis, m/s, that the autopilot surely does not clip
 ASKING = (Phase.APPROACH, Phase.LAND)  # phases in which an agent chooses the nominal velocity
-_BACK_OFF = 4  # maximum number of ticks in Python after failed attempts
+_BACK_OFF = 4  # maximum number of ticks in Python after a failed attempt to start a batch
 
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
-    """Return whether a landing can fly in batches: compiled, without faults, supported configuration."""
+    """Return whether a landing can fly in batches: compiled code, no faults, supported configuration."""
     return not is_off() and node.vehicle.faults.quiet and suits(controller.config) and hypot_is_known()
 
 
 def suits(config: FlightConfig) -> bool:
-    """Return whether kernel and simulated link support everything that this configuration requires."""
+    """Return whether compiled kernel and simulated link support everything that a configuration uses."""
     return (
         core.suits_but_filter(config)
         and compiled_as(strategy_class(config.filter)) is not None
@@ -98,7 +98,7 @@ class Batches:
         self._most = max(1, min(TICKS, int(SPAN_S * grid.rate_hz)))
         self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms, 0, 0), dtype=np.int64)
         self._ages, self._told = np.zeros(TICKS), np.zeros(11)
-        self._off = False  # Python runs all ticks
+        self._off = False  # whether Python runs all ticks from now on
         self._asked = -1  # newest tick for which the agent or the filter was called
         self._next, self._wait = 0, 1  # tick of the next attempt; ticks to wait after a failure
         self._flies, self._yaw_told_rad, self._delay_ms = False, 0.0, round(radio_s * 1000.0)
@@ -124,14 +124,14 @@ class Batches:
         flown: Any = fly_ticks
         flown(*self._given, decks, samples, come, np.empty((0, TRUTH)), self._ages, self._told)
         if self._asks:
-            ends_s, self._rules.ends_s = self._rules.ends_s, -math.inf  # the time is over: nothing is flown
+            ends_s, self._rules.ends_s = self._rules.ends_s, -math.inf  # the call flies no tick
             with suppress(NotOrdinary):
                 looked: Any = look
                 looked(*self._given, samples, np.zeros(1, dtype=np.int64))
             self._rules.ends_s = ends_s
 
     def fly(self, tick: int) -> int:
-        """Fly from this tick, the next one, as far as possible; return the number of ticks flown."""
+        """Fly from ``tick``, the next tick, as far as possible; return the number of ticks flown."""
         if tick != self._asked:
             self._strategy.answer = self._strategy.own_result = None
         if self._off or tick < self._next:
@@ -159,7 +159,7 @@ class Batches:
         return done
 
     def _quiet_until_s(self, tick: int) -> float | None:
-        """Return the time until which only vehicle states and set-points are sent; None: others are due."""
+        """Return when the next other message than vehicle state and set-point is due, s; None: now."""
         request = Request.EXTERNAL if self._controller.memory.phase in FLYING else Request.NONE
         now_s = self._grid.ns(tick) / 1e9
         until_s = self._link.silent_until_s(request) - _SOON_S
@@ -180,7 +180,7 @@ class Batches:
         messages = node.autopilot.brief(now_s, self._heeded)
         if messages is None:
             return False
-        if self._reserve is not None:  # attitude of this tick; power reports need it
+        if self._reserve is not None:  # power reports need the attitude of this tick
             roll_rad, pitch_rad, _ = euler_from_quaternion(
                 ned_frd_from_enu_flu(node.vehicle.estimate().quaternion)
             )
@@ -227,7 +227,7 @@ class Batches:
         return True
 
     def _take_power(self) -> bool:
-        """Store the reported battery and motors; return False if only Python can handle them."""
+        """Store the reported battery and motor state; return False if only Python can handle this report."""
         estimate, power = self._reserve, self._link.state.power
         if estimate is None:
             return True
@@ -237,7 +237,7 @@ class Batches:
         return True
 
     def _call(self, tick: int, until_s: float) -> tuple[int, int]:
-        """Fly ticks in one call; return their number, and how the call ended."""
+        """Fly ticks in one compiled call; return the number of ticks, and the reason why the call ended."""
         node, grid, flight = self._node, self._grid, self._node.autopilot.flight
         asks = self._asks and self._controller.memory.phase in ASKING
         most = 1 if asks else self._most
@@ -309,7 +309,7 @@ class Batches:
             refusal = strategy.memory.refusal
             result = strategy.filtered(at, h_m, gradient, dh_dt_m_s, nominal, lower, upper)
             strategy.own_result = result, strategy.memory.refusal
-            strategy.memory.refusal = refusal  # the mission sees the new one in the next tick
+            strategy.memory.refusal = refusal  # the mission reads the new refusal in the next tick
             # a filter that changes other fields of its class flies in Python from now on
             self._off = objects.numbers(strategy) != self._numbers
             if result.status is FilterStatus.REJECTED or self._off:

@@ -2,12 +2,12 @@
 
 The code is the same as with separate processes: the vehicle's lockstep loop with its autopilot and faults,
 the robot, the companion's link and its runner of ticks. Only the messages are passed directly, with the
-rounding of the wire. So a landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the
+rounding of the wire. A landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the
 last bit.
 
-Vehicles that share a room fly tick by tick. They act on each other one tick later, so their order does not
-matter: by rotor jets, collisions, and messages between the companions (``Exchange``). A single vehicle flies
-batches of ticks where possible.
+Vehicles in one room fly tick by tick. Rotor jets, collisions and messages between the companions
+(``Exchange``) act with a delay of one tick, so the order of the vehicles does not matter. A single vehicle
+flies batches of ticks where possible.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ OnStep = Callable[[Tick, Outputs], None]
 
 
 class Companion:
-    """The onboard process, called by the vehicle's loop whenever it waits for an answer.
+    """The onboard process; the vehicle's loop calls it when the loop waits for an answer.
 
-    ``controller``: flown instead of the scenario's controller; ``on_step``: called after every controller
+    ``controller``: controller to fly instead of the scenario's; ``on_step``: called after every controller
     step; ``system_id``: MAVLink system id of the vehicle, its number in a team; ``target_seed``: seed of the
-    robot, None: ``seed``; ``alone``: no other vehicle is near, so batches of ticks are allowed.
+    robot, None: ``seed``; ``alone``: whether no other vehicle is near, so that batches of ticks are allowed.
     """
 
     robot_type: ClassVar[type[DirectTarget]] = DirectTarget
@@ -74,7 +74,7 @@ class Companion:
         self.tick = 0  # current tick of the fleet's vehicles
         grid = TickGrid(rate_hz)
         ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
-        assert ticks_max is not None  # there is a time limit
+        assert ticks_max is not None  # every scenario has a time limit
         self.ticks_max = ticks_max  # maximum number of ticks of a flight
         self.target = target = self.robot_type(scenario, seed if target_seed is None else target_seed, grid)
         here, there = wires((system_id, COMPONENT_ID), (system_id, COMPANION_ID))
@@ -102,13 +102,13 @@ class Companion:
             self.log_type(self._notes, Names(self.name, system_id)),
         )
         here.answer = self._answer
-        self._link.poll(0.0)  # sends the first heartbeat, as the process does before the first tick
+        self._link.poll(0.0)  # sends the first heartbeat before the first tick, like the onboard process
         radio_s = scenario.vehicle.setpoint_delay_s
         self.loop = LockstepVehicle(node, target, grid, self._stop, radio_s, None if alone else self)
         linked = LinkedVehicle(self._link, lockstep=True)
         leaving = Leaving(scenario.duration_max_s)
         ticks = VehicleTicks(linked, rate_hz)
-        # runs batches of ticks; None where this is not possible, or with ``on_step``
+        # runner of batches; None: this landing cannot fly in batches, or ``on_step`` needs every tick
         self.batches = None
         if alone and on_step is None and suited(self.controller, node):
             self.batches = Batches(
@@ -135,12 +135,12 @@ class Companion:
         return self._stop.is_set
 
     def take(self, silence: Silence, stop: Stop) -> Outputs | None:
-        """Return the outputs of this tick."""
+        """Return the controller's outputs of this tick."""
         del silence, stop
         return self.outputs
 
     def hear(self, words: tuple[Neighbour, ...]) -> None:
-        """Receive the messages of the next tick."""
+        """Receive the messages of other vehicles for the next tick."""
         self._neighbours = words
 
     def seen(self) -> Seen:
@@ -150,7 +150,7 @@ class Companion:
         return self._notes.seen()
 
     def _answer(self) -> None:
-        if self._over:  # after the last step comes one more true state; then the vehicle's process ends
+        if self._over:  # the vehicle's process records one more true state after the last step
             self._stop.ask()
             self.outputs = None
         else:
@@ -173,7 +173,7 @@ class Landing:
 
     seed: int  # seed of all random draws
     verdict: Verdict  # verdict from true states, as for a flight log
-    seen: Seen  # recorded data that the verdict needs
+    seen: Seen  # recorded data from which the verdict was computed
     simulated_s: float  # duration of the flight, simulated time
     wall_s: float  # duration of the flight, wall time; in a team, of the whole team
     retries: int  # number of restarts of the landing
@@ -184,7 +184,7 @@ class TeamLanding:
     """Result of a team's flight."""
 
     seed: int  # seed of the team
-    landings: tuple[Landing, ...]  # cf1 first; a verdict covers collisions until that member's flight ended
+    landings: tuple[Landing, ...]  # flights, cf1 first; a verdict counts collisions until its flight ended
     pairs: tuple[Pair, ...]  # all pairs of members, (1, 2) first
     waits_s: tuple[float, ...]  # longest time that each member waited for its right of way
     simulated_s: float  # time until the last flight ended
@@ -192,7 +192,7 @@ class TeamLanding:
 
 
 class _Waits:
-    """For each member: longest number of consecutive ticks in which it waits for its right of way."""
+    """Longest run of ticks in which a member waits for its right of way, for each member."""
 
     def __init__(self, members: int) -> None:
         self.most, self._now = [0] * members, [0] * members
@@ -284,5 +284,5 @@ def warm_up(team: TeamScenario) -> None:
             batches.warm_up()
 
 
-if __name__ == "__main__":  # so that no campaign has to wait for it
+if __name__ == "__main__":  # compiles in advance, so that no campaign has to wait
     warm_up(TeamScenario.of(load("lab")))

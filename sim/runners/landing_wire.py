@@ -1,7 +1,7 @@
 """MAVLink connection of a landing in one process: messages are passed as they would arrive, without bytes.
 
-A float field has 32 bits on the wire. Only this rounding is applied here, because packing, checksums and
-sockets change no number. Messages with strings or doubles, and frames changed by a link fault, are packed and
+A float field has 32 bits on the wire. Messages get only this rounding, because packing, checksums and sockets
+change no value. Messages with strings or doubles, and frames that a link fault changed, are packed and
 decoded completely.
 """
 
@@ -26,8 +26,8 @@ _Round = Callable[[Message], None]
 
 
 def _rounding(cls: Any) -> _Round | None:
-    """Return a function that rounds the 32-bit fields of a message, or None: it is packed to bytes."""
-    # an array of length one arrives as a number
+    """Return a function that rounds the 32-bit fields of a message, None: the message must be packed."""
+    # an array of length one arrives as a scalar
     if {"char", "double"} & set(cls.fieldtypes) or 1 in cls.array_lengths:
         return None
     length_of = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
@@ -59,7 +59,7 @@ class Inlet(Endpoint):
         self.counters = EndpointCounters()
         self.warnings = ()
         self.other: Inlet = self  # receiving end
-        # called when this end waits: runs the other side
+        # function that runs the other side; called when this end waits
         self.answer: Callable[[], None] | None = None
         self._ids = (system_id, component_id)
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)

@@ -1,14 +1,14 @@
 """Vehicles in lockstep: simulated time advances when all companions have answered for a tick.
 
 Tick k is at t = k / rate. A vehicle sends the due messages and TIMESYNC(tc1=0, ts1=t in ns) in one datagram.
-The companion acts on them and answers with TIMESYNC(tc1 != 0, ts1=t). All messages that arrived before this
-answer are handled at t, then the physics advances to the next tick. If a companion stops answering, the
+The companion handles them and answers with TIMESYNC(tc1 != 0, ts1=t). The vehicle handles all messages that
+arrived before this answer at t, then simulates up to the next tick. If a companion stops answering, the
 simulation continues after 20 s of wall time, so that fail-safes act, until the companion answers again. Link
 faults affect all messages except this handshake.
 
 All requests are sent before the first answer is awaited, so the companions compute in parallel. Fleet
 messages of tick k arrive with tick k + 1 at the earliest, with the delay and loss of the team's exchange,
-independent of wall time. So each member flies as in ``land_team`` with the same seed.
+independent of wall time. Each member flies exactly as in ``land_team`` with the same seed.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # wall time between two checks for signals
 _REPEAT_S = 0.5  # wall time after which a request is repeated
-_REPEAT_UNHEARD_S = 0.05  # the same before the first message of a companion
-_FLUSH_EVERY = 10  # period of the log flush, ticks; it limits how often the recorder wakes up
+_REPEAT_UNHEARD_S = 0.05  # wall time after which a request is repeated before the companion's first message
+_FLUSH_EVERY = 10  # period of the log flush, ticks; a shorter one would wake up the recorder more often
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 
@@ -53,8 +53,8 @@ class FleetEnd(Protocol):
         """Send the messages that the companion receives with the next tick."""
 
 
-# function from the number of a tick that all vehicles have flown and the companions' messages, to the
-# messages that each companion receives with the next tick
+# Function of the number of a tick that all vehicles have flown, and of the companions' messages. It returns
+# the messages that each companion receives with the next tick.
 Exchange = Callable[[int, Sequence[Any]], Sequence[Any]]
 
 
@@ -77,10 +77,10 @@ class LockstepVehicle:
         self._radio_ms = round(radio_s * 1000.0)
         self._node, self._robot, self._grid, self._stop, self.words = node, robot, grid, stop, words
         self._companion: Peer | None = None  # the peer that answered first
-        self._answers = True  # the companion is waited for
-        self.answered = False  # it has answered for the tick before
+        self._answers = True  # whether the vehicle waits for its companion
+        self.answered = False  # whether the companion has answered for the previous tick
         self._replies: list[Message] = []  # replies to the companion, sent with the next tick
-        self._late: list[Received] = []  # came after the answer: belongs to the next tick
+        self._late: list[Received] = []  # messages after the answer; they belong to the next tick
         self._request: Message = None  # request of this tick
 
     @property
@@ -90,7 +90,7 @@ class LockstepVehicle:
 
     @property
     def answers(self) -> bool:
-        """Whether the companion is waited for: it has not left, and has answered so far."""
+        """Whether the vehicle waits for its companion, which has not left and has answered so far."""
         return self._answers and not self.over
 
     @property
@@ -131,10 +131,10 @@ class LockstepVehicle:
         self.act(tick, Silence())
 
     def ask(self, tick: int) -> None:
-        """Begin a tick: send due messages, request the answer, and simulate up to the earliest effect of it.
+        """Begin a tick: send due messages, request the answer, and simulate until the answer can take effect.
 
-        A vehicle whose flight is over simulates the whole tick here: its autopilot still controls it, but
-        nothing is sent or logged.
+        After the end of its flight, a vehicle simulates the whole tick in this call: the autopilot still
+        controls it, but nothing is sent or logged.
         """
         node, grid = self._node, self._grid
         now_ns = grid.ns(tick)
@@ -160,7 +160,7 @@ class LockstepVehicle:
             node.log.feed.flush()
         if self._robot is not None:
             self._robot.run_ahead(tick)
-        # The radio delays every answer by this time, so it can be simulated before the answer arrives.
+        # The radio delays every answer by this time, so these steps need no answer.
         ahead = min(steps, self._radio_ms)
         node.vehicle.advance(ahead)
         node.vehicle.sent_before_ms = ahead
@@ -168,7 +168,7 @@ class LockstepVehicle:
     def act(self, tick: int, silence: Silence) -> None:
         """End a tick: wait for the companion's answer, act on it, and simulate the rest.
 
-        ``silence``: time without messages of all vehicles' companions in this tick.
+        ``silence``: time in this tick without a message of any companion.
         Raises NoAnswerError: time-out.
         """
         if self.over:
@@ -195,7 +195,7 @@ class LockstepVehicle:
         while not (answered or self._stop.is_set or (self.words is not None and self.words.left)):
             endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
             answered = self._take(endpoint.receive(), now_ns, now_s)
-            if answered:  # usually at the first check, which needs no clock
+            if answered:  # the first check usually succeeds and needs no clock
                 break
             repeat_s = repeat_s or time.monotonic()
             if silence.look() > (COMPANION_SILENT_S if self._companion else STARTUP_S):
@@ -205,7 +205,7 @@ class LockstepVehicle:
             if wall_s - repeat_s > (_REPEAT_S if endpoint.counters.received else _REPEAT_UNHEARD_S):
                 repeat_s = wall_s
                 self._repeat()
-        # frames that the companion sent before it ended
+        # handle frames that the companion sent before its end
         self.answered = answered or self._take(endpoint.receive(), now_ns, now_s)
 
     def _send(self, now_ns: int, now_s: float) -> None:
@@ -229,7 +229,7 @@ class LockstepVehicle:
     def _repeat(self) -> None:
         peers = self._node.endpoint.peers if self._companion is None else (self._companion,)
         for peer in peers:
-            # Repeat the same bytes: a new sequence number would log the repeats, which depend on wall time.
+            # Repeat equal bytes: new sequence numbers would make the log depend on wall time.
             self._node.endpoint.repeat(bytes(self._request.get_msgbuf()), peer)
 
     def _take(self, frames: list[Received], now_ns: int, now_s: float) -> bool:
@@ -243,7 +243,7 @@ class LockstepVehicle:
                     return True
                 continue
             if self._companion is None and id_ == _HEARTBEAT:
-                # Without simulated loss: the number of heartbeats before the answer depends on wall time.
+                # No link fault acts here: the number of heartbeats before the answer depends on wall time.
                 self._answer(received, now_ns, now_s)
                 continue
             for arrived in self._node.wire.receive(received, now_ns):
@@ -263,7 +263,7 @@ class LockstepVehicle:
             self._node.wire.send(replies, (received.peer,), now_ns)
 
     def _is_answer(self, received: Received, now_ns: int) -> bool:
-        """Return whether this answers the current tick; an older answer shows that the companion is alive."""
+        """Return whether a message answers the current tick; an old answer only shows a live companion."""
         this_tick: bool = received.message.ts1 == now_ns
         if self._companion is None and this_tick:
             self._companion = received.peer
@@ -285,7 +285,7 @@ class LockstepVehicle:
         self._node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_CRITICAL, text)
 
     def _run_free(self, now_ns: int, now_s: float) -> None:
-        """Continue without the companion: at full speed in flight, in real time after the landing."""
+        """Simulate without the companion: at full speed in flight, in real time after the landing."""
         endpoint = self._node.endpoint
         if self.words is None and not self._node.vehicle.armed:
             endpoint.wait(self._grid.period_s)
@@ -325,7 +325,7 @@ class LockstepWorld:
             self._room.write(tick - 1, self._epoch_ns)
 
     def _ended(self) -> bool:
-        """Return whether to end. After a stop request, each answered tick still gets its true state."""
+        """Return whether to end; after a stop request, the answered tick's true state is still logged."""
         if self._stop.is_set:
             return all(each.over or not each.answered for each in self._vehicles)
         return self._exchange is not None and all(each.rests for each in self._vehicles)

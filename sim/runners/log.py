@@ -1,7 +1,7 @@
 """Log entries of the simulator: events, true states of the vehicle and of the deck.
 
 A landing in one process has no log: ``Notes`` records its steps, true states and events. Their content equals
-the log of the same flight with separate processes, so the same judge reads both.
+the log of the same flight with separate processes, so that one judge reads both.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _CONTACT_GAP_S = 0.5  # time without contact after which the next contact is a n
 
 
 class EventLog:
-    """Writes ``/rosout`` of one process."""
+    """Writes the events of one process to ``/rosout``."""
 
     def __init__(self, feed: Feed, name: str, epoch_ns: int) -> None:
         self.feed = feed
@@ -72,7 +72,7 @@ class EventLog:
 
 
 class VehicleLog(EventLog):
-    """Events, true state and the deck's true state of the vehicle process."""
+    """Writes events and true states of the vehicle, and true states of the deck."""
 
     def __init__(self, feed: Feed, epoch_ns: int, names: Names) -> None:
         super().__init__(feed, names.logger("vehicle"), epoch_ns)
@@ -82,7 +82,7 @@ class VehicleLog(EventLog):
         self._targets = 0
 
     def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
-        """Write the true state, and new contacts as events."""
+        """Write the true state; also write each new contact with the ground or deck as an event."""
         stamp_ns = self.epoch_ns + now_ns
         w, x, y, z = truth.quaternion
         row = TrueStateRow(
@@ -98,7 +98,7 @@ class VehicleLog(EventLog):
             self._contacts(now_ns, truth.contacts)
 
     def target(self, now_ns: int, payload: bytes) -> None:
-        """Write the deck's true state, unchanged."""
+        """Write the message with the deck's true state, unchanged."""
         stamp_ns = self.epoch_ns + now_ns
         self._targets += 1
         self.feed.write(self._target, stamp_ns, stamp_ns, self._targets, payload)
@@ -113,7 +113,7 @@ class VehicleLog(EventLog):
                 self._contact_s[bit] = now_s
 
 
-# fields that the vehicle's true state and the log's have in common
+# names of the fields that are both in the vehicle's true state and in the logged one
 _SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in vehicle_types.Truth._fields)
 
 
@@ -129,7 +129,7 @@ class SeenSteps:
 
 @dataclass(frozen=True, kw_only=True)
 class Seen(Judged):
-    """Data of a complete flight for the judge."""
+    """Recorded data of a complete flight, as the judge needs it."""
 
     steps: SeenSteps
     truth: Truth
@@ -168,7 +168,7 @@ class Notes:
         """Record the steps and true states of consecutive ticks, each with a vehicle state estimate.
 
         ``first``: number of the first tick; ``times_ns``: times of the n ticks; ``phase``: phase of all
-        ticks; ``ages_s``: (n,) age of the target state; ``truths``: (n, 41) numbers of the true states.
+        ticks; ``ages_s``: (n,) age of the target state; ``truths``: (n, 41) values of the true states.
         """
         number = int(phase)
         self._steps += [(t, number, 0.0, age_s) for t, age_s in zip(times_ns, ages_s.tolist(), strict=True)]
@@ -208,7 +208,7 @@ class Notes:
         return Truth(
             t_s=_seconds(times_ns),
             tick=np.array(ticks),
-            orientation=np.roll(of.quaternion.T, -1, axis=1),  # reordered to x, y, z, w
+            orientation=np.roll(of.quaternion.T, -1, axis=1),  # order of the components: x, y, z, w
             contacts=of.contacts.astype(np.int64),
             motors_running=of.motors_running.astype(np.bool_),
             **columns,
@@ -216,7 +216,7 @@ class Notes:
 
 
 class VehicleNotes(VehicleLog):
-    """Replaces the log of the vehicle's process."""
+    """Replacement of the vehicle process's log: passes its entries to ``Notes``."""
 
     def __init__(self, notes: Notes, names: Names) -> None:
         super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, names)
@@ -240,7 +240,7 @@ def _seconds(times_ns: Sequence[int]) -> Floats:
 
 
 def _rows(values: Sequence[Any]) -> Floats:
-    """Return an array from numbers, or from tuples of equal length; four times as fast as ``np.array``."""
+    """Return an array of floats or of equally long tuples; four times as fast as ``np.array``."""
     if isinstance(values[0], tuple):
         width = len(values[0])
         flat = np.fromiter(chain.from_iterable(values), np.float64, len(values) * width)

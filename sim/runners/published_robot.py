@@ -4,9 +4,9 @@ Keys under the namespace of each robot (``cf1`` by default):
 
 - ``target/odom``: measured odometry as a tracker sends it, ``nav_msgs/msg/Odometry`` in CDR.
 - ``sim/target/tick``: in lockstep, after all samples of a tick: (tick, number of samples so far), two int64.
-- ``sim/credit`` (read): in lockstep, the reader's tick and the tick from which to drive (-1: unknown).
-- ``sim/target/truth``: in real time, true pose and twist for a vehicle simulated in another process.
-- ``controller/step`` (read): in real time, its phase shows the start of the landing.
+- ``sim/credit`` (read): in lockstep, the reader's tick and the tick at which driving starts (-1: unknown).
+- ``sim/target/truth``: in real time, true pose and twist for a vehicle that another process simulates.
+- ``controller/step`` (read): in real time, the mission phase, which shows the start of the landing.
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ from sim.scenarios.team import TeamScenario
 
 NODE = "flightstack_target"  # name of the ROS 2 node
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
-_LEFT_MIN = RUN_AHEAD_TICKS // 2  # remaining ticks below which the robot drives ahead again
-_CREDIT_YIELDS = 20  # polls for credit that only yield the processor; it usually arrives within them
-_MATCH_PAUSE_S = 0.002  # time between two checks for subscribers
+_LEFT_MIN = RUN_AHEAD_TICKS // 2  # number of computed future ticks below which the robot computes more
+_CREDIT_YIELDS = 20  # number of polls for credit without a pause; credit usually arrives within them
+_MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
 
 
 class PublishedRobot(Robot):
-    """Publishes its odometry, and returns its true pose tick by tick.
+    """A robot that publishes its odometry and returns its true pose tick by tick.
 
-    ``session``: not closed here; ``stop``: ends every wait; ``namespace``: prefix of its keys; ``log``: log
-    of its events.
+    ``session``: Zenoh session, which the caller closes; ``stop``: ends every wait; ``namespace``: prefix of
+    the robot's keys; ``log``: log of the robot's events.
     """
 
     lockstep: ClassVar[bool]
@@ -88,7 +88,7 @@ class PublishedRobot(Robot):
 
     @abstractmethod
     def _open(self) -> None:
-        """Declare the other keys."""
+        """Declare the keys besides the odometry."""
 
     def begin(self) -> None:
         """Publish tick 0."""
@@ -106,7 +106,7 @@ class PublishedRobot(Robot):
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, payload)
 
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
-        """Publish the samples of the next n ticks; log starts and ends of faults."""
+        """Publish the samples of the next n ticks; log the start and end of each fault."""
         samples, at = new.tolist(), 0
         for n in range(len(pads)):
             while at < len(due) and due[at] == n:
@@ -140,7 +140,7 @@ class PublishedRobot(Robot):
         """Called after all samples of a tick were published."""
 
     def _drives_off(self, tick: int) -> None:
-        """Log the tick from which the robot drives."""
+        """Log the tick at which the robot starts to drive."""
         self.log.event(self._grid.ns(tick), Severity.INFO, f"the robot drives from tick {tick} on")
 
 
@@ -148,7 +148,7 @@ R = TypeVar("R", bound=PublishedRobot)
 
 
 class LockstepRobot(PublishedRobot):
-    """Drives ahead of its vehicle, as far as its reader's credit allows."""
+    """A robot that computes its motion for future ticks, as far as its reader's credit allows."""
 
     lockstep = True
 
@@ -158,10 +158,10 @@ class LockstepRobot(PublishedRobot):
         self._token = zenoh_link.liveliness_token(session, f"{namespace}/{ALIVE}")
         self._credits = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/credit")
         self._credit = 0  # newest tick of the reader
-        self._silent = False  # the credit timed out
+        self._silent = False  # whether the wait for credit timed out
 
     def begin(self) -> None:
-        """Publish tick 0 when there are subscribers, because earlier samples are lost and not repeated.
+        """Wait for subscribers, then publish tick 0; samples without a subscriber are lost.
 
         Raises NoAnswerError: time-out.
         """
@@ -178,9 +178,9 @@ class LockstepRobot(PublishedRobot):
         super().begin()
 
     def await_credit(self, tick: int) -> None:
-        """Wait for the companion's credit, but only once.
+        """Wait for the companion's credit; after a time-out, do not wait again.
 
-        Without it the landing may have started before this tick.
+        Without credit, the landing may have started before this tick.
         """
         if tick >= self._driven and not self._covers(tick) and not self._silent:
             self._silent = not wait_until(
@@ -192,20 +192,20 @@ class LockstepRobot(PublishedRobot):
                 self.log.event(self._grid.ns(tick), Severity.WARN, text)
 
     def run_ahead(self, tick: int) -> None:
-        """Drive ahead of the current tick while the companion computes, so that it need not wait later."""
+        """Compute future ticks while the companion computes, so that the companion need not wait later."""
         if self._driven > tick + _LEFT_MIN:
             return
         until = tick + RUN_AHEAD_TICKS
         self._drive(until if self._covers(until) else min(until, self._credit + RUN_AHEAD_TICKS))
 
     def _covers(self, tick: int) -> bool:
-        """Return whether it is known if the robot drives at this tick."""
+        """Return whether the received credit decides if the robot drives at this tick."""
         for sample in zenoh_link.drain(self._credits):
             data = sample.payload.to_bytes()
             if len(data) == PAIR.size:
                 reached, go_tick = PAIR.unpack(data)
                 self._credit, self._silent = max(self._credit, reached), False
-                if self._go_tick == NO_GO and go_tick >= 0:  # the first one applies
+                if self._go_tick == NO_GO and go_tick >= 0:  # the first reported start applies
                     self._go_tick = go_tick
         return not self.waits or self._go_tick > NO_GO or tick <= self._credit + RUN_AHEAD_TICKS
 
@@ -214,7 +214,7 @@ class LockstepRobot(PublishedRobot):
 
 
 class RealTimeRobot(PublishedRobot):
-    """Detects the start of the landing in the controller's steps."""
+    """A robot that detects the start of the landing in the controller's steps."""
 
     lockstep = False
 
@@ -224,11 +224,11 @@ class RealTimeRobot(PublishedRobot):
 
     @property
     def followed(self) -> bool:
-        """Whether it publishes true poses for a vehicle that is simulated in another process."""
+        """Whether the robot publishes true poses for a vehicle that another process simulates."""
         return self._truth is not None
 
     def be_followed(self) -> None:
-        """Start to publish the true pose, for a vehicle in another process."""
+        """Start to publish the true pose for a vehicle that another process simulates."""
         self._truth = OdometryPublisher(self._session, truth_key(self.namespace))
 
     def take(self, tick: int) -> DeckState:
@@ -242,7 +242,7 @@ class RealTimeRobot(PublishedRobot):
 
     def _landing_began(self) -> bool:
         for sample in zenoh_link.drain(self._steps):
-            with suppress(ValueError):  # not a ControllerStep
+            with suppress(ValueError):  # ignore a payload that is not a ControllerStep
                 if ControllerStepRow.unpack(sample.payload.to_bytes()).phase in _LANDING:
                     return True
         return False
@@ -255,7 +255,7 @@ def robots_of(
     make: Callable[[Scenario, int, str, EventLog], R],
     stack: ExitStack,
 ) -> dict[int, R]:
-    """Create the robots of a scenario, by their number; on request they are also published to ROS 2.
+    """Create the robots of a scenario, by number; ``options`` may also publish their odometry to ROS 2.
 
     ``make``: class of the robots with their common arguments; ``stack``: ends the ROS 2 node.
     """
@@ -294,7 +294,7 @@ def _drive(team: TeamScenario, options: TargetOptions, stop: Stop, stack: ExitSt
     stack.callback(feed.close)
     make = partial(RealTimeRobot, grid, session, stop)
     robots = list(robots_of(team, options, feed, make, stack).values())
-    epoch_ns = clock.unix_ns()  # now, because the set-up has taken time
+    epoch_ns = clock.unix_ns()  # set here, because the set-up has taken time
     for robot in robots:
         robot.be_followed()
         robot.log.epoch_ns = epoch_ns
@@ -302,11 +302,11 @@ def _drive(team: TeamScenario, options: TargetOptions, stop: Stop, stack: ExitSt
     stop.install()
     print("ready", flush=True)
     quiet_garbage_collector()
-    run_promptly()  # a late pose counts as lost
+    run_promptly()  # a vehicle treats a late pose as lost
     ticks, tick = grid.count(options.duration_s), 0
     pacer = RealTimePacer(grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
     while not stop.is_set and tick != ticks:
-        due = round(pacer.wait().now_s * grid.rate_hz)  # after a pause the robots jump ahead
+        due = round(pacer.wait().now_s * grid.rate_hz)  # after a pause the robots jump to this tick
         while tick <= due and tick != ticks:
             for robot in robots:
                 robot.take(tick)

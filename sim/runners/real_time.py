@@ -1,4 +1,4 @@
-"""Vehicles and robots in real time: they handle messages on arrival, and send at each tick."""
+"""Vehicles and robots in real time handle messages on arrival and send at each tick."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sim.runners.robot import RealTimeDeck
 from sim.runners.room import Room
 from sim.runners.vehicle_node import VehicleNode
 
-_BEHIND_MAX_S = 0.1  # delay after which simulated time does not catch up with wall time
+_BEHIND_MAX_S = 0.1  # largest delay that simulated time catches up, s; a longer one shifts the clock
 _MS = 1e-3
 _NS_PER_MS = 1_000_000
 
@@ -30,7 +30,7 @@ class RealTimeVehicle:
 
     def __init__(self, node: VehicleNode, robot: RealTimeRobot | RealTimeDeck | None, grid: TickGrid) -> None:
         self.node, self._robot, self._grid = node, robot, grid
-        self._ms = 0  # simulated time
+        self._ms = 0  # simulated time, ms
 
     def tick(self, tick: int) -> None:
         """Send messages and write the log for a tick; the vehicle has been simulated up to it."""
@@ -104,9 +104,9 @@ class RealTimeWorld:
         """Run the simulation. ``ticks``: number of ticks; None: no end."""
         vehicles, grid, room = self._vehicles, self._grid, self._room
         followed = [robot for robot in self._robots if robot.followed]
-        run_promptly()  # like a real vehicle, the physics must not wait for other programs
+        run_promptly()  # the physics must not wait for other programs, as in a real vehicle
         self._start_s = time.monotonic()
-        self._set_epoch(time.time_ns())  # the creation of the vehicles took time
+        self._set_epoch(time.time_ns())  # set here, because the creation of the vehicles took time
         for robot in self._robots:
             robot.begin()
         tick = 0
@@ -132,7 +132,7 @@ class RealTimeWorld:
             room.write(tick - 2, self._epoch_ns)
 
     def _heard(self, within_s: float) -> Sequence[RealTimeVehicle]:
-        """Return the vehicles with received frames; none if no frame arrives in this time."""
+        """Wait at most ``within_s`` for frames; return the vehicles that received some."""
         by_number = {vehicle.node.endpoint.fileno(): vehicle for vehicle in self._vehicles}
         ready, _, _ = select.select(list(by_number), (), (), within_s)
         return [by_number[number] for number in ready]
@@ -143,7 +143,7 @@ class RealTimeWorld:
             log.epoch_ns = epoch_ns
 
     def _resync_clock(self, late_s: float) -> None:
-        """After a long pause, shift the log's clock instead of catching up: simulated time stood still."""
+        """After a long pause of simulated time, shift the log's clock instead of catching up."""
         if late_s > _BEHIND_MAX_S:
             give_up_priority()
             self._start_s += late_s

@@ -1,8 +1,8 @@
-"""The ground robot next to its vehicle: true poses for the deck, samples for a controller in the process.
+"""The ground robot beside its vehicle: true poses for the deck, samples for a controller in this process.
 
-A robot of another process moves the deck by its true poses, which arrive over Zenoh.
+The true poses of a robot in another process arrive over Zenoh and move the deck.
 
-Numbers pass as over Zenoh: CDR carries doubles, so only the frame rotations at both ends remain to be done.
+Values equal those received over Zenoh: CDR carries doubles, so only the frame rotations are computed.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from sim.plant.vehicle_types import Truth
 from sim.robot.target_motion import TargetMotion
 from sim.scenarios.scenario import Scenario
 
-DRIVES_TICKS = 64  # maximum ticks ahead of the vehicle; half of them are unused when the landing ends
+DRIVES_TICKS = 64  # maximum number of computed future ticks; on average half of them are unused at the end
 WorldSample = tuple[float, str, str, Vec3, Vec3, float, float]  # a target sample without its arrival time
 
 STALE_S = 0.5  # age of the newest true pose after which the deck stops
-_PULL_1_S = 5.0  # velocity per position error; a jump would throw the vehicle off the deck
-_SNAP_M = 0.3  # larger errors are corrected by a jump: timing cannot cause them
+_PULL_1_S = 5.0  # correcting velocity divided by position error; a jump would throw the vehicle off
+_SNAP_M = 0.3  # position error above which the deck jumps, m; timing cannot cause a larger error
 
 
 class DeckState(NamedTuple):
-    """Pose and velocity of the pad centre, ENU, and the message that carried them."""
+    """Pose and velocity of the pad centre, ENU, and the message that contained them."""
 
     position_enu_m: Vec3
     yaw_rad: float
@@ -59,13 +59,13 @@ def deck_state(payload: bytes) -> DeckState:
 
 
 class RealTimeDeck:
-    """Follows true poses that arrive at any time: dead reckoning with the last twist, smoothly corrected."""
+    """A deck that follows received true poses: dead reckoning with the last twist, and smooth correction."""
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
         self._subscriber = zenoh_link.ring_subscriber(session, truth_key(namespace))
         self._last: DeckState | None = None
         self._last_s = 0.0
-        self._stopped = False  # whether the warning was sent
+        self._stopped = False  # whether the deck stopped for lack of poses, and its warning was sent
 
     def move(
         self, now_s: float, truth: Truth, log: Callable[[bytes], None], warn: Callable[[str], None]
@@ -113,7 +113,7 @@ def reckon(last: DeckState, age_s: float) -> DeckState:
     turn = last.yaw_rate_rad_s * age_s
     vx, vy, vz = last.velocity_enu_m_s
     x, y, z = last.position_enu_m
-    # The chord of the arc turns by half the angle of the velocity; its length is almost the arc's.
+    # The chord is turned by half the turn of the velocity; it is almost as long as the arc.
     c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
     there = (x + (c * vx - s * vy) * age_s, y + (s * vx + c * vy) * age_s, z + vz * age_s)
     c, s = math.cos(turn), math.sin(turn)
@@ -126,7 +126,7 @@ def truth_key(namespace: str) -> str:
     return f"{namespace}/sim/target/truth"
 
 
-# compiled forms of the formulas at both ends
+# compiled forms of the frame formulas of sender and receiver
 _quaternion = cast("Callable[[float], Quat]", jitted(frames.quaternion_from_yaw))
 _yaw = cast("Callable[[Quat], float]", jitted(frames.yaw_from_quaternion))
 _turn = cast("Callable[[Quat, Vec3], Vec3]", jitted(frames.world_from_body))
@@ -134,7 +134,7 @@ _turn = cast("Callable[[Quat, Vec3], Vec3]", jitted(frames.world_from_body))
 
 @jitted
 def _turn_samples(samples: F64, rows: F64) -> None:
-    """Compute heading, velocity and turn rate of samples as received, with normalised quaternions."""
+    """Compute heading, velocity and turn rate as the receiver decodes them, with normalised quaternions."""
     for n in range(len(samples)):
         sample, row = samples[n], rows[n]
         w, x, y, z = _quaternion(sample[4])
@@ -148,7 +148,7 @@ def _turn_samples(samples: F64, rows: F64) -> None:
 
 @jitted
 def _decks(pads: F64, decks: F64) -> None:
-    """Compute true poses as received, one in each row."""
+    """Compute true poses as the receiver decodes them, one in each row."""
     for n in range(len(pads)):
         pad, deck, q = pads[n], decks[n], _quaternion(pads[n, 4])
         velocity = _turn(q, (pad[5], pad[6], pad[7]))
@@ -165,9 +165,9 @@ def deck_rows(pads: F64) -> F64:
 
 
 class Robot(ABC):
-    """Drives tick by tick or several ticks ahead; it may start to drive when the landing starts.
+    """A robot that drives tick by tick or computes future ticks; it may wait for the start of the landing.
 
-    Its lead is limited, so that the tick at which it starts to drive is known in time. A tick in a batch
+    The number of future ticks is limited, so that the start of driving is known in time. A tick in a batch
     takes a fifth of the time of a single tick.
     """
 
@@ -190,7 +190,7 @@ class Robot(ABC):
         return not self._driving or self._motion.faults.waits_for_landing
 
     def _drive(self, until_tick: int) -> None:
-        """Drive, or stand, up to a tick."""
+        """Compute the robot, driving or at rest, up to a tick."""
         motion = self._motion
         while motion.tick < until_tick:
             end, goes_at = until_tick, self._go_tick
@@ -200,7 +200,7 @@ class Robot(ABC):
                     self._driving = True
                     self._drives_off(motion.tick + 1)
             elif goes_at > NO_GO:
-                end = min(end, goes_at - 1)  # faults relative to the landing start at that tick
+                end = min(end, goes_at - 1)  # faults with times relative to the landing start at that tick
             self._keep(*motion.run(end - motion.tick, self._driving))
 
     @abstractmethod
@@ -208,21 +208,21 @@ class Robot(ABC):
         """Store the motion of the next n ticks (``TargetMotion.run``)."""
 
     def await_credit(self, tick: int) -> None:  # noqa: B027
-        """Wait until the companion permits to drive at this tick, if the robot depends on it."""
+        """Wait until the companion permits to compute this tick, if the robot depends on the companion."""
 
     @abstractmethod
     def take(self, tick: int) -> DeckState:
         """Advance to the next tick; return the true pose there."""
 
     def run_ahead(self, tick: int) -> None:  # noqa: B027
-        """Drive ahead of the current tick while the companion computes, if that saves time."""
+        """Compute future ticks while the companion computes, if that saves time."""
 
     def _drives_off(self, tick: int) -> None:  # noqa: B027
         """Called with the tick from which the robot drives."""
 
 
 class Ahead(NamedTuple):
-    """States and samples of the robot at the next n ticks."""
+    """Pad states and odometry samples of the robot at the next n ticks."""
 
     decks: F64  # (n, 8) position, heading, velocity and turn rate of the pad
     samples: F64  # (m, 9) time, position, velocity, heading and turn rate of the target
@@ -231,13 +231,13 @@ class Ahead(NamedTuple):
 
 
 class DirectTarget(Robot):
-    """Returns true poses and samples, tick by tick."""
+    """A robot that returns its true poses and samples directly, tick by tick."""
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
         self._samples: list[WorldSample] = []  # samples that the onboard process has not read yet
-        # data of the driven ticks, and number of ticks already returned
+        # data of the computed ticks, and number of those ticks already returned
         self._ahead, self._at = Ahead(np.empty((0, 8)), np.empty((0, 9)), 0, np.empty(0, np.int64)), 0
-        self._decks: list[list[float]] = []  # ``decks`` as lists, which are faster tick by tick
+        self._decks: list[list[float]] = []  # ``decks`` as lists, which are read faster
         self._come: list[int] = []
         super().__init__(scenario, seed, grid)
         self._keep_first()
@@ -254,7 +254,7 @@ class DirectTarget(Robot):
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
 
     def ahead(self, tick: int, count: int) -> Ahead:
-        """Return states and samples of the robot from this tick, the next one, on; up to ``count`` ticks."""
+        """Return states and samples of the robot for up to ``count`` ticks, beginning at ``tick``."""
         if len(self._come) - self._at < count:
             self._drive(tick + self._ahead_ticks - 1)
         these, (decks, samples, _, come) = slice(self._at, self._at + count), self._ahead
@@ -266,7 +266,7 @@ class DirectTarget(Robot):
 
     @property
     def _ahead_ticks(self) -> int:
-        """Number of ticks to drive ahead; larger once no later input can change the path."""
+        """Number of future ticks to compute; larger once no later input can change the path."""
         return RUN_AHEAD_TICKS if self.waits else DRIVES_TICKS
 
     @property
@@ -296,12 +296,12 @@ class DirectTarget(Robot):
         return Arrived(tuple([TargetSample(now_s, *sample) for sample in due]))
 
     def landing_began(self, tick: int) -> None:
-        """Start to drive after the last tick that may have been computed already."""
+        """Start to drive after the last tick that may already have been computed."""
         self._go_tick = tick + RUN_AHEAD_TICKS + 1
 
 
 def sample_rows(samples: F64) -> F64:
-    """Return the numbers of samples, (m, 9), as ``bridge.target.odometry.sample_of`` decodes them."""
+    """Return the values of samples, (m, 9), as ``bridge.target.odometry.sample_of`` decodes them."""
     rows = np.empty_like(samples)
     rows[:, 0] = (EPOCH_NS + np.rint(samples[:, 0] * 1e9).astype(np.int64)) / 1e9
     _turn_samples(samples, rows)
@@ -309,6 +309,6 @@ def sample_rows(samples: F64) -> F64:
 
 
 def world_sample(row: Sequence[float]) -> WorldSample:
-    """Return the sample with these numbers."""
+    """Return the sample with these nine values."""
     source_time_s, x, y, z, vx, vy, vz, yaw, rate = row
     return source_time_s, "map", "target", (x, y, z), (vx, vy, vz), yaw, rate

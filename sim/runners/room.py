@@ -1,7 +1,7 @@
 """Interactions between the vehicles of a room: jets, collisions, distances and messages.
 
-Each call of ``Air.blow`` updates the rotor jets, which then stay constant until the next call. So a vehicle's
-motion acts on the others one tick later. Jets have no transport delay, and wind does not move them.
+Each call of ``Air.blow`` updates the rotor jets, which stay constant until the next call. A vehicle's motion
+therefore acts on the others one tick later. Jets have no transport delay, and wind does not move them.
 """
 
 from __future__ import annotations
@@ -80,10 +80,10 @@ TOPIC = "/fleet/pairs"
 NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
 _MS_PER_S = 1000.0
-_BLOCK = 256  # random numbers per draw
-_YIELDS = 20  # polls that only yield the processor; the message usually arrives within them
+_BLOCK = 256  # number of random numbers per draw
+_YIELDS = 20  # number of polls without a pause; the message usually arrives within them
 _PAUSE_S = 50e-6  # time between later polls, s
-_MATCH_PAUSE_S = 0.002  # time between two checks for subscribers
+_MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
 
 
 @dataclass(slots=True)
@@ -92,20 +92,20 @@ class Pair:
 
     one: int  # number of the first vehicle, from 1
     other: int  # number of the second vehicle, always higher
-    distance_min_m: float = math.inf  # smallest distance of their centres of mass
-    flying_distance_min_m: float = math.inf  # smallest distance while both flew; infinite if they never did
-    # smallest norm of the ellipsoid while both flew; below 1: inside
+    distance_min_m: float = math.inf  # smallest distance of the centres of mass
+    flying_distance_min_m: float = math.inf  # smallest distance while both flew; infinite: never both
+    # smallest ellipsoid norm of the relative position while both flew; below 1: inside
     ellipsoid_min: float = math.inf
-    violations: int = 0  # number of times that one entered the other's ellipsoid
+    violations: int = 0  # number of entries into the ellipsoid of a neighbour
     inside_ms: int = 0  # total duration of the ticks inside the ellipsoid
-    collided_ms: int | None = None  # time of the first overlap of their shapes; None: no overlap
+    collided_ms: int | None = None  # time of the first overlap of the shapes; None: no overlap
 
 
 class Room:
     """Connects the vehicles tick by tick: call ``begin``, simulate the tick of each vehicle, call ``end``.
 
     Vehicles act on each other with a delay of one tick. The propellers of colliding vehicles break at the end
-    of that tick.
+    of the tick of the collision.
 
     Raises ValueError: two vehicles overlap at the start.
     """
@@ -132,9 +132,9 @@ class Room:
         self._air.blow()
 
     def end(self, tick: int, epoch_ns: int) -> None:
-        """Evaluate a tick that all vehicles have flown; write the distances about ten times a second.
+        """Evaluate a tick that all vehicles have flown; write the distances about ten times per second.
 
-        ``tick``: its number; ``epoch_ns``: Unix time of tick 0.
+        ``tick``: number of the tick; ``epoch_ns``: Unix time of tick 0.
         """
         if not self._pairs:
             return
@@ -155,7 +155,7 @@ class Room:
         return tuple(self._pairs)
 
     def write(self, tick: int, epoch_ns: int) -> None:
-        """Write the smallest distances of all pairs up to a tick's end; arguments as in ``end``."""
+        """Write the smallest distances of all pairs up to the end of a tick; arguments as in ``end``."""
         stamp_ns, members = epoch_ns + self._grid.ns(tick + 1), self._members
         for pair in self.found():
             self._written += 1
@@ -223,7 +223,7 @@ class Words:
         self._under_way: deque[list[list[Any]]] = deque([[] for _ in numbers] for _ in range(self._ticks - 1))
 
     def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[Neighbour, ...]]:
-        """Receive the outputs of a tick; return the messages that each member receives with the next tick.
+        """Take the outputs of one tick; return the messages that each member receives with the next tick.
 
         ``outputs``: outputs of all controllers at this tick; None after the end of a flight.
         """
@@ -233,7 +233,7 @@ class Words:
         return [tuple(words) for words in self.pass_on(tick, on_time)]
 
     def pass_on(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
-        """Receive the messages of a tick, in any form; return those that each member receives next.
+        """Take the messages of one tick, in any form; return the messages that each member receives next.
 
         ``told``: message of each member, or None.
         """
@@ -251,7 +251,7 @@ class Words:
 
 
 class _Way:
-    """Link from one sender to one receiver, with random losses, and broken from a given tick on."""
+    """Link from one sender to one receiver; it loses messages at random, and all from a given tick on."""
 
     def __init__(self, seed: int, teller: int, hearer: int, loss: float, broken_tick: float) -> None:
         self._loss, self._broken_tick = loss, broken_tick
@@ -261,7 +261,7 @@ class _Way:
     def loses(self, tick: int) -> bool:
         """Return whether the message of a tick is lost.
 
-        It is called in each tick, so that the draws do not depend on the messages.
+        Call it in each tick, so that the random draws do not depend on the messages.
         """
         if self._loss > 0.0 and self._draw() < self._loss:
             return True
@@ -304,9 +304,9 @@ class MemberWords:
     def take(self, silence: Silence, stop: Stop) -> bytes | None:
         """Wait for the member's message of this tick and return it; None: no message.
 
-        A member that answers its vehicle but sends no message is waited for only once.
+        If a member answers its vehicle but sends no message, the next ticks do not wait for it.
 
-        ``silence``: time without messages of all members in this tick.
+        ``silence``: time in this tick without a message of any member.
         """
         looks = 0
         while not self._told_now() and not self._silent and not stop.is_set:
@@ -321,7 +321,7 @@ class MemberWords:
         self._heard.put(joined(words), attachment=PAIR.pack(self.tick + 1, len(words)))
 
     def await_listener(self, stop: Stop) -> None:
-        """Wait until the member has subscribed, because earlier messages are lost and not repeated.
+        """Wait until the member has subscribed, because messages without a subscriber are lost.
 
         Raises NoAnswerError: time-out.
         """

@@ -1,8 +1,8 @@
-"""Ticks of a landing in one compiled call: deck, telemetry, controller, set-point, physics, true states.
+"""Computes ticks of a landing in one call: deck, telemetry, controller, set-point, physics, true states.
 
-A tick has the same effect as one of ``LockstepVehicle`` with all its calls. Python runs a tick from its start
-if the landing kernel or the telemetry requires it. Python runs only the rest of a tick, after the
-controller's answer and the radio's delay, if the autopilot has to do more than forward the set-point.
+A tick has the same effect as a tick of ``LockstepVehicle``. Python runs a whole tick if the landing kernel or
+the telemetry requires it. Python runs the second part of a tick, after the controller's answer and the
+radio's delay, if the autopilot has to do more than forward the set-point.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from sim.world.bodies import arc_of_step
 class RulesRecord(Record):
     """Constants of a batch of ticks; times are on the controller's clock."""
 
-    flies: bool  # set-points are sent
-    lasting: int  # flags of the mission
-    status_s: float  # arrival of the newest heartbeat
+    flies: bool  # whether set-points are sent
+    lasting: int  # flags of the mission that stay constant in the batch
+    status_s: float  # arrival time of the newest heartbeat
     status_age_max_s: float
     ends_s: float  # time limit of the flight
     # inputs of the vehicle's autopilot
@@ -46,7 +46,7 @@ class RulesRecord(Record):
     armed: bool
     standing: bool
     supervisor: int  # state of the firmware's supervisor
-    stream_until_s: float  # end of the autopilot's wait for set-points; used if none are sent
+    stream_until_s: float  # time at which the autopilot stops waiting for set-points
     watch: WatchRecord
 
 
@@ -88,9 +88,9 @@ class WatchBook:
             of.passed(last_s, voltage_v, throttle)
 
 
-END, BEFORE, MIDDLE = 0, 1, 2  # end of a call: all ticks done; Python runs the next tick, or the rest
-_LARGEST = 1e6  # m, m/s: larger values mean a damaged message (bridge.mavlink.client.vehicle_state)
-_POLE = 0.999  # sine of the pitch limit, near vertical; beyond it Python runs the tick
+END, BEFORE, MIDDLE = 0, 1, 2  # how a call ends: all ticks done; Python runs the next tick, or its rest
+_LARGEST = 1e6  # largest accepted value, m or m/s; above: damaged message (bridge.mavlink.client.vehicle_state)
+_POLE = 0.999  # sine of the pitch above which Python runs the tick, near vertical
 
 
 _frd, _euler = twin(frames.ned_frd_from_enu_flu, jitted), twin(frames.euler_from_quaternion, jitted)
@@ -131,7 +131,7 @@ def _place_deck(v: VehicleRecord, deck: F64) -> None:
 
 @jitted
 def _send(p: RulesRecord, inbox: InboxRecord, setpoint: Vec3, now_ms: int) -> None:
-    """Compiled form of ``VehicleSim.set_velocity``; it takes effect after the radio's delay."""
+    """Compiled form of ``VehicleSim.set_velocity``; the set-point acts after the radio's delay."""
     at = WIDTH * (inbox.end % ROOM)
     row = inbox.rows[at : at + WIDTH]
     row[:] = 0.0
@@ -184,7 +184,7 @@ def _decided(
     if not abs(2.0 * (attitude[0] * attitude[2] - attitude[3] * attitude[1])) < _POLE:
         raise NotOrdinary
     source_s, yaw_rad = round(now_s * 1000) * 1e-3, _yaw_enu(narrow(_euler(attitude)[2]))
-    kernel.track.memory.settled = True  # the same as in the Python step after the take-off
+    kernel.track.memory.settled = True  # equals the value that the Python step sets after the take-off
     for i in range(since, until):
         take(kernel, samples[i], now_s)
     own = OwnState(now_s, source_s, position, velocity, yaw_rad)
@@ -198,9 +198,9 @@ def look(
 ) -> tuple[Relative, Vec3, tuple[Vec3, float, Vec3, float, Vec3, Vec3]]:  # fmt: skip
     """Return the inputs of an agent or a user's filter at the next tick.
 
-    They are the relative state, the last command and the values of ``ExchangeMemory``.
+    The inputs are the relative state, the last command and the values of ``ExchangeMemory``.
 
-    The caller restores ``state`` from ``spare``. The arguments are those of ``fly_ticks``.
+    The caller restores ``state`` from ``spare``. The arguments equal those of ``fly_ticks``.
     Raises NotOrdinary: Python has to run the tick.
     """
     spare[:] = state
@@ -230,20 +230,20 @@ def fly_ticks(
     ages: F64,
     told: F64,
 ) -> int:
-    """Fly ticks until all are done or something rare happens.
+    """Fly ticks until all are done or Python is needed.
 
     ``rules``: constants of the batch; ``kernel``: the controller, whose state is changed in place;
     ``phase_rules``: (n, 2), rules of the mission for ``LandingKernel.land``; ``state``: memory of the
     controller's state; ``spare``: receives the state before the newest tick; ``plan``: first tick, number of
-    ticks, rate of the ticks, delay of the radio in ms, number of samples that arrived before; its last number
-    receives the number of ticks done, where a partly done tick counts; ``decks``: (n, 8) for each tick:
+    ticks, rate of the ticks, delay of the radio in ms, number of samples that arrived before; its last
+    element receives the number of ticks done, a partly done tick included; ``decks``: (n, 8) for each tick:
     position, yaw, velocity, yaw rate of the pad; ``samples``: (m, 9) target samples: time stamp, position,
     velocity, yaw, yaw rate; ``come``: (n,) number of samples that arrive up to each tick; ``truths``: (n,
     TRUTH), receives true states; ``ages``: (n,), receives ages of the target state, s; ``told``: receives the
     vehicle state of the last tick as sent (position, velocity, yaw, boot clock), then the set-point of that
     tick as received.
 
-    Returns how it ended.
+    Returns how the call ended: ``END``, ``BEFORE`` or ``MIDDLE``.
     Raises NotOrdinary: Python has to run the next tick, with the state in ``spare``.
     """
     v, p = vehicle[0], rules[0]

@@ -1,4 +1,4 @@
-"""The vehicle on MAVLink, with any clock: vehicle, autopilot, endpoint, link faults, log."""
+"""The simulated vehicle with its autopilot, MAVLink endpoint, link faults and log, for any clock."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from sim.vehicle.vehicle import VehicleSim
 
 T = TypeVar("T")
 
-HELD_MAX = 4096  # maximum delayed messages in each direction; further ones are lost
-_HEADER_BYTES = 10  # header of a MAVLink 2 frame
+HELD_MAX = 4096  # maximum number of delayed messages in each direction; more messages are lost
+_HEADER_BYTES = 10  # length of a MAVLink 2 header
 
 
 class Held(Generic[T]):
-    """Items that wait for a time or for the end of a stalled link."""
+    """Queue of items that wait for a time or for the end of a stalled link."""
 
     def __init__(self) -> None:
         self._timed: list[tuple[int, int, T]] = []
@@ -52,7 +52,7 @@ class Held(Generic[T]):
         heapq.heappush(self._timed, (due_ns, self._count, item))
 
     def due(self, now_ns: int) -> list[T]:
-        """Return the items whose wait is over, in order."""
+        """Remove and return the items whose wait is over, in order."""
         out = [item for stall in [s for s in self._stalled if s.over] for item in self._stalled.pop(stall)]
         while self._timed and self._timed[0][0] <= now_ns:
             out.append(heapq.heappop(self._timed)[2])
@@ -81,7 +81,7 @@ class Wire:
         return not self._leaving.size and not self._faults.active(Way.OUT)
 
     def send(self, messages: Sequence[Message], peers: Sequence[Peer], now_ns: int) -> None:
-        """Send all due messages, of these and earlier ones, each in a separate datagram.
+        """Send all due messages, new and delayed ones, each in a separate datagram.
 
         ``messages`` may be changed.
         """
@@ -98,7 +98,7 @@ class Wire:
                     self._ship(frame)
 
     def receive(self, received: Received, now_ns: int) -> list[Received]:
-        """Return the copies of an arrived message that the autopilot receives now: none, one or two."""
+        """Return the copies of an arrived message (none, one or two) that the autopilot receives now."""
         if not self._faults.active(Way.IN):
             return [received]
         fate = self._faults.fate(Way.IN, received.message, now_ns)
@@ -136,7 +136,7 @@ class VehicleNode:
     endpoint: Endpoint
     log: VehicleLog
     tell: Callable[[bool], None] | None = None  # called when the vehicle is armed or disarmed
-    over: bool = False  # whether its flight is over; then nothing is logged
+    over: bool = False  # whether the flight is over; after its end nothing is logged
     wire: Wire = field(init=False)
     _armed: bool = field(default=False, init=False)
     _judged: bool = field(default=False, init=False)
@@ -150,7 +150,7 @@ class VehicleNode:
         return self.autopilot.handle(received.message, (*received.sender, received.peer), now_s)
 
     def control(self, now_s: float) -> None:
-        """Run the autopilot; judging starts with its first flight by the companion's set-points."""
+        """Run the autopilot; judging starts when it first flies the companion's set-points."""
         vehicle = self.vehicle
         self.autopilot.control(now_s)
         if self.over:
@@ -193,7 +193,7 @@ class VehicleNode:
         return truth
 
     def _tell_change(self) -> None:
-        """Report a change of arming after its state is logged, because the receiver may end this process."""
+        """Report a change of arming after it is logged, because the receiver may end this process."""
         armed = self.vehicle.armed
         if armed is not self._armed:
             self._armed = armed

@@ -1,8 +1,8 @@
 """The world process: the simulated vehicles of a scenario and their robots, in lockstep or in real time.
 
-Each vehicle has a MAVLink endpoint, each robot its keys on Zenoh. All share one process, because their
-interaction is physical: decks, jets and collisions need all states together. ``vehicle`` is a world without
-robots: in real time its decks follow the true poses of robots in another process.
+Each vehicle has a MAVLink endpoint, and each robot has its keys on Zenoh. All share one process, because
+decks, jets and collisions need all states together. ``flightstack vehicle`` starts a world without robots:
+in real time its decks follow the true poses of robots in another process.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def world_main(team: TeamScenario, options: VehicleOptions) -> int:
 
     It also prints ``armed`` and ``disarmed`` on each change, with the vehicle's name.
 
-    ``team``: the scenario; ``options``: with ``WorldOptions`` the robots run, too. A port other than 0 is
-    that of the first vehicle, like the system id; the other vehicles have the next ones. The namespace is
-    that of the first vehicle; the others are cf2, cf3 and so on.
+    ``team``: the scenario; ``options``: with ``WorldOptions`` the robots run, too. Port (if not 0), system
+    id and namespace apply to the first vehicle. The next vehicles have the next ports and system ids, and
+    the namespaces cf2, cf3 and so on.
 
     Returns the exit status.
     """
@@ -89,7 +89,7 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
             each.await_listener(stop)
         LockstepWorld(loops, room, words and words.pass_on, stop, epoch_ns).run(ticks)
         feed.flush()
-        while words is not None and not stop.is_set:  # the parent process ends this one
+        while words is not None and not stop.is_set:  # continue until the parent process ends this process
             time.sleep(_PAUSE_S)
         return
     robots: dict[int, RealTimeRobot] = {}
@@ -106,7 +106,7 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
 
 
 def _here(team: TeamScenario, options: VehicleOptions) -> list[int]:
-    """Return the numbers of the vehicles that are simulated here."""
+    """Return the numbers of the vehicles that this process simulates."""
     if options.leave_out and options.lockstep:
         raise ValueError(
             "--leave-out is for real time: a vehicle from elsewhere does not wait for the others"
@@ -127,7 +127,7 @@ def _ready(endpoints: Sequence[tuple[Endpoint, str]], stop: Stop) -> None:
 
 
 def _opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStack) -> tuple[Endpoint, str]:
-    """Open the MAVLink endpoint of a vehicle; return it, and its URL with the actual port."""
+    """Open the MAVLink endpoint of a vehicle; return the endpoint, and its URL with the actual port."""
     kind, host, port = parse_udp_url(options.url, "the simulated vehicle")
     port += number - 1 if port else 0
     if options.lockstep and options.peers:
@@ -139,7 +139,7 @@ def _opened(options: VehicleOptions, number: int, system_id: int, stack: ExitSta
 
 
 def _session(team: TeamScenario, options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
-    """Open the Zenoh session of robots and onboard processes; None: vehicles without endpoints."""
+    """Open the Zenoh session of robots and onboard processes; return None if no endpoint is configured."""
     with_robots = isinstance(options, WorldOptions)
     if not (options.connect or options.listen or options.zenoh_config is not None):
         if not (with_robots or (options.lockstep and team.exchanges)):
@@ -163,7 +163,7 @@ def _session(team: TeamScenario, options: VehicleOptions, stack: ExitStack) -> z
 
 
 def _tell(name: str, armed: bool) -> None:
-    """Print a change of arming for the process that started this one and may end it."""
+    """Print a change of arming for the parent process, which may then end this process."""
     print(f"{'armed' if armed else 'disarmed'} {name}", flush=True)
 
 
