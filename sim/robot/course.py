@@ -13,12 +13,12 @@ from sim.scenarios.scenario import PathKind, TargetSpec
 
 # function from driven time (s), axle position (m, ENU) and heading (rad) to speed (m/s) and turn rate (rad/s)
 Course = Callable[[float, float, float, float], tuple[float, float]]
-GAIN_1_S = 2.0  # turn rate per heading error to the waypoint, 1/s (assumption)
+GAIN_1_S = 2.0  # turn rate divided by the heading error to the waypoint, 1/s (assumption)
 REACHED_M = 0.05  # distance at which a waypoint counts as reached
 
 
 class Waypoints:
-    """Drives to each point in order, then to the first again; turns on the spot if the point is behind."""
+    """Drives to each point in order and repeats; turns on the spot if the next point is behind the robot."""
 
     def __init__(
         self, points_m: Sequence[tuple[float, float]], speed_m_s: float, turn_rate_rad_s: float
@@ -38,7 +38,7 @@ class Waypoints:
 
 
 class Function:
-    """The user's function; its result is limited to the scenario's speed and turn rate."""
+    """Steers by the user's function, limited to the scenario's speed and turn rate."""
 
     def __init__(self, name: str, speed_m_s: float, turn_rate_rad_s: float) -> None:
         self._name, self._speed, self._turn = name, speed_m_s, turn_rate_rad_s

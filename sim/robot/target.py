@@ -23,7 +23,7 @@ from sim.plant.state_error import DELAY, TURN, WIDTH, PastRecord, mismeasured, s
 from sim.robot.course import course
 from sim.scenarios.scenario import PathKind, StateError, TargetLink, TargetSpec
 
-DRIVE_LAG_S = 0.1  # first-order lag of the drive; ROBOTIS does not document it; assumed from 0.05 to 0.15 s
+DRIVE_LAG_S = 0.1  # first-order lag of the drive, s; not documented by ROBOTIS, assumed 0.05 to 0.15 s
 
 
 class PadPose(NamedTuple):
@@ -37,7 +37,7 @@ class PadPose(NamedTuple):
 Sample = Sequence[float]
 
 
-# shares of full speed and turn rate: first for the path's first section, then for its second section
+# fractions of full speed and turn rate: two for the first section of the path, two for the second section
 DEMANDS: dict[PathKind, tuple[float, float, float, float]] = {
     PathKind.STILL: (0.0, 0.0, 0.0, 0.0),
     PathKind.STRAIGHT: (1.0, 0.0, 1.0, 0.0),
@@ -87,7 +87,7 @@ class MotionRecord(Record):
 
 @jitted
 def arc(length_m: float, turn_rad: float) -> tuple[float, float]:
-    """Return the exact displacement (forward, left) of a drive of ``length_m`` that turns by ``turn_rad``."""
+    """Return the exact displacement (forward, left) on an arc of ``length_m`` that turns by ``turn_rad``."""
     if abs(turn_rad) < 1e-9:
         return length_m, 0.5 * length_m * turn_rad
     return length_m * math.sin(turn_rad) / turn_rad, length_m * (1.0 - math.cos(turn_rad)) / turn_rad
@@ -125,7 +125,7 @@ def publish(motion: Cell[MotionRecord], dt_s: float) -> None:
 
 @jitted
 def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
-    """Advance by ``dt_s`` with the current twist, then choose the next; brake if not ``driving``."""
+    """Advance by ``dt_s`` with the current twist, then choose the next twist; brake if not ``driving``."""
     m = motion[0]
     forward, left = arc(m.v * dt_s, m.w * dt_s)
     c, s = math.cos(m.yaw), math.sin(m.yaw)
@@ -163,11 +163,11 @@ def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) 
 class TargetModel:
     """True motion of the target.
 
-    ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s``, ``yaw_rate_rad_s`` and the numbers of ``pad``
+    ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s``, ``yaw_rate_rad_s`` and the values of ``pad``
     describe the pad centre at ``time_s``; the twist in the body frame is constant until the next step. Heave
     continues also while the robot does not drive, like waves.
 
-    ``spec``: path, speeds, limits, pad; ``seed``: for speed, turn rate and heading where the spec leaves them
+    ``spec``: path, speeds, limits, pad; ``seed``: sets speed, turn rate and heading that ``spec`` leaves
     open, the time until the first change of stop-and-go and reversing, and the phase of the heave;
     ``step_s``: expected time between steps (for the heave velocity in the first interval).
     """
@@ -202,7 +202,7 @@ class TargetModel:
         drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, len(self.pad))))
 
     def stop(self) -> None:
-        """Stop suddenly, as with locked wheels; visible after the next step."""
+        """Stop suddenly, as with locked wheels; the next step shows the stop."""
         self._record.v = self._record.w = 0.0
 
     def step(self, dt_s: float, driving: bool) -> None:
@@ -210,7 +210,7 @@ class TargetModel:
         self.run(1, dt_s, driving)
 
     def run(self, steps: int, dt_s: float, driving: bool) -> F64:
-        """Run ``steps`` steps; return the pad's motion after each, (steps, 12) numbers of a PadRecord."""
+        """Run ``steps`` steps; return the pad's motion after each, (steps, 12) values of a PadRecord."""
         pads = np.empty((steps, len(self.pad)))
         if self._course is None or not driving:
             drive_on(self._cell, dt_s, driving, pads)
@@ -223,7 +223,7 @@ class TargetModel:
         return pads
 
     def _show(self) -> None:
-        self.pad: Values = self._read()  # numbers in the order of PadRecord
+        self.pad: Values = self._read()  # values in the order of PadRecord
         pad = self.pad
         self.time_s: float = pad[0] / NS
         self.pose = PadPose(pad[1:4], pad[4])
@@ -248,7 +248,7 @@ class TargetError:
     def apply(self, pad: Sequence[float]) -> tuple[Sequence[float], float, Sequence[float]]:
         """Return the measured position (ENU, m), heading (rad) and velocity in the body frame (m/s).
 
-        ``pad``: true motion, numbers of a PadRecord.
+        ``pad``: true motion, values of a PadRecord.
         """
         if not len(self._left):
             self._left = self._rows.take(BLOCK)
@@ -268,8 +268,8 @@ class TargetOdometry:
 
     Call ``run`` for time zero and for every step of the model: each step measures at most one sample, so a
     step must not be longer than the link's period. The noise of the yaw rate follows from speed noise of two
-    wheels: velocity noise over half the track width. With ``link.error`` a sample first gets the errors of a
-    recorded flight, then noise, loss and delay.
+    wheels: velocity noise divided by half the track width. With ``link.error`` a sample first gets the errors
+    of a recorded flight, then noise, loss and delay.
     """
 
     def __init__(self, link: TargetLink, seed: int) -> None:
@@ -279,9 +279,9 @@ class TargetOdometry:
         self._error = None if link.error is None else TargetError(link.error, seed, link.rate_hz)
 
     def run(self, pads: F64) -> tuple[list[int], F64]:
-        """Measure where a sample is due; return the samples released by then, oldest first.
+        """Measure the due samples; return the samples that the link releases in these steps, oldest first.
 
-        ``pads``: (n, 12) true motion after each step, numbers of a PadRecord.
+        ``pads``: (n, 12) true motion after each step, values of a PadRecord.
         Returns the index of the step in which each sample arrived, and the samples, (m, 9).
         """
         values = pads[:, _MEASURED]

@@ -68,11 +68,11 @@ class TargetFaults(ScheduledFaults):
         self._schedule.refer(After.LANDING, now_ns)
 
     def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
-        """Add faults, effective from the next sample; those relative to ``time`` wait for their start."""
+        """Add faults, effective from the next sample; faults relative to ``time`` wait for their start."""
         self._schedule.add(faults, now_ns)
 
     def deliver(self, now_ns: int, samples: list[Sample]) -> list[Sample]:
-        """Return the samples that the robot sends now; without faults these are ``samples``."""
+        """Return the samples that the robot sends now; without faults it sends ``samples``."""
         if now_ns >= self._schedule.next_ns:
             self.run(now_ns)
         return self._samples.deliver(now_ns, samples) if self._samples.active else samples
@@ -92,13 +92,13 @@ class TargetMotion:
         self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
         self._step_s = grid.period_s / self._substeps
         self._texts: list[tuple[int, Change]] = []
-        # pad and samples of tick 0, in the form of ``run``
+        # pad and samples of tick 0, as ``run`` returns them
         self.first = self._driven([self.model.pad], [(0, sample) for sample in self._measure()])
 
     def run(self, ticks: int, driving: bool) -> tuple[F64, list[int], F64]:
         """Advance by several ticks, in compiled calls as long as no fault is active.
 
-        Returns the pad's motion at each tick, (ticks, 12) numbers of a PadRecord; the index of the tick at
+        Returns the pad's motion at each tick, (ticks, 12) values of a PadRecord; the index of the tick at
         which each sample was released; and the samples, (m, 9).
         """
         steps = ticks * self._substeps
@@ -130,6 +130,6 @@ class TargetMotion:
         return delivered
 
     def take_texts(self) -> list[tuple[int, Change]]:
-        """Return messages about faults that started or ended since the last call, each with its tick."""
+        """Return the starts and ends of faults since the last call, each with its tick."""
         texts, self._texts = self._texts, []
         return texts

@@ -89,7 +89,7 @@ class WatchBook:
 
 
 END, BEFORE, MIDDLE = 0, 1, 2  # how a call ends: all ticks done; Python runs the next tick, or its rest
-_LARGEST = 1e6  # largest accepted value, m or m/s; above: damaged message (bridge.mavlink.client.vehicle_state)
+_LARGEST = 1e6  # largest accepted value, m or m/s (bridge.mavlink.client.vehicle_state)
 _POLE = 0.999  # sine of the pitch above which Python runs the tick, near vertical
 
 

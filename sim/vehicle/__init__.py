@@ -1,1 +1,1 @@
-"""The simulated vehicle: physics and firmware in one loop."""
+"""The simulated vehicle: one loop runs physics and firmware."""

@@ -1,4 +1,4 @@
-"""Checks that a configuration declares robot, pad, links, barrier, start, wind and vehicle of its scenario.
+"""Checks that the values a configuration declares (robot, pad, links, wind and others) fit its scenario.
 
 The certificate proves a configuration for the values that it declares. These checks compare the declared
 values with the scenario, so that the proof is valid for its flights.
@@ -23,8 +23,8 @@ from sim.vehicle.encounters import Shape
 
 DELAY_M_S = 0.02  # allowed difference of a declared delay, s; smaller than the errors from noise
 NOISE_SHARE = 0.5  # smallest declared fraction of a link's noise; an estimator filters the noise
-SPEED_SHARE = 0.01  # allowed relative excess of a declared speed or acceleration, within their errors
-# smallest declared error of the vertical velocity, divided by the gusts' rms; the lowest of the tiers (lab)
+SPEED_SHARE = 0.01  # relative excess of a speed or acceleration that is allowed; smaller than their errors
+# smallest ratio of the declared vertical velocity error to the gusts' rms; tier lab has the lowest ratio
 GUST_SHARE = 0.066
 RADIO_SHARE = 0.5  # largest fraction of the declared lag spread that the radio's delay may use
 STEP_M, FAR_M = 0.005, 10.0  # step and largest distance at which the barriers are compared, m
@@ -58,13 +58,13 @@ def declared(scenario: Scenario) -> list[Check]:
 
 
 def outside(scenarios: Iterable[Scenario]) -> str:
-    """Return the keys and values with which scenarios exceed their configuration's proof; or no text."""
+    """Return keys and values with which scenarios exceed their configuration's proof; empty: none."""
     found = dict.fromkeys(check.worst for each in scenarios for check in declared(each) if not check.proven)
     return "; ".join(found)
 
 
 def judged_apart(scenario: Scenario) -> str:
-    """Return a text with the barriers of verdict and flight if they differ; otherwise an empty text."""
+    """Return a text that names the barriers of verdict and flight; empty if they are equal."""
     judge, flown = (
         (shape.alpha_1_m, shape.beta_m) for shape in (scenario.judged_by, scenario.onboard.barrier.build())
     )
@@ -84,7 +84,7 @@ def not_proven(team: TeamScenario) -> str:
 
 
 def _at_most(key: str, declared: float, there: str, found: float, unit: str, share: float = 1.0) -> _Row:
-    """Return a comparison; its margin is >= 0 if the declared value is at least ``share * found``."""
+    """Return a comparison with margin >= 0 if the declared value is at least ``share * found``."""
     return _Row(key, declared, there, found, declared - share * found, unit)
 
 
@@ -168,7 +168,7 @@ def _links(scenario: Scenario) -> Iterator[_Row]:
 
 
 def _judged(scenario: Scenario) -> Check:
-    """Return the check that the verdict's barrier is nowhere above the flown barrier, where h counts."""
+    """Return the check that the verdict's barrier is not above the flown one, wherever the verdict uses h."""
     flown, judge = scenario.onboard.barrier.build(), scenario.judged_by
     distances = (scenario.target.pad_radius_m + k * STEP_M for k in range(int(FAR_M / STEP_M)))
     below_m, at_m = max((judge.height(d) - flown.height(d), d) for d in distances)
@@ -187,7 +187,7 @@ def _starts(scenario: Scenario) -> Check:
     offset_m = scenario.start.offset_m
     starts_m = scenario.start.h_m[0] if offset_m is None else scenario.judged_by.h(offset_m)
     if scenario.start.kind is not StartKind.HOVER:
-        starts_m = math.inf  # it takes off from the floor
+        starts_m = math.inf  # the vehicle takes off from the floor
     return Check(
         "declared, start",
         "the vehicle starts above the barrier",
@@ -200,7 +200,7 @@ def _starts(scenario: Scenario) -> Check:
 
 
 def _flown(scenario: Scenario) -> list[Check]:
-    """Return checks of values without a key in the configuration: each is no worse than in the tiers."""
+    """Return the checks that values without a key in the configuration are no worse than in the tiers."""
     link, spec, wind = scenario.odometry, scenario.vehicle, scenario.wind
     mocap, charge = spec.mocap, spec.battery_charge[0]
     discharged = 0.08 if scenario.onboard.reserve is not None else 1.0  # only tier room has low batteries

@@ -42,7 +42,7 @@ class Shape:
 
 @jitted
 def ellipsoid_distance(x: float, y: float, z: float, beside_m: float, above_m: float) -> float:
-    """Return the norm of an offset (m) from an ellipsoid's centre, given its semi-axes; 1 on its surface."""
+    """Return the norm of an offset (m) from the centre of an ellipsoid; the norm is 1 on the surface."""
     return math.sqrt((x * x + y * y) / (beside_m * beside_m) + z * z / (above_m * above_m))
 
 
@@ -93,11 +93,11 @@ class Team:
     def __init__(self, shapes: Sequence[Shape]) -> None:
         number = len(shapes) * (len(shapes) - 1) // 2
         self._shapes = np.array([(each.radius_m, each.bottom_m, each.top_m) for each in shapes])
-        # (P, 3): smallest distance of the centres of mass, m; the same, but only while both vehicles flew;
-        # smallest norm of the ellipsoid while both flew. Infinite before the first call.
+        # (P, 3) smallest values, infinite at first: distance of the centres of mass, m; this distance while
+        # both vehicles flew; norm of the ellipsoid while both flew
         self.least = np.full((number, 3), np.inf)
-        # inside: (P,) whether the pair was inside the ellipsoid in the last call, both flying; overlap_ms:
-        # (P,) time from the first tick to the first overlap of the shapes, ms; -1 if there was none
+        # inside: (P,) whether the last call found both flying and one inside the ellipsoid; overlap_ms: (P,)
+        # time from the first tick to the first overlap of the shapes, ms; -1: no overlap
         self.inside, self.overlap_ms = np.zeros(number, dtype=np.int64), np.full(number, -1, dtype=np.int64)
 
     def follow(self, before: F64, after: F64, flew: I64, steps: int) -> bool:

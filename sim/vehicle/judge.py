@@ -10,12 +10,12 @@ from flightstack.core.numeric import twin
 from flightstack.core.safety.barrier import boundary_height
 from sim.world.step import GROUND, PAD, WorldRecord, tumbled
 
-GAP_MS = 30  # gap in a contact, ms; a shorter bounce does not end the contact
+GAP_MS = 30  # shortest gap that ends a contact, ms; a bounce is shorter
 NONE_MS = -1_000_000
 
 
 class JudgeRecord(Record):
-    """Barrier of the verdict, and the extremes since the last reading."""
+    """Barrier of the verdict, and extreme values since the last reading."""
 
     alpha_1_m: float
     beta_m: float
@@ -25,7 +25,7 @@ class JudgeRecord(Record):
     tumbled: bool
 
 
-_height = twin(boundary_height, jitted)  # the same formula as in the controller
+_height = twin(boundary_height, jitted)  # height of the boundary, as in the controller
 
 
 @jitted
@@ -43,15 +43,15 @@ def judge(j: JudgeRecord, world: WorldRecord) -> None:
 
 
 class ContactRecord(Record):
-    """Times of contacts, simulated time in ms; ``NONE_MS`` if there was none."""
+    """Simulated times of contacts, ms; ``NONE_MS``: no contact."""
 
     bits: int  # bits of all contacts since the last reading
     since_ms: int  # start of the current contact with pad or ground
-    pad_ms: int  # last contact with the pad's top
+    pad_ms: int  # time of the last contact with the pad's top
     ground_ms: int
     judging: bool  # whether the next touch of the pad counts as the first one
     touch_ms: int  # time of the first touch
-    touch_e: Vector  # vehicle minus pad centre at the start of the step of the touch, m
+    touch_e: Vector  # vehicle minus pad centre at the start of the touch's step, m
     touch_velocity: Vector  # velocity of the vehicle relative to the pad below it, m/s
 
 

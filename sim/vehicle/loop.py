@@ -42,7 +42,7 @@ def set_up_drag(drag: DragRecord, body: Body, weight_n: float) -> None:
 
 
 class VehicleRecord(Record):
-    """State that every step changes."""
+    """Complete state of a vehicle; every step changes it."""
 
     world: WorldRecord
     rotors: RotorRecord
@@ -57,10 +57,10 @@ class VehicleRecord(Record):
     mocap: MocapRecord
     judge: JudgeRecord
     contact: ContactRecord
-    motor_share: Motors  # target speed of a motor = share * command + held (1 and 0 without a fault)
-    motor_held: Motors  # held speed, rpm
+    motor_share: Motors  # factor of the command: speed = share * command + held (1 and 0 without a fault)
+    motor_held: Motors  # speed of a motor that a fault fixes, rpm
     drive: Motors  # target speeds of the motors, rpm
-    before_e: Vector  # vehicle minus pad at the beginning of the last step, m
+    before_e: Vector  # vehicle minus pad centre at the start of the last step, m
     before_velocity: Vector
 
 
@@ -85,7 +85,7 @@ def apply_ground_effect(v: VehicleRecord) -> None:
 
 @jitted
 def push(v: VehicleRecord) -> None:
-    """Advance the rotors by one step; sum force and torque of thrust, drag, weight and others' jets."""
+    """Advance the rotors by one step; add up the forces and torques of thrust, drag, weight and jets."""
     body, rotors, drag, wrench = v.world.body, v.rotors, v.drag, v.world.wrench
     for i in range(3):
         v.before_e[i] = body.position[i] - v.world.deck.position[i]

@@ -1,10 +1,10 @@
 """Motion capture for compiled code: Python draws the random numbers of each sample in advance.
 
 Time, noise and loss of a sample depend only on the seed, so the compiled code only adds the true pose. The
-numbers and their order are the same as in ``MeasurementChannel``.
+random numbers and their order equal those of ``MeasurementChannel``.
 
 With the errors of recorded flights (``StateError``) a sample is a complete on-board estimate: it arrives
-without delay and replaces the estimate. A fault that diverts samples gets its position and heading.
+without delay and replaces the estimate. A fault that diverts samples receives position and heading of it.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ VALUES = 4  # x, y, z (ENU, m), yaw (rad)
 
 
 class MocapRecord(Record):
-    """Samples in the order of measurement: first arrived ones, then those in transit, then future ones."""
+    """Samples in the order of measurement: arrived samples, then samples in transit, then future samples."""
 
     measured_ms: Annotated[I64, ROWS]
     arrives_ms: Annotated[I64, ROWS]  # arrival time, or ``LOST``
-    values: Annotated[F64, ROWS * VALUES]  # noise of the values; after the measurement, the measured values
+    values: Annotated[F64, ROWS * VALUES]  # noise of each value; after the measurement, the measured value
     measuring: int  # row of the next measurement
     arriving: int  # row of the next arrival
-    diverted: bool  # arriving samples go to Python code, for a fault
-    recorded: bool  # samples have the errors of recorded flights, from the rows of ``errors``
+    diverted: bool  # whether a fault sends arriving samples to Python code
+    recorded: bool  # whether samples have the errors of recorded flights (``errors``)
     errors: Annotated[F64, ROWS * WIDTH]
     past: PastRecord
 
@@ -82,7 +82,7 @@ def correct_estimate(m: MocapRecord, estimator: EstimatorRecord, body: BodyRecor
         else:
             correct(estimator, m.values[at], m.values[at + 1], m.values[at + 2], m.values[at + 3])
             if estimator.by_pose:
-                correct_tilt(estimator, body.quaternion)  # the tilt is exact and undelayed
+                correct_tilt(estimator, body.quaternion)  # the measured tilt has no error and no delay
         at = next_arrived(m, now_ms)
 
 

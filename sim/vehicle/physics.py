@@ -24,7 +24,7 @@ from sim.vehicle.judge import GAP_MS, NONE_MS
 from sim.vehicle.loop import WIND_EVERY_MS, VehicleRecord, set_up_drag
 from sim.world.world import World
 
-AIRBORNE_AFTER_MS = 200  # time without contact after which the flight is judged
+AIRBORNE_AFTER_MS = 200  # time without contact after which the vehicle counts as airborne
 TUMBLED = ContactBit.TUMBLED.value
 _VEHICLE = ContactBit.VEHICLE.value
 
@@ -39,7 +39,7 @@ _wrapped, _h = twin(_turned_back, jitted), twin(barrier_h, jitted)
 
 @jitted
 def write_truth(v: VehicleRecord, now_ms: int, row: F64) -> None:
-    """Write the current true state, and extremes and contacts since the last call, to ``TRUTH`` numbers."""
+    """Write the true state, and the extremes and contacts since the last call, to the ``TRUTH`` elements."""
     body, deck, j, c = v.world.body, v.world.deck, v.judge, v.contact
     p, d = body.position, deck.position
     h = _h(j.alpha_1_m, j.beta_m, (p[0] - d[0], p[1] - d[1], p[2] - d[2]))
@@ -89,7 +89,7 @@ class Physics:
         self.plant = plant  # ratio of this vehicle's true parameters to the nominal ones
         mass_kg = params.body.mass_kg * plant.mass
         self.weight_n = mass_kg * params.contact.gravity_m_s2
-        # record: memory of the 1 ms steps, one contiguous array; vehicle: the view of it for compiled code
+        # record: memory of the 1 ms steps, one contiguous array; vehicle: its view for compiled code
         self.record = r = new(VehicleRecord)
         self.vehicle = cell(r)
         # views of the record's parts
@@ -122,12 +122,12 @@ class Physics:
         self.world.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
 
     def top_up(self) -> None:
-        """Draw random numbers of wind and torque noise for at least 340 of their steps."""
+        """Draw the random numbers of wind and torque noise for at least 340 steps of each."""
         self.wind.top_up()
         self._torque_noise.top_up()
 
     def on_pad(self, now_ms: int) -> bool:
-        """Return whether the vehicle touches the pad's top; a bounce below 30 ms does not end the contact."""
+        """Return whether the vehicle touches the pad's top; a gap below 30 ms does not end the contact."""
         return bool(now_ms - self.pad_ms[0] <= GAP_MS)
 
     def on_ground(self, now_ms: int) -> bool:

@@ -30,15 +30,15 @@ from sim.vehicle.physics import Physics
 
 LANDED_AFTER_MS = 150  # time of contact after which the vehicle counts as landed
 _KEPT = "vehicle"  # name of the compiled flight code in the cache folder
-WARM_UP_MS = 100  # in this time every loop of the firmware runs and motion capture arrives
-SUPPLY_MS = 320  # time for which IMU noise, six numbers every 2 ms, is drawn in advance
+WARM_UP_MS = 100  # simulated time in which every firmware loop runs and motion capture arrives
+SUPPLY_MS = 320  # time for which IMU noise is drawn in advance; it has six values every 2 ms
 _STATE_TEXTS = tuple(str(state.value) for state in STATES)
 _BROKEN = tuple(Fault(What.MOTOR, Kind.DEAD, motor=motor) for motor in range(1, 5))
 _LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
 
 
 class VehicleSim:
-    """One vehicle and its deck. ``params`` replaces the vehicle's file, ``plant`` the drawn plant."""
+    """One vehicle and its deck; ``params`` replaces the vehicle's file, ``plant`` the random plant."""
 
     def __init__(
         self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None
@@ -63,8 +63,7 @@ class VehicleSim:
         self._read_commands = reader(r.firmware.commands)
         # set-point that holds the hover at the start against weight and mean wind; zero for other starts
         self.trim_velocity_enu_m_s: Vec3 = ZERO
-        # time between sending and delivery of set-points, ms, at most the radio's delay; the simulation may
-        # run ahead of the set-points by this time
+        # part of the radio's delay that is already simulated when a set-point is sent, ms
         self.sent_before_ms = 0
         physics.judging[0] = scenario.start.kind is StartKind.HOVER
         if scenario.start.kind is StartKind.HOVER:
@@ -112,7 +111,7 @@ class VehicleSim:
         return (distance * math.cos(bearing), distance * math.sin(bearing), height)
 
     def _settle(self) -> None:
-        """Start with a converged estimate."""
+        """Run the estimator at the start until its estimate has converged."""
         world = self._world
         axes = rotation_axes(world.quaternion)
         g = self._gravity
@@ -140,13 +139,13 @@ class VehicleSim:
         self._physics.judge_once_airborne(self._ms)
 
     def supplied_until(self, end_ms: int) -> bool:
-        """Draw random numbers up to ``end_ms``; return False where this is not possible."""
+        """Draw random numbers up to ``end_ms``; return False if this is not possible."""
         if end_ms > self._supplied_ms:
             self._supply()
         return end_ms <= self._supplied_ms
 
     def flown(self, now_ms: int) -> None:
-        """Update this object after ``fly`` was called outside of it."""
+        """Update this object after another function has called ``fly``."""
         self._ms = now_ms
 
     def _supply(self) -> None:
@@ -234,7 +233,7 @@ class VehicleSim:
         self._firmware.estimator.know_drag(drag_1_s)
 
     def stop_setpoint(self) -> None:
-        """Send a stop set-point; the motors are off as long as it is the newest and not too old."""
+        """Send a stop set-point; the motors are off as long as it is the newest set-point and not too old."""
         self._firmware.send(STOP, self._ms - self.sent_before_ms)
 
     def begin_judging(self) -> None:
@@ -287,7 +286,7 @@ class VehicleSim:
 
     @property
     def motor_commands(self) -> tuple[float, float, float, float]:
-        """Speed commands of M1..M4 as shares of the highest speed at the current voltage, 0 to 1."""
+        """Speed commands of M1..M4 divided by the highest speed at the current voltage, 0 to 1."""
         limit = self._battery.rpm_max
         m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self._firmware.commands)
         return (m1, m2, m3, m4)
@@ -307,7 +306,7 @@ class VehicleSim:
 
     @property
     def on_pad(self) -> bool:
-        """Whether the vehicle truly touches the pad's top; a bounce below 30 ms does not end the contact."""
+        """Whether the vehicle touches the pad's top; a gap below 30 ms does not end the contact."""
         return self._physics.on_pad(self._ms)
 
     @property

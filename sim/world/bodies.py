@@ -19,7 +19,7 @@ class BodyRecord(Record):
     position: Vector
     velocity: Vector
     quaternion: Quaternion
-    rates: Vector  # body frame, rad/s
+    rates: Vector  # angular velocity, body frame, rad/s
 
 
 class DeckRecord(Record):
@@ -39,7 +39,7 @@ class WrenchRecord(Record):
     """Force and torque on the vehicle, and its mass and inertia."""
 
     force: Vector  # force on the centre of mass, weight included, world frame, N
-    torque: Vector  # body frame, N m
+    torque: Vector  # torque about the centre of mass, body frame, N m
     mass: float  # mass of the vehicle, kg
     inertia: Vector  # moments of inertia, body axes, kg m^2
 
@@ -93,10 +93,10 @@ def move_body(body: BodyRecord, s: WrenchRecord) -> None:
 
 @jitted
 def arc_of_step(rate: float) -> tuple[float, float, float, float]:
-    """Return the turn's cosine and sine and the displacements of ``DeckRecord`` for a turn rate in rad/s."""
+    """Return cosine and sine of the turn, and the displacements of ``DeckRecord``, for a turn rate, rad/s."""
     turn = rate * STEP_S
     sine = math.sin(0.5 * turn)
-    chord = sine / (0.5 * turn) if turn else 1.0  # chord over arc length
+    chord = sine / (0.5 * turn) if turn else 1.0  # ratio of chord to arc length
     along, across = chord * math.cos(0.5 * turn) * STEP_S, chord * sine * STEP_S
     return math.cos(turn), math.sin(turn), along, across
 

@@ -1,7 +1,7 @@
-"""A vehicle at rest moves with the pad, without MuJoCo, until the forces or the deck's motion change.
+"""Moves a vehicle at rest with the pad, without MuJoCo, until the forces or the deck's motion change.
 
 On a real pad static friction holds the vehicle. MuJoCo's contact is soft: in MuJoCo a vehicle under a steady
-side force creeps, and a step of MuJoCo takes ten times as long as all the rest of a step.
+side force creeps, and MuJoCo's part of a step takes ten times as long as all other parts.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from sim.plant.params import Params
 from sim.plant.rotation import rotation_axes
 from sim.world.bodies import BodyRecord, DeckRecord, WrenchRecord, move_deck
 
-WAIT_STEPS = 50  # steps of 1 ms at rest in a row before the pad carries the vehicle; a bounce is shorter
+WAIT_STEPS = 50  # consecutive steps of 1 ms at rest before the pad carries the vehicle; a bounce is shorter
 STILL_M = 1e-4  # largest motion relative to the pad in these steps, m
 DIAGONAL = 1.4143  # ratio of a square's diagonal to its side, rounded up: the feet are at the corners
 SAME_RAD = 0.002  # largest change of attitude in these steps, rad
 UPRIGHT = 0.99  # smallest cosine of the tilt at which the vehicle stands on all feet
 LOADED = 0.5  # smallest fraction of the weight that loads the feet
-HOLDS = 0.25  # largest used fraction of what friction and weight can hold; above it MuJoCo computes the step
-TICK_S = 0.01  # time in which the deck adopts a new velocity, s; the velocity is set in steps
-MOVED_M, TURNED_RAD = 1e-4, 1e-3  # a larger jump of the deck in one step means that it was placed elsewhere
+HOLDS = 0.25  # largest used fraction of the holding force of friction and weight; above it MuJoCo is used
+TICK_S = 0.01  # time in which the deck changes to a new velocity, s; the velocity is set in steps
+MOVED_M, TURNED_RAD = 1e-4, 1e-3  # largest motion of the deck in one step; more: the deck was moved
 
 
 class RestRecord(Record):
     """Number of steps at rest on the pad, and the vehicle's pose on the pad."""
 
-    wait_steps: int  # ``WAIT_STEPS``; a number larger than the steps of a flight disables the resting state
+    wait_steps: int  # ``WAIT_STEPS``; a value above the steps of a flight disables the resting state
     steps: int  # consecutive steps at rest
     friction: float
     gravity: float  # gravitational acceleration, m/s^2
@@ -126,7 +126,7 @@ def look(r: RestRecord, body: BodyRecord, deck: DeckRecord, on_pad: bool) -> Non
 
 @jitted
 def carried(r: RestRecord, wrench: WrenchRecord, body: BodyRecord, deck: DeckRecord) -> bool:
-    """Advance the deck and a resting vehicle by one step; without one change nothing and return False."""
+    """Advance the deck and a resting vehicle by one step; if it does not rest, only return False."""
     if r.steps < r.wait_steps:
         return False
     if not _holds(r, wrench, deck):

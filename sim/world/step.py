@@ -22,11 +22,11 @@ from sim.world.bodies import (
 )
 from sim.world.rest import RestRecord, carried, look
 
-TOP_NORMAL = 0.7  # smallest |z| of the contact normal, about 45 degrees from the vertical, of the pad's top
-RIM_M = 0.002  # a contact more than this distance below the pad's top counts as contact with the edge, m
+TOP_NORMAL = 0.7  # smallest |z| of the contact normal for a contact with the pad's top; about 45 degrees
+RIM_M = 0.002  # depth below the pad's top beyond which a contact counts as contact with the edge, m
 
 # Layout of the sensor readings: one for the floor, one for the robot below the pad, then all pad contacts.
-PAD_CONTACTS = 16  # maximum number of contacts with the pad: nine shapes of the vehicle, up to two each
+PAD_CONTACTS = 16  # maximum number of pad contacts: up to two for each of the vehicle's nine shapes
 PER_CONTACT = 7  # values per contact: whether it exists, position (world, m), normal
 SENSORS = 2 + PAD_CONTACTS * PER_CONTACT
 
@@ -98,7 +98,7 @@ def apart(reach: ReachRecord, body: BodyRecord, deck: DeckRecord) -> bool:
     p, d, below = body.position, deck.position, reach.vehicle
     x, y, z = p[0] - d[0], p[1] - d[1], p[2] - d[2]
     square, beside = x * x + y * y, reach.vehicle + reach.robot
-    if not (p[2] > below and z > below + reach.robot_top):  # close: find the tilted cylinder's lowest point
+    if not (p[2] > below and z > below + reach.robot_top):  # close: use the tilted cylinder's lowest point
         axes = rotation_axes(body.quaternion)
         level, up = math.sqrt(axes[6] * axes[6] + axes[7] * axes[7]), axes[8]
         below = reach.side * level - min(reach.bottom * up, reach.top * up)
@@ -143,7 +143,7 @@ def physics_step(world: WorldRecord) -> None:
 
     MuJoCo's Euler step uses the velocities at the end of the step. ``move_body`` is more accurate, so it
     replaces a MuJoCo step without contact. MuJoCo moves only the vehicle. A vehicle at rest moves with the
-    pad, and its contact bits stay the same.
+    pad, and its contact bits do not change.
     """
     if carried(world.rest, world.wrench, world.body, world.deck):
         return

@@ -190,11 +190,11 @@ def robot_geoms(params: Params, target: TargetSpec) -> str:
 
 
 def model_xml(params: Params, mass_kg: float, target: TargetSpec) -> str:
-    """Return the MuJoCo model as XML text. Joints: the vehicle's free one, then the robot's x, y, z and yaw.
+    """Return the MuJoCo model as XML. Joints: free joint of the vehicle; x, y, z and yaw of the robot.
 
     The robot is a body with a velocity, because only a moving body carries others by friction (a mocap body
     has no velocity). Its state is set every step; its mass is so large that no contact moves it in between.
-    The friction cone is elliptic: the pyramid holds diagonally with only 0.7 of the friction. Gravity is off
+    The friction cone is elliptic: a pyramid has only 0.7 of the friction along the diagonals. Gravity is off
     and the vehicle's weight is applied as a force, so that the robot needs no support.
     """
     jxx, jyy, jzz = params.body.inertia_kg_m2
