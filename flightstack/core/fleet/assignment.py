@@ -12,14 +12,14 @@ from typing import Any
 
 from flightstack.core.types import Vec3
 
-UNIT_M = 1e-6  # unit of the integer distances, m; integer sums do not depend on the order
-FAR_M = 1e6  # largest coordinate, m; sums of larger ones would not be exact
+UNIT_M = 1e-6  # unit of the integer distances, m; a sum of integers does not depend on its order
+FAR_M = 1e6  # largest coordinate, m; sums of larger distances would not be exact
 
 
 def assign(starts_enu_m: Sequence[Vec3], pads_enu_m: Sequence[Vec3]) -> tuple[int, ...]:
     """Return the index of the pad of each vehicle.
 
-    Among equal sums, each vehicle in turn prefers the pad with its own index, then the lowest index.
+    If assignments have equal sums, each vehicle in turn takes the pad with its index, then the lowest index.
     """
     count, pads = len(starts_enu_m), len(pads_enu_m)
     if pads < count:

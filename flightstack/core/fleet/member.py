@@ -40,36 +40,36 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-FUTURE_MAX_S = 0.05  # largest lead of a stamp over this clock, in addition to the bound of its clock, s
-# longest flight of another member (a wait and a landing), divided by the longest wait
+FUTURE_MAX_S = 0.05  # largest time by which a stamp may be ahead of this clock, s, plus its clock error
+# ratio of another member's longest flight (a wait and a landing) to the longest wait
 FLIGHTS_OF_OTHERS = 2.0
 REPORTED_M_S = 0.005  # smallest slack that is reported, m/s
-STEADY_S = 1.0  # time without slack after which the end of the relaxation is reported, s
+STEADY_S = 1.0  # time without relaxed rows after which the end of the relaxation is reported, s
 HELD_BACK_M_S = 0.3  # largest horizontal speed within the reachable set of a silent vehicle, m/s
 STAYS_S = 5.0  # time after a landing at which a vehicle that has not left a requested pad is reported, s
 _INTENTS = MappingProxyType(
     {
         Phase.WAIT: Intent.WAITING,
         Phase.TAKEOFF: Intent.WAITING,
-        Phase.APPROACH: Intent.WAITING,  # LANDING once it has the right of way
+        Phase.APPROACH: Intent.WAITING,  # LANDING after the right of way is granted
         Phase.LAND: Intent.COMMITTED,
         Phase.TOUCHDOWN: Intent.COMMITTED,
         Phase.LANDED: Intent.DOWN,
         Phase.HOLD: Intent.CLEARING,
         Phase.CLIMB: Intent.CLEARING,
-        Phase.ABORT: Intent.DOWN,  # CLEARING as long as it flies clear
-        Phase.LEAVE: Intent.CLEARING,  # STANDING before the take-off, DOWN once it lands
+        Phase.ABORT: Intent.DOWN,  # CLEARING until the vehicle has flown clear
+        Phase.LEAVE: Intent.CLEARING,  # STANDING before the take-off, DOWN in the landing beside the pad
     }
 )
 
 
 class Rows(NamedTuple):
-    """Constraints by the neighbours within reach, and the same neighbours for the side-step."""
+    """Neighbours within reach, and one constraint on this vehicle's velocity for each of them."""
 
     rows: tuple[Row, ...]  # rows (constraints) of the program; the nearest neighbour first
-    basic: tuple[Row, ...]  # the same rows without the reachable sets of silent vehicles
-    neighbours: tuple[Near, ...]  # the same neighbours, for the side-step
-    # the speed is limited, because a silent vehicle may fly near
+    basic: tuple[Row, ...]  # rows without the reachable sets of silent vehicles
+    neighbours: tuple[Near, ...]  # positions and velocities of the neighbours, for the side-step
+    # whether the speed is limited because a silent vehicle may be near
     held_back: bool = False
 
 
@@ -99,14 +99,14 @@ class Alone:
     def observe(
         self, inputs: Inputs, phase: Phase, target: TargetState | None, now_s: float
     ) -> tuple[list[str], Permissions]:
-        """Store the received messages; return texts of events, and the permissions in this tick."""
+        """Store the received messages; return event texts and the permissions of this tick."""
         del inputs, phase, target, now_s
         return [], ALONE
 
     def beside(
         self, phase: Phase, own: OwnState, base: Vec3, nominal: Vec3, most_m_s: Vec3, now_s: float
     ) -> tuple[Vec3, Rows]:
-        """Return the nominal velocity past the neighbours, and their rows.
+        """Return the nominal velocity with the side-step, and the rows of the neighbours.
 
         ``base``: start of the slew limit; ``most_m_s``: largest velocity.
         """
@@ -126,12 +126,12 @@ class Alone:
         return None
 
     def texts(self, permissions: Permissions, in_phase_s: float, why: str, now_s: float) -> list[str]:
-        """Return the texts of events after the filter; ``why``: reason against another take-off."""
+        """Return the event texts after the filter; ``why``: reason why the vehicle cannot take off again."""
         del permissions, in_phase_s, why, now_s
         return []
 
     def over(self, since_s: float, now_s: float) -> bool:
-        """Whether no neighbour needs messages of this vehicle any more: all are down, or silent for long."""
+        """Whether this vehicle may stop sending: all neighbours are down, or silent for a long time."""
         del since_s, now_s
         return True
 
@@ -158,7 +158,7 @@ class FleetMember(Alone):
         return self.take(inputs.neighbours, now_s), self.permissions(phase, target, now_s, inputs.own)
 
     def take(self, messages: Sequence[Neighbour], now_s: float) -> list[str]:
-        """Store the newest message of each member; return texts on rejected messages and jumped positions."""
+        """Store the newest message of each member; return event texts for rejections and position jumps."""
         texts = []
         for message in messages:
             why = self._refusal(message, now_s)
@@ -169,7 +169,7 @@ class FleetMember(Alone):
             before = slot.word
             if before is not None:
                 if message.stamp_s <= before.stamp_s:
-                    continue  # a newer message has overtaken this one
+                    continue  # a newer message arrived before this one
                 slot.faster_m_s2 = faster(slot.faster_m_s2, before, message)
                 by_m = jump(before, message, self._fleet)
                 if by_m != ZERO:
@@ -178,7 +178,7 @@ class FleetMember(Alone):
         return texts
 
     def _jumped(self, slot: Heard, who: int, by_m: Vec3) -> str:
-        """Record a position that jumped; return the text of an event."""
+        """Record the jump of a member's position; return an event text."""
         (x, y, z), (jx, jy, jz) = slot.jumped_m, by_m
         slot.jumped_m = (x + jx, y + jy, z + jz)
         return (
@@ -229,14 +229,14 @@ class FleetMember(Alone):
         return permissions
 
     def remains_on_pad(self, permissions: Permissions, in_phase_s: float, why: str) -> list[str]:
-        """Return an event text, once, if this vehicle has not left a pad that another vehicle waits for."""
+        """Return an event text once if another vehicle waits for the pad on which this vehicle remains."""
         if not permissions.pad_wanted or self.memory.stays or in_phase_s < STAYS_S:
             return []
         self.memory.stays = True
         return [f"it stays on the pad: {why or 'an input is lost'}; {permissions.text}"]
 
     def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
-        """Return the rows of neighbours within reach that this vehicle has to keep; none in a touchdown."""
+        """Return the rows that this vehicle must satisfy for neighbours within reach; none in TOUCHDOWN."""
         if phase is Phase.TOUCHDOWN:  # in a touchdown, the other vehicles keep clear of this one
             return NO_ROWS
         fleet, (x, y, z), found, held_back = self._fleet, own.position_enu_m, [], False
@@ -270,7 +270,7 @@ class FleetMember(Alone):
             found.append((h_m, n, made, basic, Near(h_m, gradient, away, now.velocity_enu_m_s)))
         if not found:
             return NO_ROWS
-        found.sort()  # sorted by h, then by the id
+        found.sort()  # sorted by h, then by vehicle id
         _, _, rows, basics, near = zip(*found, strict=True)
         return Rows(rows, basics, near, held_back)
 
@@ -294,7 +294,7 @@ class FleetMember(Alone):
         return self._crowded(now_s) + self.remains_on_pad(permissions, in_phase_s, why)
 
     def _crowded(self, now_s: float) -> list[str]:
-        """Return an event text when the neighbours' rows start to be relaxed, or are met again."""
+        """Return an event text when the relaxation of the neighbours' rows starts or ends."""
         memory, given_m_s, self._given_m_s = self.memory, self._given_m_s, 0.0
         if given_m_s > REPORTED_M_S:
             before, memory.crowded, memory.crowded_s = memory.crowded, True, now_s

@@ -24,26 +24,26 @@ from flightstack.core.memory import Heard
 from flightstack.core.parameters.fleet import CARRIED_AGES, HOLD_LATENCIES, ZERO_LATENCIES, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, Vec3
 
-LEAST_M = 1e-6  # smallest distance from the centre at which the gradient has a direction, m
-# If its companion fails, a vehicle follows its last set-point until its autopilot lands it.
-LEAD_S = 0.2  # lead of a set-point over the velocity command, s: multiplied by the acceleration
+LEAST_M = 1e-6  # distance from the ellipsoid's centre below which the gradient has no direction, m
+# After its companion fails, a vehicle follows its last set-point until its autopilot lands it.
+LEAD_S = 0.2  # a set-point is the velocity command plus this time multiplied by the acceleration, s
 SMOOTH_S = 0.03  # time constant of the smoothed acceleration, s
-DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # drift rate, and largest drift; exceeded in 1 of 32 flights
+DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # drift rate and largest drift; 1 of 32 flights exceeded them
 SINK_M_S = 0.5  # largest sink rate of an autopilot's landing, m/s
-RIDES_S = 3.0  # time for which a silent vehicle on a moving pad is assumed to move with the pad, s
+RIDES_S = 3.0  # time for which a silent vehicle on a pad is assumed to move with the pad, s
 
 
 class Estimate(NamedTuple):
     """Current estimate of the position and velocity of another vehicle."""
 
-    age_s: float  # age of the vehicle's newest message plus the clock error
-    # position extrapolated from the stamp; if messages are late, the highest of the possible positions
+    age_s: float  # age of the vehicle's newest message plus the clock error, s
+    # position extrapolated from the stamp; if messages are late: highest possible position
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3  # reported or commanded velocity; 0 after the extrapolation ends
     grown_m: float  # growth of both semi-axes of the ellipsoid
     growth_m_s: float  # growth rate of both semi-axes
     late: bool  # the newest message is older than ``latency_max_s`` and does not announce DOWN
-    anywhere_m: float  # ``grown_m`` plus the distance that the vehicle can have flown since its message
+    anywhere_m: float  # ``grown_m`` plus the possible flight distance since the message
     depth_m: float = 0.0  # possible descent below ``position_enu_m`` while the autopilot lands the vehicle
     sink_m_s: float = 0.0  # rate of the possible descent
 
@@ -57,7 +57,7 @@ class Estimate(NamedTuple):
 
 
 def barrier(p_m: Vec3, radius_xy_m: float, radius_z_m: float, *, first: bool = True) -> tuple[float, Vec3]:
-    """Return value and gradient of the barrier function."""
+    """Return value (m) and gradient of the barrier function; ``p_m``: this position minus the other one."""
     x, y, z = p_m
     flat = radius_xy_m / radius_z_m
     far_m = math.sqrt(x * x + y * y + flat * flat * z * z)  # rho times r_xy
@@ -67,7 +67,7 @@ def barrier(p_m: Vec3, radius_xy_m: float, radius_z_m: float, *, first: bool = T
 
 
 def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
-    """Return the possible distance of a vehicle from its extrapolated position, and the rate of it.
+    """Return the largest distance of a vehicle from its extrapolated position, m, and its growth rate, m/s.
 
     The vehicle accelerates away from that position until its relative speed is the sum of both speeds.
     """
@@ -109,7 +109,7 @@ def faster(before_m_s2: Vec3, before: Neighbour, message: Neighbour) -> Vec3:
 def estimate(
     message: Neighbour, now_s: float, own_sigma_m: float, fleet: Fleet, faster_m_s2: Vec3 = ZERO
 ) -> Estimate:
-    """Estimate the current position of another vehicle, and the possible distance from this estimate.
+    """Estimate the current position of another vehicle, and the largest error of this estimate.
 
     A vehicle whose messages are late is extrapolated for ``CARRIED_AGES`` with its last possible set-point,
     about as long as an autopilot continues without its companion. It may drift from this path and sink to the
@@ -158,7 +158,7 @@ def _late(
     velocity = (wx, wy, wz if sinks_on else 0.0) if moves else ZERO
     flies, flies_s = age_s <= fleet.silent_flight_s, min(age_s, fleet.silent_flight_s)
     grown_m, late_s = base_m + growth(latency_s, speed_m_s, fleet)[0], flies_s - latency_s
-    straight_s = min(age_s, carried_max_s)  # position extrapolated at constant velocity
+    straight_s = min(age_s, carried_max_s)  # time of the extrapolation at constant velocity
     straight = (x + vx * straight_s, y + vy * straight_s, z + vz * straight_s)
     anywhere_m = (
         base_m + math.dist(place, straight) + growth(min(flies_s, carried_max_s), speed_m_s, fleet)[0]
@@ -172,7 +172,7 @@ def _late(
     )
 
 
-# intents of members that do not give way, or have a fault
+# intents with which a member does not give way
 FIRM = frozenset({Intent.STANDING, Intent.COMMITTED, Intent.CLEARING, Intent.DOWN})
 NONE, HALF, ALL = 0.0, 0.5, 1.0
 

@@ -1,4 +1,4 @@
-"""Order of landings on pads that are equal or come near each other, agreed by messages without a leader.
+"""Order of landings on one pad, or on pads near each other, agreed by messages without a leader.
 
 A vehicle that starts its landing claims the right of way with a time stamp. The claim is granted when every
 member with a conflicting pad has sent a message later than claim plus latency, and has no claim or yields.
@@ -30,12 +30,12 @@ class Permissions(NamedTuple):
 
     may_begin: bool = True  # every member sends messages, or is down
     may_land: bool = True  # this vehicle has the right of way
-    may_touch: bool = True  # this vehicle's announcement that it no longer gives way has arrived
+    may_touch: bool = True  # the other members have received that this vehicle no longer gives way
     waited: bool = False  # this vehicle has waited too long for the right of way
-    text: str = ""  # names of the members for which this vehicle waits
+    text: str = ""  # ids of the members for which this vehicle waits
     pad_wanted: bool = False  # this vehicle must leave the pad, because others wait for it
     place_enu_m: Vec3 | None = None  # landing place after this vehicle has left the pad
-    cut_off: bool = False  # this vehicle receives messages of too few members to continue
+    cut_off: bool = False  # this vehicle receives messages from too few members and must land
 
 
 ALONE = Permissions()
@@ -49,7 +49,7 @@ class Pad(NamedTuple):
 
 
 def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float) -> float:
-    """Return the smallest horizontal distance of a pad and a place within a time, at constant velocities."""
+    """Return the smallest horizontal distance of pad and place in the next ``ahead_s``, both extrapolated."""
     (x, y, _), (vx, vy, _) = pad
     x, y, vx, vy = place_enu_m[0] - x, place_enu_m[1] - y, moves_m_s[0] - vx, moves_m_s[1] - vy
     speed2 = vx * vx + vy * vy
@@ -61,7 +61,7 @@ def decide(
     memory: FleetMemory, slots: Sequence[tuple[int, Heard]], phase: Phase, pad: Pad | None, now_s: float,
     fleet: Fleet,
 ) -> Permissions:  # fmt: skip
-    """Advance claim and right of way by one tick, and return the permissions."""
+    """Update claim and right of way for one tick, and return the permissions."""
     missing = [n for n, slot in slots if not _present(slot.word, now_s, fleet)]
     if phase not in CLAIMING or pad is None:
         if phase not in CLAIMING:
@@ -78,7 +78,7 @@ def decide(
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
     if not memory.granted and _in_a_circle(memory, slots, now_s, fleet):
         memory.claim_s = now_s
-    if phase is not Phase.TOUCHDOWN:  # a touchdown is not interrupted
+    if phase is not Phase.TOUCHDOWN:  # no message interrupts a touchdown
         taken = memory.granted and any(slot.yields for _, slot in slots)
         memory.granted = (memory.granted or not blockers) and not taken
         memory.waits_since_s = min(memory.waits_since_s, now_s) if not memory.granted else math.inf
@@ -96,7 +96,7 @@ def decide(
 def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
     """Whether this vehicle has waited too long in a cycle of members that yield to each other.
 
-    Clocks that disagree can form a cycle of three. A new, youngest claim breaks it; the highest id is first.
+    Clocks that disagree can cause a cycle of three. The member with the highest id breaks it by a new claim.
     """
     first = [slot.word for _, slot in slots if slot.yields and slot.word is not None]
     if not first or not all(message.yields_to and message.intent not in GOES for message in first):
@@ -106,7 +106,7 @@ def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s:
 
 
 def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
-    """Drop claim and right of way; this vehicle then yields to no member."""
+    """Withdraw claim and right of way of this vehicle; it also yields to no member any more."""
     memory.claim_s, memory.granted = math.nan, False
     memory.waits_since_s = memory.committed_s = math.inf
     for _, slot in slots:
@@ -142,7 +142,7 @@ def _present(message: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
 
 
 def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fleet) -> bool:
-    """Whether a member blocks the landing of this vehicle; updates whether this vehicle yields to it."""
+    """Return whether a member blocks this vehicle's landing; also update whether this vehicle yields."""
     message = slot.word
     if message is None:
         return True
@@ -198,7 +198,7 @@ def _yields(
     answered: bool, gives_way: bool,
 ) -> bool:  # fmt: skip
     goes, lower = message.intent in GOES, fleet.id < message.id
-    if memory.granted:  # only an older right of way revokes a granted one
+    if memory.granted:  # a granted right of way ends only for an older granted one
         return goes and (message.claim_s, message.id) < (memory.claim_s, fleet.id) and not gives_way
     if lower and gives_way and not goes:
         return False
@@ -231,7 +231,7 @@ def _names(what: str, ids: Sequence[int]) -> str:
 DIRECTIONS = 16  # number of directions of the candidate places around the pad
 RINGS = (1.4, 2.0, 2.6)  # distances of the candidate places from the pad, divided by ``wait_distance_m``
 APART = 3.0  # required distance from a vehicle on the ground, divided by ``radius_xy_m``
-KEPT_M = 0.2  # reduction of the required distances for a place that is already chosen, m
+KEPT_M = 0.2  # reduction of the required distances for the place chosen earlier, m
 
 
 def place_beside(
@@ -268,7 +268,7 @@ def place_beside(
 
 
 def _from_way_m(pad: Pad, place: Vec3, ahead_s: float) -> float:
-    """Return the horizontal distance of a place from the path of a pad, ``ahead_s`` back and ahead."""
+    """Return the horizontal distance of a place from a pad's path, ``ahead_s`` into past and future."""
     (x, y, _), (vx, vy, _) = pad.position_enu_m, pad.velocity_enu_m_s
     ex, ey, speed2 = place[0] - x, place[1] - y, vx * vx + vy * vy
     at_s = min(max(-ahead_s, (ex * vx + ey * vy) / speed2), ahead_s) if speed2 > 0.0 else 0.0

@@ -25,19 +25,19 @@ from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
 FIRM_MAX = 2  # largest number of rows that are never relaxed
-AGREES_M_S = 1e-6  # largest distance of the solver's result from the exact solution, m/s
+AGREES_M_S = 1e-6  # largest difference between the solver's result and the exact solution, m/s
 _ROWS = FIRM_MAX + OTHERS_MAX
-INWARD_RATE_1_S = 2.5  # allowed horizontal velocity per distance from the pad's centre, 1/s
-OUTWARD_PART = 0.5  # share of the landing barrier's rate that horizontal velocities may use
-RELAXED_M_S = 1e-8  # addition to the smallest slack, m/s, so that the feasible set is more than one point
+INWARD_RATE_1_S = 2.5  # ratio of allowed horizontal velocity to distance from the pad's centre, 1/s
+OUTWARD_PART = 0.5  # fraction of the landing barrier's rate that horizontal motion may use
+RELAXED_M_S = 1e-8  # added to the smallest slack, so that the feasible set is more than one point
 
 
 class FleetResult(NamedTuple):
     """Filtered velocity of a fleet member."""
 
-    # result as from ``SafetyFilter``; its slack belongs to the landing barrier, NaN without one
+    # its slack is that of the landing barrier; NaN if no landing barrier is active
     filter: FilterResult
-    given_m_s: float  # slack of the neighbours' rows; 0 unless CROWDED
+    given_m_s: float  # slack by which the neighbours' rows are relaxed; 0 unless the status is CROWDED
 
 
 class FleetProgram:
@@ -81,7 +81,7 @@ class FleetProgram:
                 less = given_m_s + RELAXED_M_S
                 found = nearest(nominal, [*firm, *(Row(g, b - less) for g, b in neighbours)], lower, upper)
                 point = found[0] if found is not None else point
-            elif landing is not None:  # only this corner of the box meets the barrier
+            elif landing is not None:  # no velocity of the box but this corner meets the barrier
                 point = corner
         slack = -landing.missing_m_s(point) if landing is not None else math.nan
         active = landing is not None and landing.missing_m_s(clip_to_box(nominal, lower, upper)) > 0.0
@@ -96,7 +96,7 @@ class FleetProgram:
         """Return the OSQP result clipped to the box, its residual (inf if not solved) and the iterations."""
         infinity, unused = self._solver.infinity, [0.0] * (_ROWS - len(rows))
         (nx, ny, nz), (px, py, pz) = nominal, start
-        x, y, z = nx - px, ny - py, nz - pz  # gradient that the sides of the box balance
+        x, y, z = nx - px, ny - py, nz - pz  # gradient of the objective, balanced by the box multipliers
         for ((gx, gy, gz), _), multiplier in zip(rows, multipliers, strict=True):
             x, y, z = x + multiplier * gx, y + multiplier * gy, z + multiplier * gz
         point, solved, iterations = self._solver.solve(
@@ -118,9 +118,9 @@ class FleetProgram:
 
 
 class Cone(NamedTuple):
-    """Bounds of the velocity over the pad."""
+    """Limits of this vehicle's velocity over the pad."""
 
-    rate_1_s: float  # rate of the barrier constraint: h may fall by this part of h per second
+    rate_1_s: float  # omega of eq. 11: h may fall by this fraction of h per second
     slope_max: float  # steepest slope of the boundary of the safe set
     lag_s: float  # delay until a climb command takes effect
     period_s: float  # period of a tick

@@ -6,8 +6,8 @@
 27, 1983): it starts at the clipped u', where sides of the box are active, adds the constraint with the
 largest violation until no constraint is violated, and removes a constraint whose multiplier would become
 negative. Its result is used only if it meets the Karush-Kuhn-Tucker conditions, which are checked here.
-``least_slack`` relaxes rows where no point meets all of them. The result depends only on the numbers of this
-tick, and OSQP shares no code with this module.
+``least_slack`` relaxes rows if no point meets all of them. The result depends only on the data of this tick,
+and OSQP shares no code with this module.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from flightstack.core.safety.position_loop import clip_to_box
 from flightstack.core.types import ZERO, Vec3
 
 TOLERANCE_M_S = 1e-9  # allowed violation of a constraint, m/s
-STEPS_MAX = 60  # greatest number of added constraints; with more, there is no result
+STEPS_MAX = 60  # maximum number of steps; after it the search ends without a result
 _CONFIRMED_M_S = 2e-9  # allowed violation of an optimality condition, m/s
-_DEPENDS = 1e-12  # squared length of the orthogonal part below which a unit vector depends on others
+_DEPENDS = 1e-12  # a unit vector depends on others if its orthogonal part is shorter (squared length)
 _PARALLEL = 1e-10  # determinant below which constraints have no common vertex
-_LEAST_LENGTH = 1e-9  # smallest length of a gradient that has a direction
+_LEAST_LENGTH = 1e-9  # length of a gradient below which it has no direction
 _SIDES: tuple[Vec3, ...] = (
     (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower sides of the box
     (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper sides of the box
@@ -64,7 +64,7 @@ def by_active_set(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) 
     normals, bounds, lengths = [], [], []
     for (gx, gy, gz), bound in rows:
         length = math.sqrt(gx * gx + gy * gy + gz * gz)
-        if not length > _LEAST_LENGTH:  # the row is met by all velocities or by none
+        if not length > _LEAST_LENGTH:  # without a gradient, either all velocities meet the row or none
             gx = gy = gz = 0.0
             length = 1.0
         lengths.append(length)
@@ -114,7 +114,7 @@ def by_active_set(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) 
 
 
 def _split(n: Vec3, others: Sequence[Vec3]) -> tuple[tuple[float, ...], Vec3]:
-    """Return the components of a unit vector along up to three independent ones, and the orthogonal part."""
+    """Split a unit vector: return its components along up to three others, and the orthogonal part."""
     if not others:
         return (), n
     (nx, ny, nz), (ax, ay, az) = n, others[0]
@@ -169,7 +169,7 @@ def _impossible(
     worst: int, active: Sequence[int], parts: Sequence[float], bounds: Sequence[float],
     lengths: Sequence[float],
 ) -> Found:  # fmt: skip
-    """Return the result for a constraint that contradicts a sum of others: no velocity meets all of them."""
+    """Return the result if a constraint contradicts a sum of others: no velocity meets all of them."""
     multipliers, lacking_m_s = [0.0] * len(lengths), bounds[worst]
     if worst < len(lengths):
         multipliers[worst] = 1.0 / lengths[worst]
@@ -196,8 +196,8 @@ def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Ve
     """Return the smallest common slack of the soft rows and a velocity that meets them with it.
 
     Each set of contradictory constraints gives a lower bound of the slack. The search is repeated with this
-    slack until no such set is left: then the slack is sufficient and the smallest. The slack is infinite if
-    none helps.
+    slack until no such set is left: then the slack is the smallest sufficient one. It is infinite if no slack
+    is sufficient.
     """
     slack_m_s, middle, free = 0.0, clip_to_box(ZERO, lower, upper), len(firm)
     for _ in range(STEPS_MAX):
@@ -213,10 +213,10 @@ def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Ve
 
 
 def _lowest_vertex(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Return the result of ``least_slack`` where rounding hides the bounds, as with nearly parallel rows.
+    """Return the result of ``least_slack`` if rounding hides the bounds, as with nearly parallel rows.
 
     It is the lowest vertex of a linear program in four variables; each vertex is the intersection of four
-    constraints. All are tried, which takes some milliseconds.
+    constraints. The function tries all vertices, which takes some milliseconds.
     """
     sides = zip(_SIDES, (*lower, *(-side for side in upper)), strict=True)
     given = [(row, 1.0) for row in soft] + [(row, 0.0) for row in (*firm, *sides)]

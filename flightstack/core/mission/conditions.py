@@ -17,9 +17,9 @@ from flightstack.core.strategies.strategy import Filter
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3, VehicleStatus
 
-OVER_PAD_LEFT = 1.5  # factor on the pad's radius within which phase LAND continues
-TAKEOFF_DONE = 0.85  # fraction of the take-off height above which the take-off climb is over
-LANDED_SETTLE_S = 2.2  # time at rest on the pad until the flight is over, s; the verdict requires 2 s
+OVER_PAD_LEFT = 1.5  # phase LAND continues within this multiple of the pad's radius
+TAKEOFF_DONE = 0.85  # fraction of the take-off height at which the take-off climb ends
+LANDED_SETTLE_S = 2.2  # time at rest on the pad that ends the flight, s; the verdict requires 2 s
 _ASKED: dict[Operator, int] = {
     Operator.NONE: 0,
     Operator.ABORT: C.ABORT_ASKED,
@@ -27,7 +27,7 @@ _ASKED: dict[Operator, int] = {
     Operator.LAND: C.ABORT_ASKED | C.LAND_ASKED,
     Operator.TIME_OVER: C.ABORT_ASKED,
 }
-# longest time in each phase, s, in the order of the phases
+# longest time in each phase, s, in the order of ``Phase``
 PhaseTimes = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
@@ -47,7 +47,7 @@ def phase_times_s(config: FlightConfig) -> PhaseTimes:
 
 
 def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
-    """Return the place where the landing starts, ENU; ``None``: at the vehicle's position."""
+    """Return the point where the landing starts, ENU; None: the landing starts at the vehicle's position."""
     offset = config.takeoff.start_offset_m
     if offset is None:
         return None
@@ -68,7 +68,7 @@ def climbed(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
 
 
 def flown_clear(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
-    """Whether an aborting vehicle is clear of the target and remains clear in a landing, or took too long."""
+    """Whether an aborting vehicle can land clear of the target, or its time for this is over."""
     target, clearance_m = memory.target_position_enu_m, config.checks.clearance_m
     if target is None:
         return False
@@ -163,13 +163,13 @@ def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float
         flags |= C.ON_PAD
     if (
         memory.phase is Phase.LAND and memory.contact
-    ):  # off the centre a vehicle stands at h < 0, where no touchdown rule applies
+    ):  # a vehicle that stands off the pad's centre has h < 0, where no touchdown rule applies
         flags |= C.TOUCH
     return flags
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
-    """Whether all inputs have been renewed for long enough since all are good, and a heartbeat has arrived.
+    """Whether all inputs were good and renewed for long enough, and a heartbeat has arrived in that time.
 
     An input that arrives rarely, or in bursts, counts as good until it is too old.
     """
@@ -181,7 +181,7 @@ def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) ->
 
 
 def target_below(config: FlightConfig, snapshot: Snapshot) -> str:
-    """Return why the landing spot is implausible while the vehicle stands on the ground; or an empty text.
+    """Return why the landing spot is implausible for a vehicle on the ground; empty if it is plausible.
 
     A target whose z axis points down has its landing spot below the ground, where the vehicle would fly.
     """
@@ -248,7 +248,7 @@ def landing_flags(
     config: FlightConfig, strategy: Filter, barrier: Barrier, memory: Memory, at: Relative, now_s: float,
     may_land: bool, may_touch: bool,
 ) -> int:  # fmt: skip
-    """Return the flags of the vehicle's position over the pad; all inputs are good."""
+    """Return the flags that depend on the vehicle's position over the pad; all inputs must be good."""
     touchdown, flags = config.touchdown, 0
     # the vehicle leaves the cone at a wider radius than it enters, so that noise does not toggle the phase
     radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
@@ -262,7 +262,7 @@ def landing_flags(
     if descends and (strategy.drifts(at) or _sets_off(config, barrier, memory, at, now_s)):
         flags |= C.DRIFTED
     if memory.phase is Phase.LAND and may_land and may_touch and strategy.watches_swinging:
-        # the vehicle leaves the cone over the pad too often, or its position error does not shrink
+        # the vehicle oscillates: it leaves the cone over the pad too often, or its error does not shrink
         waited_s = now_s - max(memory.phase_since_s, memory.started_s + touchdown.calm_wait_s)
         leaves = memory.swings >= config.checks.swings_max
         if waited_s > config.checks.over_pad_time_max_s if over_pad else leaves:
@@ -272,7 +272,7 @@ def landing_flags(
 
 @numeric
 def _sets_off(config: FlightConfig, barrier: Barrier, memory: Memory, at: Relative, now_s: float) -> bool:
-    """Whether a target that was slow is fast now, with enough height left to climb away and wait again."""
+    """Whether a slow target has become fast while the vehicle is high enough to climb away and wait again."""
     if memory.retries >= config.checks.retries_max or barrier.h(at.e_m) < config.retreat.h_left_m:
         return False
     return waits_for_calm(config, memory, at, now_s)

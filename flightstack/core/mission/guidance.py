@@ -19,8 +19,8 @@ from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
 from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
-CLIMB_OVER = 0.5  # fraction of the climb margin by which a climb aims above the required height
-CLEAR_BELOW = 0.25  # fraction of the climb margin by which the vehicle may be too low while it flies clear
+CLIMB_OVER = 0.5  # part of the climb margin that a climb adds to the required height
+CLEAR_BELOW = 0.25  # part of the climb margin that the height may lack while the vehicle flies clear
 
 
 class NominalCommand(NamedTuple):
@@ -28,11 +28,11 @@ class NominalCommand(NamedTuple):
 
     request: Request  # requested mode of the vehicle
     velocity: Vec3 | None = None  # nominal velocity, ENU, m/s; ``None``: no set-point
-    filtered: bool = False  # the landing barrier applies, and the target state must be recent
+    filtered: bool = False  # whether the landing barrier applies; the target state must then be recent
 
 
 class Situation(NamedTuple):
-    """Inputs of the command of a phase."""
+    """Data from which the command of a phase is computed."""
 
     config: FlightConfig
     barrier: Barrier
@@ -70,7 +70,7 @@ def _takeoff(s: Situation) -> NominalCommand:
 
 
 def _follows_in_air(s: Situation) -> bool:
-    """Whether the vehicle has lifted off and follows set-points, so that its own take-off is over."""
+    """Whether the vehicle has lifted off and follows set-points: the autopilot's take-off is over."""
     status = s.snapshot.inputs.status
     standing = status is None or status.landed is Landed.ON_GROUND
     return s.memory.was_external and not standing
@@ -97,7 +97,7 @@ def towards_pad(config: FlightConfig, memory: Memory, strategy: Filter, at: Rela
 
 
 def _outside(at: Relative, config: FlightConfig) -> Vec3:
-    """Return the velocity to the waiting place outside the cone, on the side where the vehicle is."""
+    """Return the velocity to the waiting place outside the cone, in the vehicle's direction from the pad."""
     (x, y, z), d, fleet = at.e_m, at.d_m, config.fleet
     assert fleet is not None  # only another member can have the right of way
     side = (x / d, y / d) if d > 1e-6 else (1.0, 0.0)
@@ -106,7 +106,7 @@ def _outside(at: Relative, config: FlightConfig) -> Vec3:
 
 
 def _touchdown(s: Situation) -> NominalCommand:
-    """Stop the motors by the filter's rule; until then descend straight above the pad's centre.
+    """Descend vertically over the pad's centre until the filter's rule stops the motors.
 
     Within the pad's radius the cone is narrower than the pad and no longer protects the landing.
     """
@@ -121,7 +121,7 @@ def _touchdown(s: Situation) -> NominalCommand:
 
 
 def _landed(s: Situation) -> NominalCommand:
-    """Request nothing, or motors off at an emergency stop, in case the heartbeat was wrong."""
+    """Request nothing; at an emergency stop request motors off, because the heartbeat may be wrong."""
     emergency = s.snapshot.inputs.operator is Operator.EMERGENCY_STOP
     return NominalCommand(Request.MOTORS_OFF if emergency else Request.NONE)
 
@@ -159,7 +159,7 @@ def _climb(s: Situation) -> NominalCommand:
     own = s.snapshot.inputs.own
     if own is None:
         return NominalCommand(Request.EXTERNAL)
-    # at this height the vehicle waits until the target is back or the time is over
+    # at this height the vehicle waits for the target until the time of the phase is over
     aim_m = high_enough_m(s.config, s.barrier, s.memory) + CLIMB_OVER * s.config.retreat.climb_margin_m
     missing_m = aim_m - own.position_enu_m[2]
     up = max(0.0, min(s.config.limits.velocity_max_m_s[2], missing_m * s.config.position_loop.gain_1_s[2]))

@@ -39,9 +39,9 @@ _PHASES, _WAYS = "|".join(Phase.__members__), "|".join(w.name.lower().replace("_
 _TIME = r"(?: *[0-9.]+ s  )?"
 _CHANGE = rf"(?P<before>{_PHASES})(?: -> (?P<after>{_PHASES}))?"
 _TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))?", re.DOTALL)
-STANDING_S = 4.0  # contact time in LAND that is accepted, s; most vehicles move to the centre (h >= 0) in 3 s
-SLIDING_TIME_S = 0.15  # horizon of a slide, s: contact is detected 0.1 s late, and motors stop in 0.05 s
-ABORT_SETTLE_S = 1.0  # minimum time in an abort, s: a heartbeat reports its end
+STANDING_S = 4.0  # contact time allowed in LAND, s; most vehicles move to the centre (h >= 0) in 3 s
+SLIDING_TIME_S = 0.15  # prediction time of a slide, s: contact is detected after 0.1 s, motors stop in 0.05 s
+ABORT_SETTLE_S = 1.0  # minimum time in an abort, s; a heartbeat (1 Hz) must report its end
 PLACE_RADIUS_M = 0.1  # largest distance from the place beside the target for a landing, m
 PLACE_SPEED_M_S = 0.15  # largest horizontal speed for a landing beside the target, m/s
 DRIFT_CAUSES = (
@@ -57,8 +57,8 @@ class Transition(NamedTuple):
     """A phase transition."""
 
     before: Phase  # phase before the transition
-    after: Phase  # phase after the transition; the same phase if an abort changes its kind
-    reason: str  # reason, with the numbers of its conditions
+    after: Phase  # phase after the transition; equal to ``before`` if only the kind of abort changes
+    reason: str  # text of the rule, with the measured values of its conditions
     way: AbortWay = AbortWay.NONE  # kind of abort; ``NONE`` for all other phases
 
     @property
@@ -108,7 +108,7 @@ class Mission:
         self._track, self._plausibility, self._reserve = track, plausibility, reserve
 
     def step(self, snapshot: Snapshot, *, command_failed: bool, now_s: float) -> Transition | None:
-        """Advance by one tick; return the transition, if there is one."""
+        """Advance by one tick; return the phase transition, or None."""
         memory, flags = self.memory, self.flags(snapshot, command_failed=command_failed, now_s=now_s)
         transition = (
             self._abort(flags) if memory.phase is Phase.ABORT else self._change(snapshot, flags, now_s)
@@ -125,7 +125,7 @@ class Mission:
             self.watch_contact(at, standing, now_s)
         elif memory.phase is Phase.TOUCHDOWN and not memory.contact:
             own_ok, target_ok = snapshot.own_ok, snapshot.target_ok
-            # a lost target is assumed at its last height
+            # a lost target is assumed to remain at its last height
             stopped = own_ok and not target_ok and at is not None and self._stopped(at, now_s)
             memory.contact = stopped or (standing and not (own_ok and target_ok))
         config, times_s = self._config, self._times_s
@@ -148,13 +148,13 @@ class Mission:
             )
 
     def flags_at(self, at: Relative, now_s: float) -> int:
-        """Return the flags that may change in a tick with good inputs, without neighbours."""
+        """Return the flags that may change in a tick if all inputs are good and there are no neighbours."""
         memory, config = self.memory, self._config
         flags = time_flags(config.checks, self._times_s, memory, now_s)
         return flags | landing_flags(config, self._strategy, self._barrier, memory, at, now_s, True, True)
 
     def finished(self, status: VehicleStatus | None, now_s: float) -> bool:
-        """Whether the flight is over: the motors are off for some time, or an abort lasts too long."""
+        """Whether the flight is over: the motors have been off for some time, or an abort lasts too long."""
         memory = self.memory
         in_phase_s = now_s - memory.phase_since_s
         if memory.phase is Phase.LANDED:
@@ -190,11 +190,11 @@ class Mission:
             memory.good_since_s = now_s
         if status is not None and status.armed:
             memory.was_armed = True
-            if status.mode is Mode.EXTERNAL:  # only if armed: PX4 remains in this mode after a landing
+            if status.mode is Mode.EXTERNAL:  # tested only if armed: PX4 remains in this mode after a landing
                 memory.was_external = True
 
     def _stopped(self, at: Relative, now_s: float) -> bool:
-        """Whether the vehicle has stopped low over the pad for ``stopped_time_s``; heights are noisy."""
+        """Whether the vehicle has stopped low over the pad for ``stopped_time_s``; heights are too noisy."""
         memory = self.memory
         if not self._strategy.stopped(at, memory.command):
             memory.stopped_since_s = math.inf
@@ -204,7 +204,7 @@ class Mission:
         return held and at.e_m[2] < self._strategy.stopped_below_m
 
     def _above(self, at: Relative) -> bool:
-        """Whether the vehicle is over the pad, with a tolerance for the errors of two positions."""
+        """Whether the vehicle is over the pad, with a tolerance for the errors of both positions."""
         return at.d_m <= self._config.touchdown.pad_radius_m + self._config.contact.beyond_m
 
     def _stands(self, at: Relative, standing: bool, now_s: float) -> bool:
@@ -260,7 +260,7 @@ class Mission:
         return Transition(Phase.ABORT, Phase.ABORT, rule.reason, rule.to)
 
     def reason(self, rule: Rule[Phase], flags: int, seen: Snapshot, now_s: float) -> str:
-        """Return the reason text of a rule that fires, with the numbers of its conditions that hold."""
+        """Return the reason text of a rule that fires, with the measured values of its true conditions."""
         if rule.when & C.ABORT_ASKED and seen.inputs.operator is Operator.TIME_OVER:
             return TIME_OVER
         checks, target, battery = (
@@ -343,7 +343,7 @@ class Mission:
         )
 
     def progress(self, snapshot: Snapshot) -> None:
-        """Detect the end of a climb from ground or pad, and that the vehicle has flown clear."""
+        """Record the end of a climb from ground or pad, and whether the vehicle has flown clear."""
         memory, own = self.memory, snapshot.inputs.own
         if own is None:
             return

@@ -2,9 +2,9 @@
 
 ``Condition`` flags are computed in each tick; a rule fires when all flags of ``when`` and none of ``unless``
 are set. Nothing else changes a phase. The kinds of abort (``AbortWay``) are parts of phase ABORT with their
-own table: the rules of ``AbortWay.NONE`` choose the kind when an abort starts. No rule leaves ABORT. LANDED
-is left at most once, to free the pad for another fleet member: another flight needs a new process, which the
-operator starts.
+own table: the rules of ``AbortWay.NONE`` choose the kind when an abort starts. No rule leaves ABORT. Phase
+LANDED is left at most once, to free the pad for another fleet member; for another flight the operator starts
+a new process.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ class Condition(IntEnum):
     HIGH_ENOUGH = 1 << 17  # the vehicle is above every part of the target
     PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase is over
     LANDING_TIME_OVER = 1 << 19
-    COMMAND_FAILED = 1 << 20  # the vehicle has finally refused a command
+    COMMAND_FAILED = 1 << 20  # the vehicle has refused a command, also after repetitions
     # the vehicle is about to leave the corridor above the pad while above the cone (Filter.drifts), or the
     # target has become fast again with height left to climb away
     DRIFTED = 1 << 21
     NOT_FOLLOWING = 1 << 22  # the vehicle does not follow the commanded velocity
     TIRED = 1 << 23  # the battery is too low to start a landing or to go around
     LAND_ASKED = 1 << 24  # abort by the operator with the autopilot's own landing
-    TARGET_KNOWN = 1 << 25  # some position of the target is known, however old
-    ON_PAD = 1 << 26  # contact was detected in the touchdown
+    TARGET_KNOWN = 1 << 25  # a target position was received, possibly long ago
+    ON_PAD = 1 << 26  # contact with the pad was detected in phase TOUCHDOWN
     PAD_WANTED = 1 << 27  # another vehicle waits for this pad, and the landed vehicle may take off again
-    CLEAR = 1 << 28  # the vehicle has flown clear of the target, and lands beside it
+    CLEAR = 1 << 28  # the vehicle has flown clear of the target and lands beside it
     CUT_OFF = 1 << 29  # too few fleet members send messages, and the pad is not the shortest way down
     SWINGS = 1 << 30  # the vehicle leaves the cone over the pad too often, or stays in it for too long
     NO_RESULT = 1 << 31  # the user's filter returned no velocity in the last tick
@@ -67,7 +67,7 @@ NONE = 0
 class Rule(Generic[To]):
     """Rule of a table: go to ``to`` when all of ``when`` and none of ``unless`` hold, with ``reason``.
 
-    ``about`` are additional conditions whose numbers are shown with the reason.
+    ``about``: additional conditions whose measured values are written after the reason.
     """
 
     when: int
@@ -84,14 +84,14 @@ _OPERATOR = (
     Rule(C.ABORT_ASKED, Phase.ABORT, "abort requested by the operator"),
 )
 TIME_OVER = "the time of the flight is over: duration_max_s of the scenario, or --duration"
-# causes: the autopilot or another client; the autopilot's messages give the reason
+# reasons: the autopilot or another client caused the change; the autopilot's messages say why
 DISARMED, MODE_CHANGED = (
     "vehicle disarmed without a command from this stack",
     "mode changed without a command from this stack",
 )
 _IN_FLIGHT = (
     *_OPERATOR,
-    # an estimate that jumps makes the autopilot land the vehicle itself, so the reason names the jump, too
+    # after a jump of its estimate the autopilot may land the vehicle itself, so the reason names the jump
     Rule(C.WAS_ARMED, Phase.ABORT, DISARMED, unless=C.ARMED | C.LINK_LOST, about=C.OWN_LOST),
     Rule(C.WAS_EXTERNAL, Phase.ABORT, MODE_CHANGED, unless=C.EXTERNAL | C.LINK_LOST, about=C.OWN_LOST),
     Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
@@ -113,7 +113,7 @@ START_LATE = Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time")
 _NOT_OFF = C.ARMED | C.LINK_LOST
 _STANDS = C.COMMAND_FAILED | C.STANDING
 _ASKED = C.EMERGENCY | C.ABORT_ASKED
-# beside the target, a landing continues after any loss of an input
+# a vehicle that lands beside the target continues after the loss of an input
 _UNLESS_CLEAR = tuple(
     replace(rule, to=Phase.ABORT, unless=rule.unless | C.CLEAR)
     for rule in (*_IN_FLIGHT[len(_OPERATOR) :], *_INPUTS)
@@ -226,7 +226,7 @@ ABORT_TABLE: dict[AbortWay, tuple[Rule[AbortWay], ...]] = {
 
 
 def first(rules: tuple[Rule[To], ...], conditions: int) -> Rule[To] | None:
-    """Return the first matching rule of a phase or a kind of abort; ``None`` if that remains."""
+    """Return the first rule whose conditions hold; None: phase and kind of abort remain."""
     for rule in rules:
         if conditions & rule.when == rule.when and not conditions & rule.unless:
             return rule

@@ -15,7 +15,7 @@ The robust filter enforces a barrier with a margin, to keep the barrier without 
     h_r(e) = h(e) - m (1 - exp(-(d / w)^2))
 
 The margin m fades within the radius w around the landing spot; otherwise the vehicle would hover over the pad
-for ever. m is chosen such that the faded margin is still sufficient at the pad's edge.
+without end. m is chosen such that the faded margin is still sufficient at the pad's edge.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class ActiveBarrier(Protocol):
         """Return the value at a relative position, m."""
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Return how far h may fall below its linear prediction in a horizontal motion of this length, m."""
+        """Return the largest error of h predicted linearly over a horizontal motion of ``moved_m``, m."""
 
     def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
         """Return value, gradient with respect to the vehicle's position, and time derivative."""
@@ -80,7 +80,7 @@ class Barrier:
     def from_cone(
         cls, peak_height_m: float, cone_half_angle_rad: float, smoothing_m: float = 0.005
     ) -> Barrier:
-        """Return the barrier for a peak height and the angle at the landing spot from vertical to peak.
+        """Return the barrier for a peak height and the half angle of the cone from landing spot to peak.
 
         The paper prints ``alpha = e* tan(theta)``, which is a length. The inverse, ``alpha = 1 / (e*
         tan(theta))``, has the unit 1/m. At the paper's 0.55 m and 60 degrees these are 0.95 and 1.05; both
@@ -132,11 +132,11 @@ class Barrier:
         d, r = math.sqrt(d2), math.sqrt(d2 + self.smoothing_m * self.smoothing_m)
         gap = r - d
         if moved_m <= gap:
-            turned = moved_m * gap / r  # a motion straight outwards is the worst
+            turned = moved_m * gap / r  # worst case: a motion straight outwards
         elif moved_m < r + d:
             turned = (gap * gap + moved_m * moved_m) / (2.0 * r)
         else:
-            turned = moved_m * (1.0 + d / r) - 2.0 * d  # a motion across the axis is the worst
+            turned = moved_m * (1.0 + d / r) - 2.0 * d  # worst case: a motion across the axis
         bend_1_m = self.alpha_1_m * self.alpha_1_m * self.beta_m * _BEND_MOST
         return abs(self.slope(d)) * turned + 0.5 * bend_1_m * moved_m * moved_m
 
@@ -152,7 +152,7 @@ class Barrier:
         d = math.sqrt(d2)
         ad = self.alpha_1_m * d
         decay = self.beta_m * self.alpha_1_m * math.exp(-ad)
-        # decay * (1 - ad) is b'(d); the smoothed length makes e a direction that is 0 at d = 0
+        # decay * (1 - ad) is b'(d); e divided by the smoothed length is a direction that is 0 at d = 0
         factor = -decay * (1.0 - ad) / math.sqrt(d2 + self.smoothing_m * self.smoothing_m)
         gx, gy = factor * ex, factor * ey
         vx, vy, vz = target_velocity_enu_m_s
@@ -161,14 +161,14 @@ class Barrier:
 
 @numeric
 def boundary_height(alpha_1_m: float, beta_m: float, d_m: float) -> float:
-    """Return the boundary height; numeric form of ``Barrier.height``."""
+    """Return the boundary height; ``Barrier.height`` without an object."""
     ad = alpha_1_m * d_m
     return beta_m * ad * math.exp(-ad)
 
 
 @numeric
 def barrier_h(alpha_1_m: float, beta_m: float, e_m: Vec3) -> float:
-    """Return the barrier value; numeric form of ``Barrier.h``."""
+    """Return the barrier value; ``Barrier.h`` without an object."""
     return e_m[2] - boundary_height(alpha_1_m, beta_m, math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]))
 
 

@@ -30,7 +30,7 @@ class GateVerdict(IntEnum):
     TARGET_STALE = 3
     NOT_FINITE = 4
     OUTSIDE_BOX = 5
-    BARRIER = 6  # h in the next tick would be lower than the filter guarantees
+    BARRIER = 6  # h of the next tick would be lower than the filter guarantees
     TOO_HIGH = 7
 
 
@@ -68,7 +68,7 @@ class BarrierCheck(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Limits that every sent set-point meets."""
+    """Check of each set-point against the limits; only this class approves set-points."""
 
     omega_1_s: float
     velocity_max_m_s: Vec3
@@ -119,14 +119,14 @@ class Gate:
         return GateVerdict.APPROVED
 
     def keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
-        """Whether the next h of the kinematic model meets the bound of eq. 11, computed without derivatives.
+        """Whether h of the next tick, by a kinematic model without derivatives, meets the bound of eq. 11.
 
-        The bound is linear; a valid filter result may miss it by the boundary's curvature and by the slope
-        that the gradient neglects at the apex, and by no more (docs/how_it_works/robust_filter.md).
+        The bound is linear; a valid filter result may miss it at most by the boundary's curvature and the
+        slope that the gradient neglects at the apex (docs/how_it_works/robust_filter.md).
         """
         status, hopeless = check.status, check.status is FilterStatus.INFEASIBLE
         solved = status is FilterStatus.SOLVED or status is FilterStatus.CLOSED_FORM
-        own = status is FilterStatus.OWN  # result of a user's class, which guarantees nothing
+        own = status is FilterStatus.OWN  # a user's class guarantees nothing
         if not (solved or hopeless or own or status is FilterStatus.CROWDED):
             return False
         t = self.period_s
@@ -136,9 +136,9 @@ class Gate:
         if not math.isfinite(now + then):
             return False
         if hopeless or own:
-            return True  # if infeasible, the box contains no better velocity
+            return True  # if the program is infeasible, the box contains no better velocity
         missing_m = now * (1.0 - self.omega_1_s * t) - then - SOLVER_TOLERANCE_M_S * t
-        # usually the bound is met without this tolerance
+        # usually missing_m <= 0, so the tolerance is not computed
         return missing_m <= 0.0 or missing_m <= check.barrier.linearisation_bound_m(
             check.e_m, hypot(vx - tx, vy - ty) * t
         )

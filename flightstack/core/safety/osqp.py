@@ -1,10 +1,10 @@
-"""OSQP, called by the addresses of its C functions: plain Python and compiled code use the same solver.
+"""OSQP, called through addresses of its C functions, so that Python and compiled code use the same solver.
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 
 The module ``osqp.ext_builtin`` is loaded without the package ``osqp``, whose import takes a tenth of a
-second. The offsets in its memory are those of the release that ``pyproject.toml`` names; each new solver
-first solves a known program.
+second. The memory offsets belong to the release that ``pyproject.toml`` names; to check them, each new solver
+first solves a program with a known solution.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from flightstack.core.types import Vec3
 _NAME = "osqp.ext_builtin"
 DOUBLE = 8  # bytes of a double
 _STATUS_AT, _ITERATIONS_AT = 32, 80  # byte offsets in OSQPInfo (osqp_api_types.h)
-# The first iteration confirmed all of 100,000 random programs with one constraint.
+# With this tolerance the first iteration confirmed all of 100,000 random programs with one constraint.
 EPS = 1e-9  # absolute and relative tolerance of the solver's test, m/s
 RHO = 1.0
 RELAXATION = 1.5
-ITERATIONS_MAX = 200  # about 50 us; after that the exact solution is used
-_KNOWN: Vec3 = (0.25, -0.5, 0.125)  # nominal velocity inside the box: it is the solution
+ITERATIONS_MAX = 200  # about 50 us; after these iterations the exact solution is used
+_KNOWN: Vec3 = (0.25, -0.5, 0.125)  # nominal velocity inside the box, which is then the solution
 
 
 class _Csc(ctypes.Structure):
@@ -60,7 +60,7 @@ def compiled_solver() -> Any:
 
 
 def _settings() -> Any:
-    """Return solver settings that make a result depend only on the numbers of its tick."""
+    """Return solver settings with which a result depends only on the data of its tick."""
     osqp = compiled_solver()
     settings = osqp.OSQPSettings()
     osqp.osqp_set_default_settings(settings)
@@ -68,7 +68,7 @@ def _settings() -> Any:
     settings.eps_abs = settings.eps_rel = EPS
     settings.rho, settings.alpha = RHO, RELAXATION
     settings.adaptive_rho = 0
-    settings.scaling = 0  # scaling at each update would add rounding errors of earlier ticks
+    settings.scaling = 0  # scaling would carry rounding errors of earlier ticks into this one
     settings.max_iter = ITERATIONS_MAX
     settings.check_termination = 1
     return settings
@@ -77,11 +77,11 @@ def _settings() -> Any:
 class Osqp:
     """Solver of the program with this number of constraints; its memory is allocated once.
 
-    ``numbers`` are -u', the lower and upper bounds of constraints and box, the columns of their matrix (the
-    constraints' gradients on an axis, then 1 for the box), and the point and multipliers to start from.
+    ``numbers``: -u', the lower and upper bounds of constraints and box, the columns of their matrix (for each
+    axis the constraints' gradients, then 1 for the box), and start point and start multipliers.
     """
 
-    # addresses of the C functions, of the solver, and of the numbers that it reads and writes
+    # addresses of the C functions, of the solver, and of the arrays that it reads and writes
     update_vectors: int
     update_matrix: int
     warm_start: int
@@ -92,8 +92,8 @@ class Osqp:
     status: int
     iterations: int
     rows: int  # number of constraints
-    solved: int  # status of a program that is solved
-    infinity: float  # bound of a constraint without a limit
+    solved: int  # OSQP's status value for "solved"
+    infinity: float  # OSQP's value for "no bound"
 
     def __init__(self, rows: int) -> None:
         osqp, settings = compiled_solver(), _settings()
@@ -121,7 +121,7 @@ class Osqp:
         if failed or solver.value is None:
             raise RuntimeError(f"OSQP rejects a program with {rows} constraints: error {failed}")
         self._cleanup, self._made, self.solver = library.osqp_cleanup, solver, solver.value
-        self._owned = (settings, numbers, ends, units, places, columns)  # memory that the solver uses
+        self._owned = (settings, numbers, ends, units, places, columns)  # keeps the solver's memory alive
         _, solution, info, _ = (ctypes.c_int64 * 4).from_address(self.solver)  # OSQPSolver: pointers
         self.status, self.iterations = info + _STATUS_AT, info + _ITERATIONS_AT
         self.solution = ctypes.c_int64.from_address(solution).value
@@ -132,7 +132,7 @@ class Osqp:
         self.update_vectors, self.update_matrix, self.warm_start, self.run = (
             ctypes.cast(function, pointer).value or 0 for function in functions
         )
-        # the same functions and numbers for plain Python
+        # C functions and arguments for calls from plain Python
         self._calls = [
             (function, tuple(pointer(each) for each in given))
             for function, given in zip(functions, calls(rows, self.solver, at), strict=True)
@@ -149,7 +149,7 @@ class Osqp:
             self._cleanup(self._made)
 
     def solve(self, numbers: Sequence[float]) -> tuple[Vec3, bool, int]:
-        """Return the point found, whether it solves the program with these numbers, and the iterations."""
+        """Solve a program; return the point, whether OSQP reports it as solved, and the iterations."""
         self._pack(self._memory, 0, *numbers)
         for function, given in self._calls:
             function(*given)
@@ -172,5 +172,5 @@ def calls(rows: int, solver: int, numbers: int) -> tuple[tuple[int, ...], ...]:
 
 
 def _inside(one: Any) -> int:
-    """Return the address of the C++ object in an object of pybind11: it follows Python's object header."""
+    """Return the address of the C++ object in a pybind11 object: it follows Python's object header."""
     return int(ctypes.c_void_p.from_address(id(one) + object.__basicsize__).value or 0)

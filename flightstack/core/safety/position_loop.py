@@ -20,7 +20,7 @@ def nominal_velocity(e_m: Vec3, gain_1_s: Vec3, target_velocity_enu_m_s: Vec3) -
 
 @numeric
 def clip(value: float, low: float, high: float) -> float:
-    """Return ``max(low, min(high, value))``; this form takes a third of the time."""
+    """Return ``max(low, min(high, value))``, in a third of its time."""
     value = value if value < high else high
     return value if value > low else low
 
@@ -41,7 +41,7 @@ def limit(velocity: Vec3, velocity_max_m_s: Vec3) -> Vec3:
 
 @numeric
 def slew(previous: Vec3, wanted: Vec3, step_max_m_s: Vec3, up_max_m_s: float = math.inf) -> Vec3:
-    """Change the previous command towards the wanted one by at most ``step_max_m_s`` on each axis.
+    """Return the previous command, changed towards the wanted one by at most ``step_max_m_s`` on each axis.
 
     Upwards the change is also limited to ``up_max_m_s``: a weak battery limits the climb acceleration.
     """

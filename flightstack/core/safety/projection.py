@@ -18,7 +18,7 @@ from flightstack.core.types import Vec3
 
 @numeric
 def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
-    """Return the point of the box with the largest ``g . u``; an axis without gradient is closest to zero."""
+    """Return the point of the box with the largest ``g . u``; where g is 0, the value nearest to zero."""
     return (
         upper[0] if g[0] > 0.0 else lower[0] if g[0] < 0.0 else min(max(0.0, lower[0]), upper[0]),
         upper[1] if g[1] > 0.0 else lower[1] if g[1] < 0.0 else min(max(0.0, lower[1]), upper[1]),

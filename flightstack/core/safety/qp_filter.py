@@ -3,9 +3,9 @@
     min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= -omega h - dh/dt
 
 The program has one barrier row and three box rows; the solver is set up once and updated each tick. It starts
-from the exact projection of this tick (``projection.py``), point and multipliers, which its optimality test
-confirms immediately; otherwise it iterates. So a result depends only on the numbers of this tick, a log can
-be replayed from any tick, and the time is bounded. (From zero the solver takes hundreds of iterations where
+from the exact projection of this tick (``projection.py``), which its optimality test usually confirms
+immediately; otherwise it iterates. Therefore a result depends only on the data of this tick, a log can be
+replayed from any tick, and the time is bounded. (From zero the solver takes hundreds of iterations where
 the barrier's gradient is nearly the normal of a side of the box and both are active.) A result is used only
 if it has the status solved and meets box and barrier; otherwise the exact projection is used. If no point of
 the box meets the barrier, the command is the corner of the box that raises h fastest, with its own status.
@@ -61,7 +61,7 @@ class SafetyFilter:
 
     omega_1_s: float
     osqp: Osqp
-    enforces: bool  # False: the velocity is only limited to the box
+    enforces: bool  # whether the barrier is enforced; False: only the box limits the velocity
 
     def __init__(self, omega_1_s: float) -> None:
         self.omega_1_s, self.enforces, self.osqp = omega_1_s, True, Osqp(1)
@@ -84,7 +84,7 @@ class SafetyFilter:
             return FilterResult(corner, slack, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
         started_s = perf_counter()
         exact, multiplier = projected(nominal, gradient, bound, lower, upper)
-        if multiplier == EMPTY:  # rounding made the feasible set empty
+        if multiplier == EMPTY:  # the feasible set is empty because of rounding
             multiplier = math.inf
         point, residual, iterations = self._osqp(nominal, gradient, bound, lower, upper, exact, multiplier)
         solve_s = perf_counter() - started_s
@@ -114,7 +114,7 @@ def data_and_start(
     nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, infinity: float, point: Vec3,
     multiplier: float,
 ) -> tuple[float, ...]:  # fmt: skip
-    """Return the changing numbers of the program, and the point and multipliers where the solver starts.
+    """Return the data of the program that change per tick, and start point and multipliers of the solver.
 
     The start is optimal if u - u' - multiplier g + y = 0; y are the multipliers of the active box sides.
     """
@@ -140,7 +140,7 @@ def clipped(point: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3)
 def judged(
     point: Vec3, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3
 ) -> tuple[float, bool]:
-    """Return the slack of the barrier's row at a point, and whether the row rejects the nominal velocity."""
+    """Return the slack of the barrier's row at a point, and whether the nominal velocity violates the row."""
     (x, y, z), (nx, ny, nz), (gx, gy, gz) = point, nominal, gradient
     (lx, ly, lz), (hx, hy, hz) = lower, upper
     free = gx * min(max(nx, lx), hx) + gy * min(max(ny, ly), hy) + gz * min(max(nz, lz), hz)

@@ -1,7 +1,7 @@
 """Answers of an agent, or of a user's method ``filter``, in a tick that is compiled code.
 
-Compiled code cannot call them. It computes what they need, Python calls them, and the tick is flown with the
-answer, which stands in ``Filter.exchange``.
+Compiled code cannot call Python. It computes the arguments, Python calls agent or filter, and the tick
+continues with the answer, which is stored in ``Filter.exchange``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import FilterStatus, Vec3
 
-Ask = Callable[[Relative, Vec3], Vec3]  # vehicle relative to target, nominal velocity -> agent's velocity
+Ask = Callable[[Relative, Vec3], Vec3]  # agent: vehicle relative to target, nominal velocity -> velocity
 
 
 def chosen(one: Any, _at: Relative, own: Vec3) -> Vec3:
@@ -47,7 +47,7 @@ _STATE = frozenset(
 def compiled_as(cls: type) -> type | None:
     """Return the packaged class whose flights differ from this class only in ``filter``.
 
-    It returns None if the class overrides more, or may read estimators, whose state is only in compiled code.
+    Return None if the class overrides more, or may read estimators, whose state exists only in compiled code.
     """
     own: list[type] = []
     for base in cls.__mro__:
@@ -67,6 +67,6 @@ def compiled_as(cls: type) -> type | None:
 
 
 def _names(code: CodeType) -> set[str]:
-    """Return the names of attributes and globals in a function and in the functions inside it."""
+    """Return the names of attributes and globals that a function and its inner functions use."""
     inner = (_names(each) for each in code.co_consts if isinstance(each, CodeType))
     return set(code.co_names).union(*inner)

@@ -1,4 +1,4 @@
-"""What the filter of a user receives in a tick, and what it may return."""
+"""Input of a user's filter in one tick, and the check of its result."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class At(NamedTuple):
         rate_1_s: largest relative rate at which h may fall.
         lower_m_s: lowest velocity that may be commanded in this tick, by limits and slew.
         upper_m_s: highest velocity that may be commanded in this tick.
-        permitted: limits a velocity to what the margin of the barrier allows for; the paper's has no margin.
+        permitted: function that limits a velocity to the assumptions of the barrier's margin.
     """
 
     t_s: float
@@ -51,7 +51,7 @@ class At(NamedTuple):
 
     @property
     def bound_m_s(self) -> float:
-        """Bound of eq. 11, m/s: a velocity keeps the barrier if gradient . velocity is not below it."""
+        """Bound of eq. 11, m/s: a velocity keeps the barrier if gradient . velocity >= this bound."""
         return -self.rate_1_s * self.h_m - self.dh_dt_m_s
 
     def enforced(self, velocity_m_s: ArrayLike) -> Vector:

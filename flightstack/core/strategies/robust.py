@@ -24,10 +24,10 @@ from flightstack.core.target.own_estimator import OwnEstimator
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import OwnState, TargetSample, Vec3
 
-COMMANDED_SHARE = 0.6  # fraction of the descent speed above which a command counts as a descent
-STOPPED_SHARE = 0.4  # fraction of the descent speed below which the vehicle has stopped
-DRIFT_SHARE = 0.6  # fraction of the corridor's radius within which no drift is detected
-BRAKING = 0.5  # fraction of the acceleration for braking: the velocity lags, and the target may speed up
+COMMANDED_SHARE = 0.6  # a command above this fraction of the descent speed counts as a descent
+STOPPED_SHARE = 0.4  # a vehicle below this fraction of the descent speed counts as stopped
+DRIFT_SHARE = 0.6  # drift is not detected within this fraction of the corridor's radius
+BRAKING = 0.5  # fraction of the acceleration limit for braking: the velocity lags, the target may speed up
 
 
 class RobustFilter(Filter):
@@ -46,7 +46,7 @@ class RobustFilter(Filter):
     motion: MotionMemory
     brakes_m_s2: float
     slope: float  # steepest slope of the barrier outside the pad
-    full: float  # fraction of the margin that is left at the pad's edge; the margin is divided by it
+    full: float  # fraction of the margin that remains at the pad's edge; the margin is divided by it
     estimator: TargetEstimator
     own_estimator: OwnEstimator
     _tracking: VelocityTracking
@@ -69,7 +69,7 @@ class RobustFilter(Filter):
         self.estimator = TargetEstimator(config.target)
         fed_back = config.velocity_feedback.horizontal
         self.own_estimator = OwnEstimator(config.own, loop, period_s, by_loop=fed_back)
-        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # 0: the estimator predicts
+        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # velocity age; 0: it is predicted
         self._tracking = VelocityTracking(loop, period_s, config.velocity_feedback, delay_s)
         self.motion, self.tracking = self.estimator.memory, self._tracking.memory
         self.own, self.late = self.own_estimator.memory, self._tracking.late
@@ -80,7 +80,7 @@ class RobustFilter(Filter):
 
     @staticmethod
     def check_config(config: FlightConfig) -> None:
-        """Reject values that contradict each other, or for which there is no proof."""
+        """Reject values that contradict each other, or for which no certificate exists."""
         _refuse_loop(config)
         _refuse_checks(config)
 
@@ -96,9 +96,9 @@ class RobustFilter(Filter):
         )
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
-        """Return the current target estimate; a parameter gives the shortest delay, which no clock shows.
+        """Return the current target estimate. The shortest delay is a parameter: no clock measures it.
 
-        The prediction ends at the age limit: beyond it the target is lost, and an estimate must be bounded.
+        The prediction ends at the age limit, after which the target counts as lost.
         """
         last = track.newest
         delay_s = self._config.target.delay_s
@@ -137,7 +137,7 @@ class RobustFilter(Filter):
             )
             memory.model_m_s = (x[1], y[1], memory.model_m_s[2])
             memory.model_m_s2 = (x[2], y[2], memory.model_m_s2[2])
-            # steady-state change of the velocity by the disturbance
+            # velocity change that the disturbance causes in steady state
             memory.disturbance_m_s = (x[4] / push_1_s, y[4] / push_1_s, memory.disturbance_m_s[2])
 
     def barrier(self, at: Relative) -> RobustBarrier:
@@ -146,7 +146,7 @@ class RobustFilter(Filter):
         return RobustBarrier(self._barrier, margin_m, self._config.robust.fade_radius_m)
 
     def margin_m(self, sigma_xy_m: float, sigma_z_m: float) -> float:
-        """Return the margin for these standard deviations of the target's position, where it is complete."""
+        """Return the full margin (far from the pad) for standard deviations of the target's position."""
         robust, own_m = self._config.robust, self._config.own.position_noise_m
         margin_m = robust.margin_m(self.slope, hypot(sigma_xy_m, own_m), hypot(sigma_z_m, own_m))
         return margin_m / self.full
@@ -154,8 +154,8 @@ class RobustFilter(Filter):
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
         """Return the vertical velocity that keeps the barrier at the measured horizontal velocity.
 
-        The horizontal velocity responds later than the vertical one, so it is taken as measured. Of h, only
-        the part counts that is left when the vertical loop has reached its command.
+        The horizontal velocity responds later than the vertical one, so the measured one is used. The bound
+        uses the h that remains when the vertical loop has reached its command.
         """
         v, t = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s
         left_m = h_m + self._lag_z_s * min(0.0, v[2] - before_m_s[2])
@@ -163,10 +163,10 @@ class RobustFilter(Filter):
         return t[2] - sinks_m_s - (gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1]))
 
     def _braked_m_s(self, left_m: float) -> float:
-        """Return the fastest descent that the upward acceleration stops in a height; inf: no reserve table.
+        """Return the fastest descent that can be stopped within ``left_m``; inf without a table [reserve].
 
-        The acceleration is what the thrust reserve allows in this tick; the certificate shows that the
-        configured one is sufficient for the rates of the filter.
+        The upward acceleration is the one that the thrust reserve allows in this tick; the certificate shows
+        that the configured one is sufficient for the rates of the filter.
         """
         if not self._has_reserve:
             return math.inf
@@ -187,12 +187,12 @@ class RobustFilter(Filter):
         return (x, y, z)
 
     def permitted_m_s(self, nominal: Vec3, own: Vec3, at: Relative) -> Vec3:
-        """Limit a chosen velocity to what the certificate assumes of ``own``, the nominal velocity.
+        """Limit a chosen velocity: it gets the properties of ``own`` that the certificate assumes.
 
-        The program keeps the barrier by the vertical velocity, for a horizontal velocity that the position
-        loop commands. So the velocity relative to the target is at most gain times distance, h falls by no
-        more than its rate from horizontal motion, and the vehicle sinks no faster than ``own``, which
-        contains the height of the boundary ahead.
+        The program keeps the barrier by the vertical velocity and expects a horizontal velocity as from the
+        position loop. Therefore the velocity relative to the target is at most gain times distance, h falls
+        by horizontal motion no faster than its rate allows, and the vehicle sinks no faster than ``own``,
+        which includes the height of the boundary ahead.
         """
         if nominal == own:
             return own
@@ -201,13 +201,13 @@ class RobustFilter(Filter):
         h_m, (gx, gy, _), _ = self.barrier(at).evaluate(e, at.target.velocity_enu_m_s)
         falls_m_s, speed_m_s = -(gx * vx + gy * vy), hypot(vx, vy)
         share = min(1.0, self._config.robust.gain_1_s * at.d_m / max(speed_m_s, 1e-9))
-        if vx * e[0] + vy * e[1] > 0.0 and falls_m_s > 0.0:  # outwards, inside the peak of the boundary
+        if vx * e[0] + vy * e[1] > 0.0 and falls_m_s > 0.0:  # outward motion inside the peak of the boundary
             share = min(share, self.rate_1_s * max(0.0, h_m) / falls_m_s)
         return (tx + share * vx, ty + share * vy, max(z, own[2]))
 
     @rare
     def _then(self, at: Relative) -> tuple[Vec3, tuple[float, float]]:
-        """Return position and horizontal velocity relative to the target when a set-point takes effect."""
+        """Return the relative position and horizontal velocity at the time when a set-point takes effect."""
         late_s = self._config.velocity_loop.dead_time_s
         (ex, ey, ez), (tx, ty, _) = at.e_m, at.target.velocity_enu_m_s
         (x, y), (vx, vy, _) = self._tracking.carried(at.own.velocity_enu_m_s)
@@ -222,7 +222,7 @@ class RobustFilter(Filter):
         (ex, ey, _), (vx, vy), barrier = e_m, slip_m_s, self._barrier
         if hypot(ex, ey) > 1.0 / barrier.alpha_1_m:
             return barrier.peak_height_m
-        rest_s = hypot(vx, vy) / (2.0 * self.brakes_m_s2)  # braking distance over the current velocity
+        rest_s = hypot(vx, vy) / (2.0 * self.brakes_m_s2)  # braking distance divided by current speed
         if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
             return 0.0  # the vehicle stops before the centre
         return barrier.height(hypot(ex + rest_s * vx, ey + rest_s * vy))
@@ -241,7 +241,7 @@ class RobustFilter(Filter):
         return self._by_rule and at.e_m[2] < self._config.touchdown.height_m
 
     def hold_m_s(self, target: TargetState) -> Vec3:
-        """Return a climb velocity that moves with the target, which was observed until a moment ago.
+        """Return a velocity that climbs and follows the last observed motion of the target.
 
         A vehicle that stands still in the cone of a moving target leaves the cone sideways.
         """
@@ -250,7 +250,7 @@ class RobustFilter(Filter):
         return limit((x, y, up), self._most)
 
     def may_touch(self, at: Relative) -> bool:
-        """Whether the vehicle is low, over the centre and moves with the target, or stands on the pad."""
+        """Whether the vehicle is low, over the centre and moving with the target, or stands on the pad."""
         robust, touchdown, z, d_m = self._config.robust, self._config.touchdown, at.e_m[2], at.d_m
         standing_m = touchdown.feet_below_reference_m + self._config.contact.gap_m
         if d_m <= touchdown.pad_radius_m and z < standing_m:
@@ -318,7 +318,7 @@ def _refuse_checks(config: FlightConfig) -> None:
 
 
 def _refuse_loop(config: FlightConfig) -> None:
-    """Reject an unstable model of the velocity loop, or a dead time that some part does not support."""
+    """Reject an unstable model of the velocity loop, or a dead time that other keys do not support."""
     loop, rate_hz = config.velocity_loop, config.loop.rate_hz
     most_1_s = loop.rate_max_1_s(1.0 / rate_hz)
     for key, found_1_s in (("rate_xy_1_s", loop.rate_xy_1_s), ("rate_z_1_s", loop.rate_z_1_s)):

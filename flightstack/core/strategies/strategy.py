@@ -1,4 +1,4 @@
-"""Interface of a safety filter: everything in which one filter differs from another.
+"""Interface of a safety filter: the methods in which filters may differ.
 
 The base class is complete: the paper's barrier and program, the position loop as approach, a straight
 descent. A filter overrides what it does differently; one method, ``filter``, is enough. The class attribute
@@ -57,7 +57,7 @@ class Filter:
         certificate: ``MODULE:NAME`` of the function that returns the checks of a configuration
         (``FlightConfig -> list[Check]``, flightstack/verify). It covers this class only: a subclass does not
         inherit it, and has no certificate until it names its own.
-        watches_swinging: whether a vehicle that oscillates over the pad aborts (``checks.swings_max``).
+        watches_swinging: whether a vehicle that oscillates over the pad must abort (``checks.swings_max``).
         ignores: keys of the configuration that the filter does not read, with the key that it reads instead.
         waits_filtered: whether a vehicle found in the air keeps clear of the barrier while it waits.
         rate_1_s: largest relative rate at which h may fall.
@@ -101,15 +101,15 @@ class Filter:
         self.motion, self.tracking, self.own = MotionMemory(), TrackingMemory(), OwnMemory()
         self.late, self.exchange = LateMemory(), ExchangeMemory()
         self.compiled_as = compiled_as(type(self)) or type(self)
-        self.ask: Ask | None = None  # function of an agent (flightstack/api/env.py)
+        self.ask: Ask | None = None  # agent that chooses the velocity (flightstack/api/env.py)
         # answers in a tick that compiled code started: velocity of the agent, result of the user's filter
         self.answer: Vec3 | None = None
-        self.own_result: tuple[FilterResult, str] | None = None  # with the reason of a rejection
+        self.own_result: tuple[FilterResult, str] | None = None  # result and rejection reason
         self._by_rule = config.touchdown.rule is TouchdownRule.PAPER
 
     @staticmethod
     def check_config(config: FlightConfig) -> None:
-        """Reject combinations of values that cannot work; the certificate proves the rest.
+        """Reject combinations of values that cannot work; the certificate checks the others in detail.
 
         Raises:
             ConfigError: a value is not allowed; the text names the value and what is allowed.
@@ -180,7 +180,7 @@ class Filter:
         return self._barrier
 
     def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
-        """Return the nominal velocity on the way to the pad.
+        """Return the nominal velocity of the approach to the pad.
 
         Default: position loop with feed-forward of the target's velocity (paper IV-A).
 
@@ -198,7 +198,7 @@ class Filter:
         return self.ask(at, own) if answer is None else answer
 
     def permitted_m_s(self, nominal: Vec3, own: Vec3, at: Relative) -> Vec3:
-        """Return a velocity within what the margin of the filter allows for. Default: unchanged.
+        """Limit a chosen velocity to the assumptions of the filter's margin. Default: unchanged.
 
         Args:
             nominal: velocity that an agent or a user's method ``filter`` chose.
@@ -223,11 +223,11 @@ class Filter:
         return low and self._barrier.h(at.e_m) >= 0.0
 
     def motors_off(self, at: Relative) -> bool:
-        """Whether the motors stop in the touchdown before contact: by the paper's rule, immediately."""
+        """Whether the motors stop in the touchdown before contact: the paper's rule does not wait for it."""
         return self._by_rule
 
     def program(self) -> Program:
-        """Return the program that filters the nominal velocity; its memory is allocated once."""
+        """Return a new program that filters the nominal velocity; it allocates its memory once."""
         return SafetyFilter(self.rate_1_s)
 
     def take(self, sample: TargetSample) -> None:
@@ -265,7 +265,7 @@ class Filter:
         return ZERO
 
     def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
-        """Whether the vehicle does not follow a descent command; for some time, this counts as contact.
+        """Whether the vehicle does not follow a descent command; if this lasts, it counts as contact.
 
         Args:
             at: vehicle relative to target.
@@ -274,7 +274,7 @@ class Filter:
         return False
 
     def drifts(self, at: Relative) -> bool:
-        """Whether the touchdown will miss the pad while there is still room to climb away."""
+        """Whether the touchdown will miss the pad while the vehicle is high enough to climb away."""
         return False
 
     def setpoint(
@@ -315,7 +315,7 @@ def strategy_class(name: str) -> type[Filter]:
 
 
 def ignored(config: FlightConfig) -> list[str]:
-    """Return a sentence for each key that was changed although the filter does not read it."""
+    """Return a sentence for each configured key that the filter does not read."""
     found = []
     for key, read in strategy_class(config.filter).ignores.items():
         table, _, name = key.partition(".")
@@ -327,7 +327,7 @@ def ignored(config: FlightConfig) -> list[str]:
 
 
 def own_boundary(name: str) -> str:
-    """Sentence about a filter with a boundary of its own shape, which no verdict knows; else empty."""
+    """Return a warning if verdicts do not know the boundary of this filter, else an empty text."""
     if strategy_class(name).barrier.__module__.startswith("flightstack."):
         return ""
     return f"judged by the paper's barrier; {name} flies a boundary of its own, which no verdict knows"
@@ -347,7 +347,7 @@ def checked_class(config: FlightConfig) -> type[Filter]:
     found.check_config(config)
     if own_boundary(config.filter):
         at = Relative(OwnState(0.0, 0.0, e_m, ZERO, 0.0), TargetState(0.0, ZERO, ZERO, 0.0), e_m, 1.0)
-        boundary = found(config, config.barrier.build()).barrier(at)  # the state of this object is not used
+        boundary = found(config, config.barrier.build()).barrier(at)  # a new object, so no state is changed
         if problem := problem_of(boundary, e_m):
             needed = "h, evaluate and linearisation_bound_m are needed, as in examples/own_boundary.py"
             raise ConfigError(f"filter {file_of(config.filter)}: its boundary {problem}; {needed}")
@@ -355,5 +355,5 @@ def checked_class(config: FlightConfig) -> type[Filter]:
 
 
 def packaged_strategy_of(config: FlightConfig) -> Filter | None:
-    """Return the filter for a reader of logs; ``None`` if it is external: a log starts no code."""
+    """Return the filter for a reader of logs; None if it is external: a log must not start foreign code."""
     return strategy_of(config) if config.filter in FILTERS else None

@@ -6,22 +6,22 @@ a disturbance d. a is the acceleration of the loop itself, f = w d / (2 z) that 
 
     v' = a + f,      a' = w^2 (u - v) - 2 z w a
 
-The lead adds corrections to the command r (internal model control, with a lead instead of the inverse
-model). Its feedback of the vehicle's state is only k (r - v) and a slow d, so it tolerates a wrong model:
+The lag compensation ("lead") adds corrections to the command r (internal model control, with a lead instead
+of the inverse model). Its feedback is only k (r - v) and a slow d, so it tolerates a wrong model:
 
     u = r + lag * r' + k (r - v) - d,      d = low-pass of (v - M(u))
 
-The feedback uses the whole state; an observer estimates what is not measured. It rejects gusts sooner and
-does not oscillate, but needs the model of the vehicle's loop. The acceleration a* corrects the velocity at
-the rate l, and the loop reaches it at the rate m:
+The velocity feedback ("feedback") uses the whole state; an observer estimates the unmeasured part. It rejects
+gusts sooner and does not oscillate, but needs the model of the vehicle's loop. The acceleration a* corrects
+the velocity at the rate l, and the loop reaches a* at the rate m:
 
     a* = r' + l (r - v) - f,      a' = m (a* - a),      u = v + (2 z w a + m (a* - a)) / w^2
 
 The disturbance is limited, because no model is perfect.
 
-With a dead time T the model responds to the set-point sent T ago. The current set-point takes effect after T.
-By then the earlier set-points have moved the vehicle; the model predicts this change (a Smith predictor). The
-v of the lead is the predicted velocity.
+With a dead time T the model responds to the set-point sent T ago; the current set-point takes effect after T.
+Until that time earlier set-points move the vehicle; the model predicts this change (a Smith predictor). The
+lag compensation uses the predicted velocity as v.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from flightstack.core.parameters.robust import VelocityFeedback, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import ZERO, Vec3
 
-# numbers of the lead: period, lag, rate, gain, largest error, damping, largest disturbance,
+# constants of the lag compensation: period, lag, rate, gain, largest error, damping, largest disturbance,
 # shares of slope and disturbance
 Lead = tuple[float, float, float, float, float, float, float, float, float]
-# numbers of the feedback: period, delay, rate, drag, push, largest disturbance and error, fraction of the
+# constants of the feedback: period, delay, rate, drag, push, largest disturbance and error, fraction of the
 # slope, gains of the observer on velocity and disturbance, rates of error and tilt, largest acceleration
 Feedback = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
 
@@ -47,9 +47,9 @@ Feedback = tuple[float, float, float, float, float, float, float, float, float, 
 def lead_observed(
     lead: Lead, v: float, u: float, m: float, dm: float, d: float
 ) -> tuple[float, float, float]:
-    """Return the model's velocity, its derivative, and the disturbance, one tick later.
+    """Return the model's velocity, its derivative, and the disturbance after one tick.
 
-    The model uses only the set-point; its difference from the velocity is low-pass filtered.
+    The model uses only the set-point; the disturbance is the low-pass filtered error of the model's velocity.
     """
     t, _, w, _, _, damping, most_m_s, _, share = lead
     dm += t * (w * w * (u - m) - 2.0 * damping * w * dm)
@@ -70,7 +70,7 @@ def lead_commanded(
 
 
 def lead_carried(lead: Lead, v: float, m: float, dm: float, sent: Sequence[float]) -> tuple[float, float]:
-    """Return distance and velocity after all set-points that have no effect yet, one per tick."""
+    """Return distance and velocity after the set-points ``sent`` (one per tick) have taken effect."""
     t, distance_m, now = lead[0], 0.0, m
     for u in sent:
         m, dm, _ = lead_observed(lead, m, u, m, dm, 0.0)
@@ -82,7 +82,7 @@ def lead_carried(lead: Lead, v: float, m: float, dm: float, sent: Sequence[float
 def feedback_observed(
     feedback: Feedback, v: float, u: float, m: float, dm: float, d: float
 ) -> tuple[float, float, float]:
-    """Return the results of ``lead_observed``; the model uses the velocity, the innovation corrects it."""
+    """Return the results of ``lead_observed`` from an observer that the measured velocity corrects."""
     t, delay_s, w, drag_1_s, push_1_s, most_m_s, _, _, to_velocity, to_disturbance, _, _, _ = feedback
     f = push_1_s * d
     now = v + delay_s * (dm + f)
@@ -111,7 +111,7 @@ def feedback_commanded(
 def lead_of(
     loop: VelocityLoop, lag_s: float, rate_1_s: float, gain: float, error_max_m_s: float, period_s: float
 ) -> Lead:
-    """Return the numbers of the lead on an axis."""
+    """Return the constants of the lag compensation (lead) of one axis."""
     slope_share = min(1.0, period_s / loop.slope_time_s)
     disturbance_share = min(1.0, period_s / loop.disturbance_time_s)
     return (
@@ -121,9 +121,9 @@ def lead_of(
 
 
 def feedback_of(loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float) -> Feedback:
-    """Return the numbers of the feedback; the velocity is extrapolated over its age ``delay_s``."""
+    """Return the constants of the velocity feedback; it extrapolates a velocity of age ``delay_s``."""
     rate_1_s, push_1_s = loop.rate_xy_1_s, loop.rate_xy_1_s / (2.0 * loop.damping)  # f / d
-    # the observer's gains on velocity and disturbance place both poles at its rate
+    # the observer's gains of velocity and disturbance place both of its poles at this rate
     rate = feedback.observer_rate_1_s
     return (
         period_s, delay_s, rate_1_s, 2.0 * loop.damping * loop.rate_xy_1_s, push_1_s,
@@ -138,10 +138,10 @@ class VelocityTracking:
 
     memory: TrackingMemory
     late: LateMemory
-    by_feedback: bool  # whether x and y use the feedback; z always uses the lead
+    by_feedback: bool  # whether x and y use velocity feedback instead of the lag compensation; z never does
     lead_xy: Lead
     lead_z: Lead
-    feedback: Feedback  # numbers of the feedback
+    feedback: Feedback  # constants near the pad; ``far_feedback``: beyond ``velocity_feedback.far_m``
     far_feedback: Feedback
     late_ticks: int
 
@@ -187,7 +187,7 @@ class VelocityTracking:
 
     @rare
     def _forget(self, velocity_enu_m_s: Vec3) -> None:
-        """Set the queued set-points to the measured velocity, since no set-points were flown."""
+        """Set the queued set-points to the measured velocity, since the vehicle followed no set-points."""
         self.late.sent_m_s = (velocity_enu_m_s[:2],) * self.late_ticks
 
     @rare
@@ -199,12 +199,12 @@ class VelocityTracking:
 
     @rare
     def carried(self, velocity_m_s: Vec3) -> tuple[tuple[float, float], Vec3]:
-        """Return the horizontal distance until a new set-point takes effect, m, and the velocity then."""
+        """Predict the horizontal motion, m, until a new set-point takes effect, and the velocity after it."""
         memory, sent, lead = self.memory, self.late.sent_m_s, self.lead_xy
         if not sent or self.by_feedback:
             return (0.0, 0.0), velocity_m_s
         given = (velocity_m_s, memory.model_m_s, memory.model_m_s2, sent)
-        if given == self._carried[0]:  # the method is called twice a tick
+        if given == self._carried[0]:  # second call in one tick: the result is the same
             return self._carried[1]
         (vx, vy, vz), (mx, my, _), (dmx, dmy, _) = given[:3]
         x_m, vx = lead_carried(lead, vx, mx, dmx, [x for x, _ in sent])

@@ -1,8 +1,8 @@
 """Kalman filter that estimates the target's position, velocity and acceleration from delayed samples.
 
-Each axis is a triple integrator driven by white jerk; samples measure position and velocity at their own
-stamp, and the filter predicts the state from there to now. x and y have the same noise. Lost samples let the
-uncertainty grow; late samples count for the time of their measurement.
+Each axis is a triple integrator driven by white jerk. A sample measures position and velocity at its stamp,
+and the filter predicts the state from this time to now. x and y have equal noise. Each lost sample increases
+the uncertainty; a late sample counts for the time of its measurement.
 
 The velocity of a wheeled robot turns only with its heading, so the horizontal velocity turns at the measured
 yaw rate (coordinated turn). The remaining acceleration comes from starting and braking, and is short, so it
@@ -30,7 +30,7 @@ RESTART_S = 1.0  # longest gap between samples without a restart of the filter, 
 TURN_TIME_S = 0.3  # time constant of the yaw rate, s: differences of two measured yaws are noisy
 TURN_RATE_MAX_RAD_S = 3.0  # largest yaw rate; a TurtleBot3 reaches 2.84 (ROBOTIS, specifications)
 INNOVATION_TIME_S = 0.15  # time constant of the normalised innovation squared, s; three samples at 20 Hz
-TURN_MAX_RAD = 0.5  # largest turn in a step, rad; up to there the series of _turned are exact to 1e-5
+TURN_MAX_RAD = 0.5  # largest turn in a step, rad; up to it the series in ``_turned`` are exact to 1e-5
 
 
 class TargetMotion(NamedTuple):
@@ -44,7 +44,7 @@ class TargetMotion(NamedTuple):
     velocity_sigma_m_s: float
 
 
-# time, s; effect of an acceleration in it on position, s^2, and velocity, s; fraction of it that is left
+# time, s; effect of 1 m/s^2 in this time on position, s^2, and velocity, s; fraction left after it
 _Time = tuple[float, float, float, float]
 _NOW: _Time = (0.0, 0.0, 0.0, 1.0)
 _State = tuple[Vec3, Vec3, Vec3]  # position, velocity, acceleration
@@ -127,7 +127,7 @@ class TargetEstimator:
 
     @rare
     def _noise_at_least(self, position_sigma_m: float, velocity_sigma_m_s: float) -> _Noise:
-        """Return the noise of x and y, not less than the reported standard deviations."""
+        """Return the noise of x and y: the configured one, but at least the reported standard deviations."""
         xy = self.noise_xy
         return xy._replace(
             position2=max(xy.position2, position_sigma_m**2),
@@ -142,9 +142,9 @@ class TargetEstimator:
         memory.covariance_xy, memory.covariance_z = _start(xy), _start(self.noise_z)
 
     def _jerk2_xy(self) -> float:
-        """Return the squared jerk on x and y, now: the jerk grows with the square of the mean innovation.
+        """Return the current squared jerk on x and y: the jerk grows with the square of the mean innovation.
 
-        A mean of 2, which is rare by chance, already gives four times the jerk.
+        A mean of 2 gives four times the jerk; noise alone rarely causes this mean.
         """
         surprise = self.memory.surprise
         return self.noise_xy.jerk2 * max(
@@ -162,7 +162,7 @@ class TargetEstimator:
             (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
             turn(memory.turn_rate_rad_s, dt_s), fades, lasts,
         )  # fmt: skip
-        if dt_s < 0.0:  # an earlier state was no less certain
+        if dt_s < 0.0:  # an earlier state is not less certain
             fades = lasts = _NOW
         jerk2_xy = self._jerk2_xy()
         return TargetMotion(
@@ -183,11 +183,11 @@ def turn(rate_rad_s: float, dt_s: float) -> float:
 
 @numeric
 def fading(dt_s: float, fade_s: float) -> _Time:
-    """Return the integrals over a time of an acceleration that decays."""
+    """Return the effect of a decaying acceleration over a time; ``fade_s``: time constant."""
     share = dt_s / fade_s
     gone = -math.expm1(-share)
     to_velocity_s = fade_s * gone
-    if abs(share) < 0.01:  # the difference below loses digits, so a series is used, exact to 1e-10
+    if abs(share) < 0.01:  # the difference below would lose digits; the series is exact to 1e-10
         bent = 0.5 - share / 6.0 * (1.0 - share / 4.0 * (1.0 - share / 5.0))
         return (dt_s, dt_s * dt_s * bent, to_velocity_s, 1.0 - gone)
     return (dt_s, fade_s * (dt_s - to_velocity_s), to_velocity_s, 1.0 - gone)
@@ -202,7 +202,7 @@ def turn_rate(before_rad: float, after_rad: float, dt_s: float) -> float:
 
 @numeric
 def lasting(dt_s: float) -> _Time:
-    """Return the integrals over a time of a constant acceleration."""
+    """Return the effect of a constant acceleration over a time."""
     return (dt_s, 0.5 * dt_s * dt_s, dt_s, 1.0)
 
 
@@ -214,7 +214,7 @@ def _start(noise: _Noise) -> Covariance:
 def _turned(angle_rad: float) -> tuple[float, float, float, float, float, float]:
     """Return cosine and sine of an angle, of the mean over the turn, and of two thirds of the angle.
 
-    The function uses series, because it needs the means sin x / x and (1 - cos x) / x at zero, too.
+    The function uses series, because the means sin x / x and (1 - cos x) / x are also needed at x = 0.
     """
     x2 = angle_rad * angle_rad
     along = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0)
@@ -233,7 +233,7 @@ def _turned(angle_rad: float) -> tuple[float, float, float, float, float, float]
 
 @numeric
 def _moved(state: _State, turned_rad: float, fading: _Time, lasting: _Time) -> _State:
-    """Return position, velocity and acceleration later: x and y turn, and their acceleration decays.
+    """Return position, velocity and acceleration after a time: x and y turn, and their acceleration decays.
 
     With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); the acceleration turns, too. Its part of
     the position turns by two thirds of the angle, which is the weighted mean.
@@ -273,7 +273,7 @@ def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
 
 @numeric
 def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
-    """Return the variance of the position, the first number of ``_propagate``."""
+    """Return the variance of the position, the first element of ``_propagate``."""
     pp, pv, pa, vv, va, aa = covariance
     t, p, _, _ = time
     t2 = t * t
@@ -284,20 +284,20 @@ def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> flo
 
 @numeric
 def _velocity_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
-    """Return the variance of the velocity, the fourth number of ``_propagate``."""
+    """Return the variance of the velocity, the fourth element of ``_propagate``."""
     _, _, _, vv, va, aa = covariance
     t, _, v, _ = time
     return vv + 2.0 * v * va + v * v * aa + jerk2 * t * t * t / 3.0
 
 
-_Gains = tuple[float, float, float, float, float, float]  # gains on p, v, a: for position, then for velocity
+_Gains = tuple[float, float, float, float, float, float]  # gains of p, v, a: for position, then velocity
 
 
 @numeric
 def _correct(
     covariance: Covariance, position2: float, velocity2: float
 ) -> tuple[Covariance, _Gains, tuple[float, float]]:
-    """Update by measured position and velocity with independent noise, in two scalar steps."""
+    """Return gains and covariance for a measured position and velocity with independent noise."""
     pp, pv, pa, vv, va, aa = covariance
     s = 1.0 / (pp + position2)
     kp, kv, ka = pp * s, pv * s, pa * s

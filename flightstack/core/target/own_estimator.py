@@ -12,7 +12,7 @@ With velocity feedback, which needs the same model, the equations are:
 p and v + e are measured. A steady Kalman filter estimates all five for the time of the measurement, and the
 same model predicts them over the delay with the set-points u that have no effect yet. Without velocity
 feedback the loop may differ from the declared one, and the model would take its faster response for errors.
-Then, and always vertically, where the thrust saturates first and the model fails, only p and e are estimated:
+In this case, and always for z, where thrust saturation makes the model wrong, only p and e are estimated:
 
     q' = v - e + 2 w (p - q),      e' = -w^2 (p - q),      w = 1 / T
 """
@@ -29,13 +29,13 @@ from flightstack.core.parameters.robust import OwnStateLink, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import OwnState, Vec3
 
-KNOWN = 4  # number of stored set-points: those of 30 ms at 100 Hz, and the one before them
+KNOWN = 4  # number of stored set-points: 30 ms at 100 Hz, and one earlier set-point
 GAP_MAX_S = 0.2  # gap between samples after which the estimator restarts, s
 VELOCITY_NOISE_M_S = 0.01  # noise of a reported velocity between samples, m/s
 
 PUSH_M_S2 = 0.15  # rms of f: recorded turning moments, a tilt error of 0.015 rad, gusts of 0.3 m/s
 PUSH_TIME_S = 1.0  # correlation time of f, s: between that of moments, 0.1 s, and of a tilt error
-PERIODS = 600  # steps of the Riccati recursion: 6 s at 100 Hz, many times the slowest time constant
+PERIODS = 600  # steps of the Riccati recursion: 6 s at 100 Hz, much longer than the slowest time constant
 
 Matrix = list[list[float]]
 Model = tuple[float, float, float, float, float]  # model of an axis, see ``OwnEstimator``
@@ -48,7 +48,7 @@ class Gains(NamedTuple):
     velocity: tuple[float, float, float, float, float]
 
 
-NO_GAINS = Gains((0.0,) * 5, (0.0,) * 5)  # gains without any correction
+NO_GAINS = Gains((0.0,) * 5, (0.0,) * 5)  # gains with which no sample corrects the estimate
 
 
 @lru_cache(maxsize=16)
@@ -103,10 +103,10 @@ class OwnEstimator:
     period_s: float  # period of a tick
     by_loop: bool  # whether the model of the velocity loop is used
     delay_s: float
-    push_1_s: float  # acceleration f over the disturbance of the velocity
+    push_1_s: float  # ratio of acceleration f to steady velocity disturbance, 1/s
     rate_1_s: float  # rate of the error estimate without the model
     most_m_s: float
-    ahead: int  # number of ticks from the newest sample to now
+    ahead: int  # number of ticks from the measurement time of the newest sample to now
     gap_max: int
 
     def __init__(self, link: OwnStateLink, loop: VelocityLoop, period_s: float, *, by_loop: bool) -> None:
@@ -122,7 +122,7 @@ class OwnEstimator:
         self.gap_max = round(GAP_MAX_S / period_s)
 
     def step(self, own: OwnState) -> OwnState:
-        """Return the current state, estimated from the newest one received."""
+        """Return the current vehicle state, estimated from the newest received one."""
         memory, (_, second, third, fourth) = self.memory, self.memory.pending
         memory.pending = (second, third, fourth, memory.sent_m_s)
         elapsed_s = own.source_time_s - memory.time_s
@@ -149,14 +149,14 @@ class OwnEstimator:
         )
 
     def to_send(self, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
-        """Return the set-point to send: the velocity that the vehicle reports when it flies the given one."""
+        """Return the set-point to send: the wanted velocity plus the estimated error of the reported one."""
         memory, (x, y, z), (mx, my, mz) = self.memory, velocity_m_s, most_m_s
         ex, ey, ez = memory.x_now[3], memory.y_now[3], memory.z_error_m_s
         memory.sent_m_s = (clip(x + ex, -mx, mx), clip(y + ey, -my, my), clip(z + ez, -mz, mz))
         return memory.sent_m_s
 
     def forget(self) -> None:
-        """Restart with the next sample, because the flown set-points are unknown."""
+        """Restart with the next sample, because the vehicle followed unknown set-points."""
         self.memory.time_s = math.nan
 
     def _begin(self, own: OwnState) -> None:
@@ -187,16 +187,16 @@ class OwnEstimator:
 
 @numeric
 def on_its_way(ahead: int, k: int) -> int:
-    """Return the index of the stored set-point flown k ticks after the newest sample (k = -1: at it).
+    """Return the index of the stored set-point that acts k ticks after the newest sample (k = -1: at it).
 
-    If the delay is longer than the stored time, the oldest set-point is used for all earlier ones.
+    If the delay is longer than the stored time, the oldest stored set-point replaces all earlier ones.
     """
     return max(0, KNOWN - ahead + k)
 
 
 @numeric
 def moved(axis: AxisState, u_m_s: float, model: Model) -> AxisState:
-    """Return the state of an axis one tick later, with this set-point."""
+    """Return the state of an axis after one tick with this set-point."""
     (p, v, a, e, f), (t, rate_2_s2, drag_1_s, fades, push_fades) = axis, model
     return (
         p + t * v,
@@ -212,7 +212,7 @@ def learned(
     axis: AxisState, u_m_s: float, ticks: int, model: Model, p_m: float, v_m_s: float, gains: Gains,
     most_m_s: float,
 ) -> AxisState:  # fmt: skip
-    """Return the state some ticks later, corrected by a reported position and velocity; e is limited."""
+    """Return the state of an axis after some ticks, corrected by a reported position and velocity."""
     for _ in range(ticks):
         axis = moved(axis, u_m_s, model)
     (p, v, a, e, f), ((kp, kv, ka, ke, kf), (lp, lv, la, le, lf)) = axis, gains

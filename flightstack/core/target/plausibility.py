@@ -6,8 +6,8 @@ A link that delivers recent time stamps can still deliver wrong data. Three fact
 sensor:
 
 * a state that repeats to the last bit while it reports motion, or for ``STILL_MAX_S`` while the vehicle
-  follows set-points, is no new measurement, and its age grows. A vehicle at rest repeats its numbers;
-* the integrated velocity gives the change of position: the difference, summed with decay, is only noise;
+  follows set-points, is no new measurement, and its age grows. Only a vehicle at rest repeats its state;
+* the integrated velocity equals the change of position: their difference, summed with decay, is only noise;
 * the vehicle follows its set-points within its lag: velocity minus commanded velocity, summed with decay, is
   the distance by which it lags, at most its lag at full speed (``checks`` has decay times and bounds).
 
@@ -23,7 +23,7 @@ from flightstack.core.numeric import norm, numeric
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import ZERO, OwnState, Vec3
 
-SMOOTHING_S = 0.2  # time constant, s: it reduces a noise of 2 cm at 20 samples a second to 1 cm
+SMOOTHING_S = 0.2  # time constant of the drift's low-pass, s: reduces 2 cm of noise at 20 Hz to 1 cm
 TRUSTED_AGAIN = 0.5  # fraction of the bound below which a state is trusted again
 # Speed below which equal positions may be a vehicle at rest, m/s: firmware truncates to millimetres and shows
 # the bias of its accelerometer as a velocity, 9 mm/s on a Crazyflie.
@@ -57,7 +57,7 @@ class Plausibility:
 
     @property
     def drift_m(self) -> float:
-        """Length of the position change that the velocity does not explain, m."""
+        """Length of the position change that the reported velocity does not explain, m."""
         return norm(self.memory.drift_m)
 
     @property
@@ -91,7 +91,7 @@ class Plausibility:
         return now_s - last.arrival_s <= self._checks.own_age_max_s
 
     def follow(self, wanted_m_s: Vec3, velocity_m_s: Vec3) -> None:
-        """Compare the velocity with the command of the last tick; the caller does this once a tick."""
+        """Compare the velocity with the command of the last tick; call this method once a tick."""
         t, kept = self.period_s, self.kept
         (mx, my, mz), (wx, wy, wz), (vx, vy, vz) = self.memory.missed_m, wanted_m_s, velocity_m_s
         self.memory.missed_m = (
@@ -99,7 +99,7 @@ class Plausibility:
         )  # fmt: skip
 
     def forget(self) -> None:
-        """Restart the sum of ``follow``, because the vehicle followed no set-points of this stack."""
+        """Reset the sum of ``follow``, because the vehicle did not follow set-points of this stack."""
         self.memory.missed_m = ZERO
 
     @property
@@ -110,7 +110,7 @@ class Plausibility:
     def _drift(self, last: OwnState, own: OwnState) -> None:
         dt_s = own.arrival_s - last.arrival_s
         if not 0.0 < dt_s <= self._checks.own_age_max_s:
-            return  # after a gap, the old state does not limit the current position
+            return  # after a gap, the previous state does not bound the current position
         self.memory.drift_m = drifted(
             self.memory.drift_m, last.position_enu_m, own.position_enu_m,
             last.velocity_enu_m_s, own.velocity_enu_m_s, dt_s, self._checks.own_drift_memory_s,
@@ -119,7 +119,7 @@ class Plausibility:
 
 @numeric
 def drifted(d: Vec3, p0: Vec3, p: Vec3, v0: Vec3, v: Vec3, dt_s: float, memory_s: float) -> Vec3:
-    """Return the position change that the velocity does not explain, updated with another state."""
+    """Return the unexplained position change, updated with a new position ``p`` and velocity ``v``."""
     kept, half = math.exp(-dt_s / memory_s), 0.5 * dt_s
     return (
         kept * (d[0] + (p[0] - p0[0]) - half * (v[0] + v0[0])),
@@ -130,7 +130,7 @@ def drifted(d: Vec3, p0: Vec3, p: Vec3, v0: Vec3, v: Vec3, dt_s: float, memory_s
 
 @numeric
 def smoothed(before: Vec3, now: Vec3, dt_s: float) -> Vec3:
-    """Return the low-pass filtered drift after a sample."""
+    """Return the low-pass filtered drift after a new sample."""
     share = dt_s / (dt_s + SMOOTHING_S)
     (x0, y0, z0), (x, y, z) = before, now
     return (x0 + share * (x - x0), y0 + share * (y - y0), z0 + share * (z - z0))

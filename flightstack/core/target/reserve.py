@@ -17,7 +17,7 @@ from flightstack.core.numeric import numeric
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve, left, level_m_s2, up_m_s2
 from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
 
-# minimum averaged lift divided by the weight; below it the vehicle falls, which shows no reserve
+# minimum ratio of averaged lift to weight; below it the vehicle falls, and the reserve is unknown
 LEAST_LIFT = 0.1
 AGE_MAX_S = 3.0  # longest age of power data, s; the voltage arrives once a second, two messages may be lost
 
@@ -29,8 +29,8 @@ class Reported:
     arrival_s: float = math.nan
     standing: bool = False
     low: bool = False  # the voltage at rest is too low to start a landing
-    flying: float = math.nan  # effort in flight: from the throttle, else from the voltage
-    resting: float = math.nan  # effort from the voltage
+    flying: float = math.nan  # effort in flight from the throttle; without a throttle, from the voltage
+    resting: float = math.nan  # effort at rest, from the voltage
     sags: float = math.nan  # loss term of the voltage sag (``Reserve.sags``)
     most: float = math.nan  # effort at which the thrust command saturates at this voltage
 
@@ -40,11 +40,11 @@ class ReserveEstimate:
 
     memory: ReserveMemory
     reported: Reported
-    most_m_s2: Vec3  # limit of the commanded acceleration with full reserve
-    share: float  # weight of a tick in the average
-    lasting_m_s: float  # velocity that gravity causes in the averaging time
-    least: float  # lowest reserve that allows a landing
-    reserve: float  # largest thrust over weight; NaN if unknown
+    most_m_s2: Vec3  # limit of the commanded acceleration at full thrust reserve
+    share: float  # weight of one tick in the moving average
+    lasting_m_s: float  # gravity multiplied by the averaging time
+    least: float  # minimum thrust reserve for the start of a landing
+    reserve: float  # ratio of maximum thrust to weight; NaN if unknown
     charge: Charge  # state of the battery
     acceleration_max_m_s2: Vec3  # limit of the commanded acceleration, ENU; z limits the upward one
     _part: float  # usable fraction of the reserve (``Reserve.share``)
@@ -67,7 +67,7 @@ class ReserveEstimate:
         fresh = power is not None and now_s - power.arrival_s <= AGE_MAX_S
         standing = status is None or not status.armed
         self.receive(power if fresh else None, standing)
-        # on the ground, motors that spin up give no information
+        # on the ground, the throttle of spinning motors does not show the weight
         self.update(rise_m_s, flies, status is not None and status.landed is not Landed.ON_GROUND)
 
     def receive(self, power: Power | None, standing: bool) -> bool:
@@ -122,7 +122,7 @@ class ReserveEstimate:
 
     @property
     def text(self) -> str:
-        """Reason why the battery does not allow a landing, and what to do; empty: a landing is allowed."""
+        """Reason why the battery is too weak for a landing, and what to do; empty: a landing is allowed."""
         table, power = self._table, self._power
         if self.charge is Charge.FIT:
             return ""
@@ -137,7 +137,7 @@ class ReserveEstimate:
 
 
 def too_low(table: Reserve, voltage_v: float) -> str:
-    """Return why a battery with this voltage at rest allows no landing; empty: a landing is allowed."""
+    """Return why a battery with this voltage at rest must not start a landing; empty: it may."""
     least_v = table.start_voltage_v + table.sag_v
     if voltage_v >= least_v:
         return ""

@@ -53,10 +53,10 @@ class TargetState(NamedTuple):
 
 
 class TargetTrack:
-    """Newest accepted sample, and numbers of samples; ``memory`` is the complete state."""
+    """Newest accepted sample, and counters of samples; ``memory`` is the complete state."""
 
     memory: TrackMemory
-    # step of the sender's clock at the newest sample, s, positive forwards; 0: no step
+    # step of the sender's clock at the newest sample, s; positive: the clock jumped forwards; 0: no step
     stepped_s: float
     _checks: Checks  # limits of the configuration
     _clock: SenderClock
@@ -99,7 +99,7 @@ class TargetTrack:
 
     @property
     def moves_m_s(self) -> Vec3:
-        """Velocity derived from the positions: the newest sample's velocity plus the drift rate."""
+        """Velocity of the target from positions: reported velocity plus drift rate of the positions."""
         memory, memory_s = self.memory, self._checks.target_drift_memory_s
         assert memory.last is not None
         x, y, z = (
@@ -113,7 +113,7 @@ class TargetTrack:
     def _drift(self, last: TargetSample, sample: TargetSample) -> None:
         checks, memory, dt_s = self._checks, self.memory, sample.source_time_s - last.source_time_s
         if not 0.0 < dt_s <= checks.target_age_max_s:
-            return  # after a gap, the old sample does not limit the current position
+            return  # after a gap, the previous sample does not bound the current position
         memory.drift_m = drifted(
             memory.drift_m, last.position_enu_m, sample.position_enu_m,
             last.velocity_enu_m_s, sample.velocity_enu_m_s, dt_s, checks.target_drift_memory_s,
@@ -161,13 +161,13 @@ class TargetTrack:
     def _judge_anew(
         self, last: TargetSample, sample: TargetSample, gap_s: float, lost: bool, stepped: bool
     ) -> Verdict:
-        """Check the position of a sample that is not near the last one, or follows a loss of the target."""
+        """Check the position of a sample that is far from the last one or follows a loss of the target."""
         checks, memory = self._checks, self.memory
-        # a simultaneous restart of clock and position is a restarted odometry, not another robot
+        # if clock and position restart at the same time, the odometry has restarted: the robot is the same
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
         free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
         if lost and free and memory.elsewhere is None:
-            return Verdict.ACCEPTED  # the old sample does not limit the current position
+            return Verdict.ACCEPTED  # the previous sample does not bound the current position
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
         # after a loss, the current or the last velocity may explain a wrong position by chance; samples that
         # continue from elsewhere show that the target is still there
@@ -182,7 +182,7 @@ class TargetTrack:
         return Verdict.JUMP
 
     def _near(self, before: TargetSample, after: TargetSample, at_last: TargetSample, step_s: float) -> bool:
-        """Whether the target can have moved from one sample to the other at the mean of two velocities.
+        """Whether the mean of two velocities explains the motion of the target between two samples.
 
         The mean is exact under constant acceleration.
         """
@@ -195,7 +195,7 @@ class TargetTrack:
         return dx * dx + dy * dy + dz * dz <= most_m * most_m
 
     def _proved(self, sample: TargetSample, lost: bool) -> bool:
-        """Whether samples elsewhere have agreed with each other for long enough after a loss."""
+        """Whether samples at a new place have agreed with each other for long enough after a loss."""
         memory, before = self.memory, self.memory.elsewhere
         step_s = sample.source_time_s - before.source_time_s if before is not None else 0.0
         if before is None or not self._near(before, sample, sample, step_s):
@@ -207,7 +207,7 @@ class TargetTrack:
         return lost and not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
 
     def age_s(self, sample: TargetSample, now_s: float) -> float:
-        """Return the age of a sample without the shortest delay, which is unknown (the clocks differ)."""
+        """Return the age of a sample minus the shortest delay, which is unknown because the clocks differ."""
         return self._clock.lateness_s(sample.source_time_s, now_s)
 
     def at(self, now_s: float) -> TargetState:
