@@ -19,17 +19,17 @@ from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import CONTROLLER_NEIGHBOURS, FLEET_WORD
 
 AGE_MAX_S = 0.5  # maximum message age by default, s
-_Sent = tuple[float, Intent, tuple[str, ...]]  # fields: time, intent, members to which the sender gives way
+_Sent = tuple[float, Intent, tuple[str, ...]]  # time, intent, members to which the sender gives way
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A time in which a member's messages had the same content."""
+    """An interval in which all messages of a member had the same content."""
 
     begin_s: float  # time of the first message, s
-    end_s: float  # time of the first message with other content, else of the last one, s
+    end_s: float  # time of the first message with other content, or of the last message, s
     intent: Intent  # intent that the member announced
-    gives_way_to: tuple[str, ...]  # names of the members to which it gives way
+    gives_way_to: tuple[str, ...]  # names of the members to which this member gives way
 
     @property
     def waits(self) -> bool:
@@ -44,13 +44,13 @@ class Link:
     sender: str  # name of the sending member
     receiver: str  # name of the receiving member
     sent: int  # number of messages sent before the receiver's last tick
-    # number of messages that the receiver used; others were lost or replaced by newer ones
+    # number of messages that the receiver used; the other messages were lost or replaced by newer ones
     used: int
     late_max_s: float | None  # maximum message age on arrival, s; None: none arrived
     gap_max_s: (
         float  # longest time between two messages, or from the last to the end, while the sender flew, s
     )
-    # (begin, end), s, of each time in which the newest message was older than the receiver accepts
+    # intervals (begin, end), s, in which the newest message was older than the receiver accepts
     silent: tuple[tuple[float, float], ...]
 
 
@@ -60,7 +60,7 @@ class FleetMessages:
 
     spans: dict[str, tuple[Span, ...]]  # spans by member, in time order
     links: tuple[Link, ...]  # one link per ordered pair of members
-    problems: tuple[str, ...]  # unreadable messages, as text
+    problems: tuple[str, ...]  # descriptions of unreadable messages
 
 
 def load_messages(fleet: Fleet) -> FleetMessages:

@@ -1,7 +1,7 @@
 """Reads a flight log into numpy arrays.
 
-Reading three thousand steps with all other messages takes a fraction of a second. Of a damaged log the
-readable part is returned, with a description of the damage.
+Reading three thousand steps with all other messages takes a fraction of a second. If a log is damaged,
+its readable part is returned, with a description of the damage.
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ def load_flight(path: Path | str, member: str | None = None) -> Flight:
         member: name of the vehicle whose flight is read; None if the log has one flight.
 
     Raises:
-        LogError: not a log, or it holds neither controller steps nor true states, no such member, or a fleet
-        without a member given.
+        LogError: the file is no log, holds neither controller steps nor true states, or has no such
+        member, or it is the log of a fleet and no member is given.
     """
     return next(iter(_read(LogFile(path, member).single()).flights.values()))
 
 
 def load_fleet(path: Path | str, member: str | None = None) -> Fleet:
-    """Read all flights of a log in one pass, or only that of a member."""
+    """Read the flights of all members, or of one member, in one pass over the log."""
     return _read(LogFile(path, member))
 
 
@@ -72,7 +72,7 @@ def _read(whole: LogFile) -> Fleet:
     logs = {name: whole.part(name) for name in whole.members}
     found: dict[str, dict[str, list[Message]]] = {name: {} for name in logs}
     pairs: dict[tuple[int, int], FleetPairRow] = {}
-    said: list[Message] = []  # events of all
+    said: list[Message] = []  # events of all processes
     for message in whole.messages():
         if message.schema == FLEET_PAIR:
             try:
@@ -97,7 +97,7 @@ def _read(whole: LogFile) -> Fleet:
         flights=flights,
         pairs=pairs,
         ids=parts.ids,
-        # unreadable events are among the problems of the flights
+        # the flights already report unreadable events as problems
         events=tuple(_of_all(event, parts, shown) for event in _events(said, origin_ns, [])),
         metadata={name: values for name, values in whole.metadata().items() if parts.split(name)[0] is None},
         attachments={a.name: a.data for a in whole.attachments() if parts.split(a.name)[0] is None},
@@ -105,7 +105,7 @@ def _read(whole: LogFile) -> Fleet:
 
 
 def _of_all(event: Event, parts: Members, shown: Mapping[str, str]) -> Event:
-    """Return an event of a list of all flights; its source starts with the member, if there are several."""
+    """Return an event for the list of all flights; in a fleet its source starts with the member's name."""
     owner, logger = parts.split(event.source, ".")
     label = shown[owner] if owner is not None else ""
     return replace(event, source=f"{label}.{logger}" if label else logger)
@@ -160,7 +160,7 @@ def _flight(log: LogFile, label: str, by_kind: Mapping[str, list[Message]], prob
 
 
 def _kind(message: Message) -> str:
-    """Return the schema if this reader uses the message, else empty."""
+    """Return the schema if this reader uses the message, else an empty text."""
     if message.schema in (CONTROLLER_STEP, LOOP_TIMING, TRUE_STATE, LOG):
         return message.schema
     return ODOMETRY if message.schema == ODOMETRY and message.topic.endswith(TARGET_TOPIC_END) else ""
@@ -213,7 +213,7 @@ def _events(messages: Sequence[Message], origin_ns: int, damage: list[str]) -> t
 
 
 def _config(attachments: dict[str, bytes]) -> tuple[FlightConfig | None, tuple[str, ...]]:
-    """Return the flight's configuration if the log holds it, and the reason why it cannot be read."""
+    """Return the configuration in the log, or None with the reason why it cannot be read."""
     data = attachments.get(ATTACHMENT)
     if data is None:
         return None, ()
@@ -224,7 +224,7 @@ def _config(attachments: dict[str, bytes]) -> tuple[FlightConfig | None, tuple[s
 
 
 def _barrier(told: dict[str, str]) -> Barrier | None:
-    """Return the barrier of the scenario's verdict, else the controller's barrier."""
+    """Return the barrier that the scenario declares for the verdict, or else the controller's barrier."""
     for whose in ("judge", "barrier"):
         alpha_1_m, beta_m = _number(told, f"{whose}_alpha_1_m"), _number(told, f"{whose}_beta_m")
         if alpha_1_m is not None and beta_m is not None:

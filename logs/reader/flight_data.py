@@ -24,7 +24,7 @@ from logs.schema.rows import ControllerStepColumns, FleetPairRow, LoopTimingColu
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-PAD_RADIUS_M = 0.10  # default, m: a Crazyflie's pad, if the log holds neither a run nor a configuration
+PAD_RADIUS_M = 0.10  # pad radius of a Crazyflie, m; used if the log holds neither a run nor a configuration
 ATTACHMENT = "onboard.toml"  # name of the configuration in the log
 
 
@@ -85,13 +85,13 @@ class Timing(LoopTimingColumns):
 
 @dataclass(frozen=True)
 class TargetOdometry:
-    """Target odometry as it was received, n samples, accepted by the controller or not."""
+    """All n received samples of the target odometry, including those that the controller rejected."""
 
     t_s: Floats  # arrival times, s, (n,)
     stamp_ns: Ints  # measurement times on the sender's clock, (n,)
     position_enu_m: Floats  # centre of the pad's top, (n, 3)
     velocity_child_m_s: Floats  # velocity in the robot's frame, as sent, (n, 3)
-    frame_id: list[str]  # n names, usually "map"
+    frame_id: list[str]  # frame of each pose, usually "map"
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class JudgedSteps(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """The part of a flight that a verdict by true states needs; also of a landing in a campaign."""
+    """The data that a verdict by true states needs, from a log or from a landing in a campaign."""
 
     steps: JudgedSteps | None = None
     truth: Truth | None = None
@@ -173,7 +173,7 @@ class Flight(Judged):
     pad_carries: bool = True
 
     def phase_spans(self) -> list[tuple[Phase | int, float, float]]:
-        """Return the phases in order, each with its first time and the first time of the next one, s."""
+        """Return the phases in order, each with its start time and its end time, s."""
         if self.steps is None:
             return []
         phase, t_s = self.steps.phase, self.steps.t_s
@@ -192,10 +192,10 @@ class Fleet:
     flights: dict[str, Flight]  # flights by member; the times of each flight start at its ``origin_ns``
     pairs: dict[tuple[int, int], FleetPairRow]  # newest simulator record of each pair of ids
     ids: dict[int, str]  # members by vehicle id, which is also the MAVLink system id
-    # events of /rosout in order, times since ``origin_ns``; sources of several members start with the name
+    # events of /rosout in order, times since ``origin_ns``; in a fleet, sources start with the member's name
     events: tuple[Event, ...]
-    metadata: dict[str, dict[str, str]]  # metadata records of no single member, by name
-    attachments: dict[str, bytes]  # attachments of no single member, by name
+    metadata: dict[str, dict[str, str]]  # metadata records that belong to all members, by name
+    attachments: dict[str, bytes]  # attachments that belong to all members, by name
 
     @property
     def origin_ns(self) -> int:
@@ -231,9 +231,9 @@ def read_config(data: bytes) -> FlightConfig:
 
 
 def shape(config: FlightConfig) -> dict[str, str]:
-    """Return barrier and pad under the names of a simulated run's metadata, m and 1/m.
+    """Return the sizes of barrier and pad, m and 1/m, by their names in the metadata of a simulated run.
 
-    A fleet also has the semi-axes of the ellipsoid around a vehicle pair.
+    For a fleet the result also has the semi-axes of the ellipsoid around a vehicle pair.
     """
     barrier, fleet = config.barrier.build(), config.fleet
     found = {

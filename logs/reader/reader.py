@@ -1,7 +1,7 @@
 """Reads a flight log, complete or damaged: all data, or the part of one vehicle.
 
 A killed recorder leaves a file without its index, truncated at any byte; a disk or a transfer may damage any
-byte. The data up to there are read, and the place is reported.
+byte. The data up to this byte are read, and its place is reported.
 
 The metadata record ``fleet`` names the vehicles of the log, its members. The data of a member have its
 namespace in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``,
@@ -10,7 +10,7 @@ metadata ``cf2/onboard``. Events, metadata and attachments without a member's na
 topics of no member belong to none.
 
 In older logs of one vehicle, nothing but the topics has the namespace in front, and the scenario of a fleet
-is ``team.toml``. ``Members`` gives them the present names.
+is ``team.toml``. ``Members`` converts these names to the present form.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from logs.schema.schemas import LOG, same_fields
 ROSOUT = "/rosout"
 _NAME = re.compile(r"(?=.{1,64}$)[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*")
 _SYSTEM = "uas"  # first part of the topics of MAVLink frames; the system id follows
-_FRAMES = "/uas1"  # first part of these topics in a member's part, whatever its system id
+_FRAMES = "/uas1"  # first part of these topics in the log part of a member, for any system id
 _OLD_NAMES = {"team.toml": SCENARIO, "team_source.toml": SCENARIO.replace(".", "_source.")}
-_OWNED = ("run", "onboard")  # metadata of a vehicle
+_OWNED = ("run", "onboard")  # metadata records that belong to one vehicle
 
 
 class Members:
@@ -46,7 +46,7 @@ class Members:
     def __init__(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
         told = metadata.get(FLEET, {}).get("members", "")
         owners = [owner for name in metadata for owner, own in (split(name),) if owner and own in _OWNED]
-        # whether the log has one vehicle, whose name is only in its topics
+        # whether this is an older log of one vehicle, in which only the topics have its name
         self.old = not told and not owners
         if self.old:
             told = metadata.get("onboard", {}).get("namespace", "").strip("/") or member_name(1)
@@ -87,13 +87,13 @@ def _system_id(metadata: Mapping[str, Mapping[str, str]], number: int, name: str
 
 
 class MemberView:
-    """A member's part of the log, without its namespace in front of metadata, attachments and loggers."""
+    """A member's part of the log; metadata, attachments and loggers have names without the namespace."""
 
     def __init__(self, members: Members, member: str) -> None:
         self._members, self._member = members, member
 
     def topic(self, topic: str) -> str | None:
-        """Return the name of a topic; None for a topic of another member. /rosout is shared."""
+        """Return the name of a topic; None if it belongs to another member. /rosout belongs to all."""
         if topic == ROSOUT:
             return topic
         if self._members.owner(topic) != self._member:
@@ -103,7 +103,7 @@ class MemberView:
         return f"{_FRAMES}/{topic.removeprefix('/').partition('/')[2]}"
 
     def name(self, name: str) -> str | None:
-        """Return the name of a metadata record or attachment; None for one of another member."""
+        """Return the name of a metadata record or attachment; None if it belongs to another member."""
         owner, rest = self._members.split(name)
         return rest if owner in (None, self._member) and name != FLEET else None
 
@@ -115,10 +115,10 @@ class MemberView:
         return {whose[who][1]: text for who, text in values.items() if whose[who][0] in (None, self._member)}
 
     def data(self, schema: str, data: bytes) -> bytes | None:
-        """Return the data of a message on one of this member's topics, an event with its logger's name.
+        """Return the data of a message of this member; an event gets the logger name without namespace.
 
-        The result is None for the event of another member. An event that cannot be decoded belongs to all
-        members, as recorded.
+        The result is None for an event of another member. An event that cannot be decoded belongs to all
+        members and is returned unchanged.
         """
         try:
             row = LogRow.unpack(data) if schema == LOG else None
@@ -154,7 +154,7 @@ class Outline:
     library: str = ""  # program that wrote the file
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: list[Attachment] = field(default_factory=list)
-    # message types of this stack whose definitions in the file have other fields
+    # message types of this stack whose fields in the file differ from this version
     foreign: set[str] = field(default_factory=set)
     problem: str = ""  # first unreadable record, its place and the reason; empty: none
     broken_at: int = 0  # first unreadable byte; the size of the file if there is none
@@ -166,8 +166,8 @@ class LogFile:
     def __init__(self, path: Path | str, member: str | None = None) -> None:
         """Check the start of the file.
 
-        With the namespace of a member only its topics, events, metadata and attachments, and those of all
-        members, are read; without the namespace in front, except for the topics.
+        If ``member`` is given, only data of this member and of all members are read. Their names, except
+        topics, are returned without the namespace.
         """
         self.path = Path(path)  # the log file
         self.member = member  # member whose part is read; None: the whole log
@@ -258,7 +258,7 @@ class LogFile:
                         wanted[record.id] = seen, schemas.get(record.schema_id, "")
 
     def part_of(self, message: Message) -> Message | None:
-        """Return a message of the whole log as in this member's part; None for one of another member."""
+        """Convert a message of the whole log to this member's names; None: another member sent it."""
         topic = None if self.view is None else self.view.topic(message.topic)
         if self.view is None or topic is None:
             return None
@@ -266,7 +266,7 @@ class LogFile:
         return None if data is None else message._replace(topic=topic, data=data)
 
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Return the metadata records by name; of several with one name the last value of each key."""
+        """Return the metadata records by name; of records with one name the last value of a key counts."""
         view, found = self.view, self.outline.metadata
         if view is None:
             return found

@@ -1,4 +1,4 @@
-"""Derives the messages for viewers: standard ROS messages of controller steps, and all others.
+"""Derives the messages for viewers: standard ROS messages from controller steps and from MAVLink frames.
 
 The messages of a :class:`Deriver` let any viewer show the flight in 3-D. They contain only data of the steps
 and of the run's metadata. The log time of the steps alone determines which messages are derived: two runs
@@ -42,9 +42,9 @@ MARKER_PERIOD_NS = 200_000_000  # period of 5 Hz, since marker messages are larg
 STATIC_PERIOD_NS = 5_000_000_000  # period of static transforms; a viewer needs them after a jump in the log
 STEP_SUFFIX = "/controller/step"
 
-TOPICS_MAX = 512  # greatest number of topics, since a sender can invent system ids
-_STAMP_BYTES = 12  # length of encapsulation and stamp
-_HEADER_BYTES = 20  # the same with a frame_id of three characters; fields follow aligned
+TOPICS_MAX = 512  # maximum number of derived topics, since a sender can invent system ids
+_STAMP_BYTES = 12  # length of CDR encapsulation and stamp
+_HEADER_BYTES = 20  # length of encapsulation, stamp, frame_id of three characters, and padding
 _NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame with unknown peer
 
 Derived = tuple[str, str, bytes]  # fields: topic, schema, CDR payload
@@ -68,12 +68,12 @@ class Deriver:
         self._slots: dict[int, int] = {}
 
     def configure(self, run: Mapping[str, str], shape: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Set barrier, pad and the displayed text from the metadata of the run."""
+        """Set barrier, pad and displayed text from the metadata of the run."""
         self._scene.configure({**shape, **run})
         self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in run.items()))
 
     def step(self, log_time_ns: int, row: ControllerStepRow) -> list[Derived]:
-        """Return the messages of one controller step; none between two periods."""
+        """Return the messages for one controller step; empty if no message is due at this time."""
         if not self._due(PERIOD_NS, log_time_ns):
             return []
         stamp_ns, space = row.stamp_ns, self._space
@@ -96,7 +96,7 @@ class Deriver:
             add("/tf", TF_MESSAGE, (frames,))
         if row.own_valid:
             add(f"{space}/pose", POSE_STAMPED, (stamp_ns, own))
-            # A controller step has no turn rates.
+            # turn rates are zero here, because a controller step contains none
             twist = (_body_velocity(row), ZERO)
             odometry = (stamp_ns, self._base, (own, NO_COVARIANCE), (twist, NO_COVARIANCE))
             add(f"{space}/odom", ODOMETRY, odometry)
@@ -205,7 +205,7 @@ class Derivers:
     def attachment(self, name: str, data: bytes) -> None:
         member, name = split(name)
         if name == ATTACHMENT:
-            with contextlib.suppress(ConfigError):  # another version's configuration gives no barrier and pad
+            with contextlib.suppress(ConfigError):  # an incompatible version: no barrier and pad
                 self._told[member]["shape"] = shape(read_config(data))
             self._configure()
 

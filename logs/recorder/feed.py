@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 HEADER = struct.Struct("<IHHqqI")  # payload length, kind, channel, log time ns, publish time ns, sequence
-SOCKET_PATH_MAX = 107  # limit, bytes (unix(7))
-MAX_PAYLOAD = 16 * 2**20  # limit, bytes; a longer payload shows a corrupted stream
+SOCKET_PATH_MAX = 107  # maximum length of a socket path, bytes (unix(7))
+MAX_PAYLOAD = 16 * 2**20  # maximum payload, bytes; a longer payload shows a corrupted stream
 
 
 class Kind(IntEnum):
@@ -45,7 +45,7 @@ class Record(NamedTuple):
 
 
 class WireError(ValueError):
-    """A stream that is not made of records; the remaining data of that client cannot be read."""
+    """The stream of a client contains an invalid record; the remaining data of this client cannot be read."""
 
 
 def encode(
@@ -89,7 +89,7 @@ class Splitter:
         return records
 
 
-BUFFER_LIMIT = 4 * 2**20  # bytes buffered for a slow recorder, several seconds of one vehicle's flight
+BUFFER_LIMIT = 4 * 2**20  # maximum buffer for a slow recorder, bytes: several seconds of one vehicle's flight
 PATIENCE_S = 8.0  # wall time for which a lossless or closing sender waits for the recorder, s
 _MESSAGE = int(Kind.MESSAGE)
 _SOCKET_BUFFER = 2**20  # bytes requested from the kernel, which may grant fewer
@@ -111,9 +111,9 @@ class Feed:
         self._channels: dict[tuple[str, str], int] = {}
         self._log_time_ns = 0
         self._reported = 0
-        # whether the recorder still accepts records; without it, records are ignored
+        # whether the recorder still accepts records; otherwise, records are ignored
         self.alive = sock is not None
-        self.dropped = 0  # records dropped so far: the recorder was too slow, or has ended
+        self.dropped = 0  # number of dropped records: the recorder was too slow, or has ended
         if sock is not None:
             sock.setblocking(False)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BUFFER)
@@ -123,8 +123,8 @@ class Feed:
     def connect(path: str | Path | None, client: str, *, lossless: bool, vehicles: int = 1) -> Feed:
         """Return a feed to the recorder that listens at ``path``; None: a feed without a recorder.
 
-        A lossless feed waits for the recorder (lockstep); any other feed never blocks (real time). The buffer
-        grows with the number of vehicles.
+        A lossless feed waits for the recorder (lockstep); any other feed never blocks (real time). The
+        buffer limit is proportional to the number of vehicles.
         """
         if path is None:
             return Feed(None, client, lossless=False)
@@ -187,7 +187,7 @@ class Feed:
             self._drain(PATIENCE_S)
 
     def close(self) -> None:
-        """Send the rest within a bounded time, then the goodbye, and close the socket."""
+        """Send the buffered records within a bounded time, then GOODBYE, and close the socket."""
         if self._sock is None:
             return
         if self.alive:
@@ -201,7 +201,7 @@ class Feed:
         self._sock = None
 
     def _append_always(self, record: bytes) -> None:
-        """Add a record that the rest of the log needs; such records are few and may exceed the limit."""
+        """Add a record that later records need; these few records may exceed the limit of the buffer."""
         if self.alive:
             self._buffer += record
 

@@ -15,10 +15,10 @@ from logs.schema.schemas import MARKER_ARRAY, packer
 
 ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
 LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz; a marker that is not sent again disappears
-PATH_POINTS = 200  # greatest number of points of a path; a full path loses every second point
-PATH_PERIOD_NS = 100_000_000  # initial period, 10 Hz
+PATH_POINTS = 200  # maximum number of points of a path; a full path loses every second point
+PATH_PERIOD_NS = 100_000_000  # initial period of path points, 10 Hz
 REACH = 2.5  # radius of the barrier surface, divided by the distance of the barrier's peak
-REACH_BESIDE = 1.0  # the same for a vehicle with an ellipsoid around it: surfaces of neighbours would overlap
+REACH_BESIDE = 1.0  # ``REACH`` in a fleet: smaller, so that surfaces of neighbours do not overlap
 SECTORS, RINGS = 24, 8  # grid of the barrier surface: 24 x 8 x 2 triangles
 _GRID_1_M = 1024.0  # grid of surface points, 1/1024 m: finer than a millimetre, and compresses well
 _ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft diameter, head diameter, head length
@@ -42,7 +42,7 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#88
 PAIR_COLORS = ("#332288", "#AA4499", "#117733", "#999933", "#661100", "#6699CC", "#DDCC77", "#888888")
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
-_ADD = 0  # value of Marker.action
+_ADD = 0  # value of Marker.action: add or modify a marker
 _LIFETIME_NS = round(LIFETIME_S * 1e9)
 # colors, texture_resource, texture (header, format, data), uv_coordinates, text, mesh_resource, mesh_file
 # (name, data), mesh_use_embedded_materials
@@ -62,7 +62,7 @@ class Marker(NamedTuple):
 
 
 class Path:
-    """Path with a limited number of points: fine as long as it is short, coarser as it grows."""
+    """Path with a limited number of points, whose spacing increases with the length of the path."""
 
     def __init__(self) -> None:
         self._points: list[bytes] = []
@@ -81,7 +81,7 @@ class Path:
             self._slot = log_time_ns // self._period_ns
 
     def marker(self, number: int, color: Color) -> Marker | None:
-        """Return the path as a line; None with fewer than two points."""
+        """Return the path as a line marker; None if it has fewer than two points."""
         if len(self._points) < 2:
             return None
         points = b"".join(self._points)
@@ -113,7 +113,7 @@ class Scene:
                     f"{frame}_pad", "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh
                 )
 
-        if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # half size: two touch at the distance limit
+        if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # half of the ellipsoid of a pair
             beside_m, above_m = float(run["ellipsoid_xy_m"]), float(run["ellipsoid_z_m"])
             scale = (beside_m, beside_m, above_m)
             self._ellipsoid = Marker(self._own_frame, "ellipsoid", 0, SPHERE, scale, ELLIPSOID_COLOR)
@@ -156,7 +156,7 @@ def surface(barrier: Barrier, reach: float = REACH) -> bytes:
     reach_m = reach * barrier.peak_distance_m
 
     def point(ring: int, sector: int) -> Vec3:
-        d_m = reach_m * (ring / RINGS) ** 2  # finer at the apex, which the vehicle approaches
+        d_m = reach_m * (ring / RINGS) ** 2  # rings are closer together at the apex
         angle = 2.0 * math.pi * sector / SECTORS
         height_m = barrier.height(d_m)
         x, y, z = (

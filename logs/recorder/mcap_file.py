@@ -3,8 +3,8 @@
 Every channel is CDR with a ros2msg schema and the file has the profile "ros2", which rosbag2, Foxglove, Rerun
 and PlotJuggler open without further information (MCAP format registry, profile "ros2").
 
-The writer extends the ``mcap`` package's, which builds a message from a dataclass and seven small pieces: two
-thirds of the recorder's time. Here a message is one ``struct`` call.
+The writer extends that of the ``mcap`` package, which packs each field of a message separately and needs two
+thirds of the recorder's time. Here one ``struct`` call packs a message.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ _MESSAGE_OVERHEAD = 22  # bytes of a message record besides its data
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 
 
-CHUNK_BYTES = 256 * 1024  # a killed recorder loses at most the open chunk
-_QOS = "[]"  # empty, as in rosbags: the sender's quality of service is unknown
+CHUNK_BYTES = 256 * 1024  # maximum size of a chunk, bytes; a killed recorder loses at most the open chunk
+_QOS = "[]"  # empty list, as rosbags writes: the sender's quality of service is unknown
 
 
 class SafeStream:
     """Unbuffered output that ends at a complete record even if the disk fails.
 
     The MCAP writer writes complete records. A record that does not fit is removed again, so the file remains
-    readable up to the last complete one. ``tell`` still counts afterwards, since the writer needs it.
+    readable up to the last complete one. ``tell`` still counts after a failure, since the writer needs it.
     """
 
     def __init__(self, raw: BinaryIO) -> None:
@@ -49,7 +49,7 @@ class SafeStream:
         return self._position
 
     def write(self, data: bytes) -> int:
-        """Write all bytes or none; after a permanent failure, none."""
+        """Write all bytes or none; after a failure of the disk, write none."""
         self._stopped = self._stopped or not self._try(data)
         self._position += len(data)
         return len(data)
@@ -86,7 +86,7 @@ class McapFile(Writer):  # type: ignore[misc]
         self.path = path
         self._output = stream or SafeStream(path.open("xb", buffering=0))
         super().__init__(self._output, CHUNK_BYTES, CompressionType.LZ4, enable_data_crcs=True)
-        # the package uses these names; its version is pinned
+        # attributes of the package's writer; its version is pinned
         self._chunk, self._counts = self._Writer__chunk_builder, self._Writer__statistics
         self.start("ros2", _library())
         self._schemas: dict[str, int] = {}
@@ -94,7 +94,7 @@ class McapFile(Writer):  # type: ignore[misc]
 
     @property
     def messages(self) -> int:
-        """Messages written so far."""
+        """Number of messages written so far."""
         return int(self._counts.message_count)
 
     @property

@@ -1,6 +1,6 @@
 """The flight recorder: one process, many clients on a local socket, one MCAP file.
 
-A separate process survives a crash of the others and then closes the file, and its disk and compressor never
+A separate process survives a crash of the others and then closes the file, and disk and compressor never
 delay the control loop. Written data immediately survive a crash of the recorder, but the kernel may hold them
 for half a minute. A thread syncs the file to the disk, since this may take long on a memory card; the loop
 continues to read meanwhile.
@@ -69,9 +69,9 @@ class RecorderProcess:
             self._wake_out.send(b"\x00")
 
     def run(self, until_clients: int | None = None) -> Statistics:
-        """Record until a stop, a full disk, or the end of this many clients.
+        """Record until a stop, a full disk, or the end of this many clients; return the counts.
 
-        Return the counts. The file is closed.
+        The file is closed at the end.
         """
         flushed_s = time.monotonic()
         deadline_s = float("inf")
@@ -85,7 +85,7 @@ class RecorderProcess:
             if self._syncer.failure:
                 self._recorder.fail(self._syncer.failure)
             if self._recorder.failure:
-                break  # the clients notice closed sockets and continue their flight
+                break  # the clients detect the closed sockets and continue their flight
             if self._stops and deadline_s == float("inf"):
                 deadline_s = now_s + GRACE_S
             enough = until_clients is not None and self._gone >= until_clients
@@ -106,7 +106,7 @@ class RecorderProcess:
             elif isinstance(fileobj, socket.socket):
                 self._receive(fileobj)
         if ready and not self._stops:
-            select.select([self._wake_in], [], [], READ_PERIOD_S)  # records gather; a stop ends the wait
+            select.select([self._wake_in], [], [], READ_PERIOD_S)  # data collect; a stop ends the wait
 
     def _accept(self) -> None:
         while True:
@@ -211,7 +211,7 @@ class Syncer:
         self._descriptor = os.dup(descriptor)  # the file may be closed before the last sync
         self._wanted = threading.Event()
         self._closing = False
-        self.count = 0  # calls so far
+        self.count = 0  # number of syncs so far
         self.worst_s = 0.0  # wall time of the longest call, s
         self.failure = ""  # error of the disk; empty without one
         self._thread = threading.Thread(target=self._work, name="sync", daemon=True)
@@ -233,7 +233,7 @@ class Syncer:
         while not closing:
             self._wanted.wait()
             self._wanted.clear()
-            closing = self._closing  # read before the call, so that the last call follows close()
+            closing = self._closing  # read before the sync, so that the last sync follows close()
             begun_s = time.monotonic()
             try:
                 os.fdatasync(self._descriptor)

@@ -14,7 +14,7 @@ from logs.schema.events import Severity, pack_log
 from logs.schema.names import LOSSES
 from logs.schema.schemas import LOG, UnknownSchemaError
 
-# Greatest log time of a chunk, ns; it matters in lockstep, which runs faster than the wall clock.
+# Maximum log time of a chunk, ns; important in lockstep, which runs faster than the wall clock.
 FLUSH_LOG_TIME_NS = 250_000_000
 RECORDER_NAME = "flight_recorder"  # source of the recorder's events on /rosout; these depend on wall time
 RECORDER = "recorder"  # metadata: counts and failures of the recorder
@@ -39,14 +39,14 @@ class Statistics:
     crashed: int = 0  # clients that ended without a goodbye
     dropped: dict[str, int] = field(default_factory=dict)  # dropped records by client, reported by the client
     syncs: int = 0  # number of fdatasync calls on the file
-    sync_worst_s: float = 0.0  # wall time of the longest call, s
+    sync_worst_s: float = 0.0  # wall time of the longest fdatasync call, s
     failure: str = ""  # reason why the disk stopped accepting data
 
 
 @dataclass
 class _Client:
     name: str
-    channels: dict[int, int] = field(default_factory=dict)  # client's channel number -> channel in the file
+    channels: dict[int, int] = field(default_factory=dict)  # channel in the file by that of the client
     derivers: dict[int, Derive] = field(default_factory=dict)
     goodbye: bool = False
 
@@ -61,7 +61,7 @@ class Recorder:
         self._log_time_ns = 0
         self._flushed_log_time_ns = 0
         self._events = 0
-        self.statistics = Statistics()  # counts so far
+        self.statistics = Statistics()  # counts of the recording so far
         self._handlers: Mapping[int, Callable[[_Client, Record], None]] = {
             Kind.DECLARE: self._declare,
             Kind.METADATA: self._metadata,
@@ -197,5 +197,5 @@ class Recorder:
 
     def _invalid(self, client: _Client, text: str) -> None:
         self.statistics.invalid += 1
-        if self.statistics.invalid <= 20:  # enough to find the cause; all are counted
+        if self.statistics.invalid <= 20:  # the first 20 texts show the cause; all records are counted
             self.event(Severity.ERROR, f"{client.name}: {text}")

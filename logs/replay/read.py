@@ -1,7 +1,7 @@
 """Reads a flight log tick by tick, each tick with all records of the onboard process.
 
 One process writes the records of a tick in the order of its work, and stamps all of them with the tick's
-time; so the file is read once, to its end or its break, and only one tick is in memory.
+time; so the file is read once, to its end or its first damage, with one tick in memory.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ class TickRecord:
     """Records of one tick of the onboard process."""
 
     unix_ns: int  # time of the tick in the log
-    given: TickInputs | None = None  # inputs; None if the log breaks before them
-    step: bytes | None = None  # recorded decisions; None if the log breaks before them
+    given: TickInputs | None = None  # inputs of the controller; None if the log ends before them
+    step: bytes | None = None  # recorded decisions; None if the log ends before them
     # recorded battery, motors and thrust reserve; None in a flight without them
     power: bytes | None = None
-    told: bool = False  # whether the tick has messages of other members; ``given`` holds them
+    told: bool = False  # whether the tick has messages of other members, which are in ``given``
     state: ControllerStateRow | None = None  # snapshot after the tick; None in most ticks
     events: list[LogRow] = field(default_factory=list)  # recorded events of the controller
     said: list[LogRow] = field(default_factory=list)  # other events of the onboard process
-    # MAVLink frames; incoming ones with the name of their peer
+    # MAVLink frames; an incoming frame has the name of its peer
     frames_in: list[tuple[bytes, str]] = field(default_factory=list)
     frames_out: list[bytes] = field(default_factory=list)
     odometry: list[bytes] = field(default_factory=list)  # target samples as received
@@ -84,7 +84,7 @@ class FlightInputs:
             raise ReplayError(f"{path}: the attachment {ATTACHMENT} is {error}") from error
 
     def _space(self) -> str:
-        """Return the namespace of the inputs; a log of one flight has one."""
+        """Return the namespace of the inputs; the log of a flight has exactly one."""
         named = self.onboard.get("namespace")
         if named is not None:
             return f"/{named}"
@@ -135,7 +135,7 @@ class FlightInputs:
                 elif topic == step:
                     tick.step = data
                 elif topic in (power, neighbours) and tick.given is None:
-                    pass  # these messages follow the other inputs; without those the tick is incomplete
+                    pass  # power and neighbours follow the inputs; a tick without inputs is incomplete
                 elif topic == power and tick.given is not None:
                     inputs = tick.given.inputs._replace(power=unpack_power(data))
                     tick.given, tick.power = tick.given._replace(inputs=inputs), data

@@ -33,7 +33,7 @@ from logs.tools.compare import Tally, TickDifference, messages_of, values_of
 __all__ = ["FlightInputs", "PhaseChange", "ReplayError", "Result", "TickDifference", "replay"]
 
 _ACTING = (Phase.APPROACH, Phase.LAND)
-_CHANGES_MAX = 200  # greatest number of stored phase changes per side
+_CHANGES_MAX = 200  # maximum number of stored phase changes of the log, and of the replay
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Result:
     wire: Tally | None = None
     notes: list[str] = field(default_factory=list)  # omitted parts, with reasons
     command_ticks: int = 0  # number of ticks in which the set-point differs
-    command_first: int | None = None  # first such tick; None without one
+    command_first: int | None = None  # first tick in which the set-point differs; None: no tick
     command_most_m_s: float = 0.0  # largest difference of the set-points of one tick, m/s
     phases_recorded: list[PhaseChange] = field(default_factory=list)
     phases_replayed: list[PhaseChange] = field(default_factory=list)
@@ -107,7 +107,7 @@ class _Run:
         cut: TickRecord | None = None
         for record in ticks:
             if self.flight.log.problem and last is not None and self._ends(record, last):
-                break  # behind the damage the state is unknown
+                break  # after the damage the state of the controller is unknown
             if cut is not None and last is not None:
                 what = "inputs" if cut.given is None else "decisions"
                 raise self._gap(f"the {what} of a tick after tick {last} are")
@@ -133,7 +133,7 @@ class _Run:
 
     @staticmethod
     def _ends(record: TickRecord, last: int) -> bool:
-        """Whether a record is not the complete next tick."""
+        """Whether the replay ends here: the record is incomplete, or not the next tick."""
         return record.given is None or record.step is None or record.given.tick != last + 1
 
     def _gap(self, lacks: str) -> ReplayError:
@@ -186,7 +186,7 @@ class _Run:
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> None: ...
 
     def _begin(self, record: TickRecord, given: TickInputs) -> bool:
-        """Return whether this tick can be replayed; after a snapshot the next one can."""
+        """Return whether this tick can be replayed; after a snapshot the following tick can be replayed."""
         if given.tick == 0:
             self.result.start = "tick 0"
             self.running = True
@@ -202,7 +202,7 @@ class _Run:
         if "system_id" not in onboard or "lockstep" not in onboard:
             self.result.notes.append("the log does not contain the vehicle's connection: wire not replayed")
             return
-        autopilot = onboard.get("autopilot", PX4.name)  # older logs have no entry: only PX4 was supported
+        autopilot = onboard.get("autopilot", PX4.name)  # older logs have no entry: all are from PX4
         recognised = self.flight.preflight.get("profile", AUTO)
         if autopilot == AUTO and recognised in PROFILES:
             autopilot = recognised

@@ -29,10 +29,10 @@ _RAN = (
     FilterStatus.CROWDED,
     FilterStatus.OWN,
 )
-_NEAR_S = 0.02  # greatest time between a step and its true state, s: two ticks
+_NEAR_S = 0.02  # maximum time between a step and its true state, s: two ticks
 BEGINS, ENDS = "Fault: ", "Fault over: "
 _RELAYED = "vehicle: "  # prefix of the vehicle's messages in events of the onboard process
-_ENOUGH = 200  # greatest number of shown entries; nobody reads a longer page
+_ENOUGH = 200  # maximum number of shown entries
 
 
 def held_margin_m(flight: Flight) -> Floats | None:
@@ -91,13 +91,13 @@ def estimate_errors(flight: Flight) -> Errors | None:
 
 
 def root_mean_square(values: Floats) -> float | None:
-    """Return the root mean square of the finite values; ``None`` without any."""
+    """Return the root mean square of the finite values; ``None`` if no value is finite."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known * known))) if len(known) else None
 
 
 def tilt_deg(flight: Flight) -> Floats | None:
-    """Return the angle between the true body's up and the vertical, degrees, (n,); ``None`` without truth."""
+    """Return the true angle between body z and the vertical, degrees, (n,); ``None`` without true states."""
     if flight.truth is None:
         return None
     x, y = flight.truth.orientation[:, 0], flight.truth.orientation[:, 1]
@@ -111,7 +111,7 @@ def _nearest(times: Floats, wanted: Floats) -> np.ndarray[tuple[int], np.dtype[n
 
 
 class FaultSpan(NamedTuple):
-    """One fault; times as in the flight; ``over`` is False if it lasted until the end of the log."""
+    """One fault, with times as in the flight; ``over``: whether the fault ended before the log."""
 
     text: str
     begin_s: float
@@ -145,7 +145,7 @@ _SHOWN = {
     (_SINK, dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED): "set-points sent",
 }
 _ALL = {_SOURCE: "vehicle, all MAVLink", _SINK: "onboard, all MAVLink"}
-_HALF = 128  # half of the 256 sequence numbers; a number that is this far ahead or further counts as late
+_HALF = 128  # half of the 256 sequence numbers; a number ahead by this or more counts as late
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class Stream:
 
     name: str
     t_s: Floats  # arrival times, as in the flight, (n,)
-    # number of messages missing by sequence number; ``None`` if the sender does not number this kind
+    # number of missing messages by sequence number; ``None`` if the sender does not number this kind
     lost: int | None
 
     @property
@@ -168,7 +168,7 @@ class Stream:
 
 
 def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[Stream]:
-    """Read the message traffic of a log, up to its break; damaged frames are skipped."""
+    """Read the message traffic of a log, up to its first damage; damaged frames are skipped."""
     times: dict[str, list[int]] = defaultdict(list)
     frames: dict[str, list[tuple[int, int]]] = {side: [] for side in _ALL}
     target: list[int] = []
@@ -212,7 +212,7 @@ def frames_lost(frames: Iterable[tuple[int, int]]) -> int:
 
 
 def missing(numbers: Sequence[int]) -> int | None:
-    """Return how many numbers between first and last are missing; ``None`` if the sender does not count."""
+    """Return the count of missing sequence numbers; ``None`` if the sender does not number messages."""
     if not numbers or max(numbers) == 0:
         return None
     return max(numbers) - min(numbers) + 1 - len(set(numbers))
@@ -221,15 +221,15 @@ def missing(numbers: Sequence[int]) -> int | None:
 class Side(NamedTuple):
     """A flight with its data on a page."""
 
-    name: str  # "A" or "B" in a comparison, the member's name in a fleet, else empty
+    name: str  # name of the side: "A" or "B" in a comparison, the member in a fleet, else empty
     flight: Flight
     verdict: Verdict
-    streams: list[Stream]  # empty for the member of a fleet
-    offset_s: float  # offset from the flight's times to the page's times
+    streams: list[Stream]  # message traffic; empty for the member of a fleet
+    offset_s: float  # offset that converts times of the flight to times of the page, s
 
     @property
     def of(self) -> str:
-        """Name as a prefix of another name; empty for a single flight."""
+        """Name of the side as a prefix for other names; empty for a single flight."""
         return f"{self.name} " if self.name else ""
 
 

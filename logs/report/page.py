@@ -30,7 +30,7 @@ class Panel(NamedTuple):
     title: str
     note: str
     content: Any  # plotly figure, HTML, or text; None: there are no data
-    paper: str = ""  # the paper's figure with the same content
+    paper: str = ""  # number of the figure in the paper with the same content
     style: str = "wide"
 
 
@@ -40,8 +40,8 @@ class Page(NamedTuple):
     title: str
     badge: tuple[str, str]  # outcome and style (good, fair or bad)
     sub: str  # line below the title
-    numbers: Sequence[tuple[str, str, str]]  # name, value and unit of the most important numbers
-    # panels in order; a sequence stands side by side, a string is HTML
+    numbers: Sequence[tuple[str, str, str]]  # name, value and unit of each key number
+    # panels in order; panels of a sequence are side by side; a string is HTML
     panels: Sequence[Panel | Sequence[Panel] | str]
     warnings: Sequence[str] = ()
 
@@ -60,10 +60,10 @@ def write(path: Path, page: Page) -> Path:
     text = render(page)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", errors="backslashreplace")  # paths that are not UTF-8
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")  # paths may be no UTF-8
     except OSError as error:
         if path.is_file():
-            path.unlink()  # incomplete
+            path.unlink()  # removes the incomplete file
         raise ReportError(f"{path}: cannot be written: {error.strerror}") from error
     return path
 
@@ -80,7 +80,7 @@ def _drawn(panel: Panel | Sequence[Panel] | str) -> str:
 
 
 def details(title: str, text: str, name: str = "") -> str:
-    """Return a long text that opens on demand; with a file ``name`` it can be saved."""
+    """Return a long text that opens on demand; with a file ``name`` the page can also save the text."""
     return part("details", title, text, name, base64.b64encode(text.encode()).decode("ascii"))
 
 
@@ -99,7 +99,7 @@ def table(
 
 
 def time_bar(*, events: bool) -> str:
-    """Return the buttons for the range of all time axes; with a hint if there are links to events."""
+    """Return the buttons that set the range of all time axes, with a hint if events have links."""
     return part("bar", events)
 
 

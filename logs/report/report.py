@@ -40,7 +40,7 @@ __all__ = ["ReportError", "write_comparison", "write_page", "write_report"]
 _FILES = ((ATTACHMENT, "Configuration of the onboard process"), (SCENARIO, "Scenario, whole"))
 _FAULTS = "Injected by the scenario; in the figures a red strip on top."
 _NEAR = "Measured in every physics step while both flew."
-_EVENTS = "wide events"  # style of the tables of events
+_EVENTS = "wide events"  # CSS classes of the tables of events
 _WAITS = "Times in which a member flew and gave way to neighbours, by its own messages."
 _WAYS = (
     "Used: messages that a tick of the receiver used. The others were lost, or a newer one replaced them. "
@@ -68,7 +68,7 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
 
 
 def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: str | None = None) -> Path:
-    """Write the page of a flight with its verdict, by default beside its log; ``of``: its fleet's page."""
+    """Write the page of a flight with its verdict, by default beside its log; ``of``: page of its fleet."""
     need_libraries()
     of_member = f"_{flight.label.replace('/', '_')}" if flight.label else ""
     target = out if out is not None else _beside(flight.path, of_member)
@@ -76,7 +76,7 @@ def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: st
 
 
 def _beside(log: Path, of_member: str = "") -> Path:
-    """Return the default page of a log: the one that ``sitl`` and ``fly`` write, or one named as the log."""
+    """Return the default path of a log's page: that of ``sitl`` and ``fly``, or the log's own name."""
     return log.with_name(f"{'report' if log.name == 'flight.mcap' else log.stem}{of_member}.html")
 
 
@@ -88,7 +88,7 @@ def write_comparison(log_a: Path, log_b: Path, out: Path | None = None, member: 
 
 
 def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page:
-    """Return the report of a flight; ``of``: its fleet's page, to which the report links."""
+    """Return the report of a flight; ``of``: page of its fleet, to which the report links."""
     from logs.report.figures import panels
 
     side, run = side_of("", flight, verdict), flight.metadata.get("run", {})
@@ -200,7 +200,7 @@ def _comparison(a: Side, b: Side) -> Page:
 
 def _side(name: str, log: Path, member: str | None) -> Side:
     _, *others = LogFile(log).members
-    flown = LogFile(log, member if others else None).single().member  # the other log may have one flight
+    flown = LogFile(log, member if others else None).single().member  # it may have one flight
     fleet, verdict = judged(log, flown)
     ((who, flight),) = fleet.flights.items()
     return side_of(name, flight, verdict.members[who])

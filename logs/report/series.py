@@ -109,7 +109,7 @@ def velocities(flight: Flight) -> go.Figure | None:
                 shown = row == 1 and sign > 0.0
                 traces.append((row, line(ends, box, "admissible box", LIMIT, showlegend=shown, **look)))
         floor = low - 0.03 * (high - low)
-        active = np.where(steps.barrier_active, floor, np.nan)  # a bar along the bottom
+        active = np.where(steps.barrier_active, floor, np.nan)  # drawn as a bar along the bottom
         look = {"width": 5, "legendgroup": "active", "hoverinfo": "skip"}
         traces.append((row, line(t, active, "barrier active", BOUNDARY, showlegend=row == 1, **look)))
         ranges[row - 1] = [floor - 0.02 * (high - low), high]
@@ -218,7 +218,7 @@ def vehicle_state(flight: Flight) -> go.Figure | None:
     return chart(flight, 420, traces, tilt_axis, {"title_text": "battery [V]"}, spacing=0.08)
 
 
-_WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # labels of the axis of wall times
+_WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # tick labels of the wall time axis, us
 
 
 def loop_timing(flight: Flight) -> go.Figure | None:

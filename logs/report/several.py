@@ -25,16 +25,16 @@ from logs.verdict.types import VIOLATION_LIMIT_M
 from logs.verdict.verdict import PairSeries
 
 _DASHES = ("solid", "dash", "dot")  # line styles, if there are more pairs than colours
-_MEASURE_SHOWN = 6.0  # minimum upper end of the axis, in the ellipsoid's measure
-_LIMITS_SHOWN = 3  # greatest number of pairs whose limit along their connecting line is drawn
-_PAIRS_SHOWN = 8  # number of nearest pairs that are visible at first; the others are hidden
-_LISTED, _LISTED_PX = 8, 22  # pair names per line of the legend; height of a line
+_MEASURE_SHOWN = 6.0  # minimum upper end of the distance axis, in the ellipsoid's measure
+_LIMITS_SHOWN = 3  # maximum number of pairs whose limit along the connecting line is drawn
+_PAIRS_SHOWN = 8  # number of pairs that are visible at first: the nearest ones
+_LISTED, _LISTED_PX = 8, 22  # pair names per line of the legend; height of a line, pixels
 
 Values = Callable[[Flight], tuple[Floats, Floats] | None]  # times and values of a flight
 
 
 def best_h(flight: Flight) -> tuple[Floats, Floats] | None:
-    """Return true h, else the controller's h, since the landing began."""
+    """Return h since the landing began: the true h if known, or else the controller's h."""
     truth, steps, start_s = flight.truth, flight.steps, flight.landing_start_s or 0.0
     if truth is not None:
         t_s, h_m = truth.t_s, truth.h_min_m
@@ -102,7 +102,7 @@ def vectors(sides: Sequence[Side], axis: Axis, values: Values) -> go.Figure | No
 def distances(pairs: Sequence[PairSeries], axis: Axis) -> go.Figure | None:
     """Draw the distance of each pair over time, in the ellipsoid's measure and in m; ``None`` without pairs.
 
-    Of many pairs only the nearest are visible at first.
+    If there are many pairs, only the nearest ones are visible at first.
     """
     if not pairs:
         return None

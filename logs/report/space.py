@@ -80,7 +80,7 @@ def trajectory_3d(flight: Flight) -> go.Figure | None:
     return layout_3d(
         figure,
         ("e<sub>x</sub>, east [m]", "e<sub>y</sub>, north [m]", "e<sub>z</sub>, up [m]"),
-        aspectmode="manual",  # heights drawn larger than distances, as in the paper's figures
+        aspectmode="manual",  # heights have a larger scale than distances, as in the paper's figures
         aspectratio={"x": 1.3, "y": 1.3, "z": 0.75},
         camera={"eye": _camera(places[0][1]), "center": {"x": 0.0, "y": 0.0, "z": -0.2}},
     )
@@ -113,7 +113,7 @@ def _surface(flight: Flight, distance_max_m: float) -> go.Surface:
 
 
 def altitude_over_distance(sides: Sequence[Side]) -> go.Figure | None:
-    """Draw e_z over d with the boundary, unsafe below; of several flights only the best known path each."""
+    """Draw e_z over d with the boundary; of several flights, draw only the most accurate path of each."""
     drawn = [(side, relative_tracks(side.flight)) for side in sides]
     every = [track for _, tracks in drawn for track in tracks]
     if not every:
@@ -171,7 +171,7 @@ class Path(NamedTuple):
     body: str  # "vehicle" or "target"
     source: str  # "true" or "estimate"
     t_s: Floats
-    points_m: Floats  # (n, 3), NaN where unknown
+    points_m: Floats  # positions in the world, m, (n, 3); NaN where unknown
 
 
 def paths(flight: Flight) -> list[Path]:
@@ -189,7 +189,7 @@ def paths(flight: Flight) -> list[Path]:
 
 
 def plan(sides: Sequence[Side]) -> go.Figure | None:
-    """Draw the paths from above; a single flight since its landing began, others whole and the best known."""
+    """Draw the paths from above: one flight from the start of its landing, several flights completely."""
     figure, alone = go.Figure(), len(sides) == 1
     for number, side in enumerate(sides):
         flight, found = side.flight, paths(side.flight)

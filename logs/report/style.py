@@ -19,8 +19,8 @@ from flightstack.core.types import Phase
 from logs.reader.flight_data import Fleet, Flight, Floats, Ints, phase_name
 from logs.report.derived import fault_spans
 
-TRUE = "#0072B2"  # blue
-ESTIMATED = "#56B4E9"  # sky blue
+TRUE = "#0072B2"  # blue: true values
+ESTIMATED = "#56B4E9"  # sky blue: estimated values
 TARGET = "#CC79A7"  # reddish purple
 BOUNDARY = "#D55E00"  # vermillion
 UNSAFE = "rgba(213, 94, 0, 0.13)"
@@ -47,13 +47,13 @@ _PHASES: dict[Phase | int, tuple[int, int, int, float]] = {
     Phase.ABORT: (213, 94, 0, 0.22),
     Phase.LEAVE: (86, 180, 233, 0.22),
 }
-_SPACE_PX = 640  # height of a spatial figure
-_TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and the legend's distance below the axis
-POINTS_MAX = 4000  # greatest number of points per line; more are not visible and make the page large
-_EVEN_S = 1e-3  # tolerance, s; more evenly spaced times are written as start and step
-_FAULT_STRIP = 0.965  # fraction of a row's height above which a fault is marked
+_SPACE_PX = 640  # height of a spatial figure, pixels
+_TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and distance of the legend below the axis, pixels
+POINTS_MAX = 4000  # maximum number of points per line; more points are not visible and make the page large
+_EVEN_S = 1e-3  # tolerance of evenly spaced times, s; within it, times are written as start and step
+_FAULT_STRIP = 0.965  # lower end of the strip that marks a fault, as a fraction of the row's height
 LABEL_SHARE = 0.05  # smallest fraction of the axis for a band with a name
-BEFORE_S, AFTER_S = 1.0, 3.0  # time shown before and after the landing, s; zooming out shows all
+BEFORE_S, AFTER_S = 1.0, 3.0  # time shown initially before and after the landing, s
 
 
 def layout(figure: go.Figure, height_px: int, legend_px: int = 0) -> go.Figure:
@@ -120,7 +120,7 @@ def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
     """Shade the phases over the whole height of each row, name them on top, mark faults by a strip."""
     low, high = shown_range(flight)
     zero = zero_s(flight)
-    shapes: list[dict[str, Any]] = []  # added together: plotly would otherwise check all shapes each time
+    shapes: list[dict[str, Any]] = []  # collected first, because plotly checks all shapes at each addition
     names: list[dict[str, Any]] = []
     for phase, begin_s, end_s in flight.phase_spans():
         begin, end = begin_s - zero, end_s - zero
@@ -222,7 +222,7 @@ def marks(at: Ints, x: Floats, y: Floats, name: str, **marker: Any) -> go.Scatte
 
 
 def _places(x: Floats) -> dict[str, Any]:
-    """Return evenly spaced coordinates as start and step, which halves the page size; others unchanged."""
+    """Return evenly spaced coordinates as start and step, which halves the page; other ones are unchanged."""
     if len(x) > 2 and np.isfinite(x).all():
         step = float(x[-1] - x[0]) / (len(x) - 1)
         if step > 0.0 and np.abs(x - (x[0] + step * np.arange(len(x)))).max() < _EVEN_S:

@@ -25,8 +25,8 @@ from logs.schema.events import Severity
 from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, FALL_M_S, FALLS, Outcome, Verdict
 from logs.verdict.verdict import FleetVerdict
 
-_SAME_TICK_S = 0.011  # greatest time, s, between an event and the tick in which a phase began
-EVENTS_MAX = 500  # greatest number of shown events
+_SAME_TICK_S = 0.011  # maximum time between an event and the tick in which a phase began, s
+EVENTS_MAX = 500  # maximum number of shown events
 HEADLINES = {
     Outcome.LANDED: ("Landed", "good"),
     Outcome.ABORTED: ("Aborted, declared", "fair"),
@@ -161,7 +161,7 @@ def _of_timing(side: Side, value: Callable[[Timing], float | None]) -> float | N
 
 def _spread(timing: Timing) -> float | None:
     """Return the standard deviation of the loop's period, divided by its mean."""
-    period_s = timing.period_s[2:]  # the first period does not exist, the second one may include the start
+    period_s = timing.period_s[2:]  # the first tick has no period; the second may include the start
     known = period_s[np.isfinite(period_s)]
     return float(known.std() / known.mean()) if len(known) else None
 
@@ -174,7 +174,7 @@ def _lost(side: Side) -> float | None:
 _RELATIVE, _VERTICAL = "relative to the pad", "touchdown speed, vertical"
 _AGAINST = "of the controller's estimate against the true one"
 _KEYS = ("lowest h outside the pad", "touchdown error", _VERTICAL, "time to land")
-# name, unit, digits, factor, value, meaning
+# columns of a row: name, unit, digits, factor, value, meaning
 _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str], ...] = (
     ("lowest h", "mm", 1, 1e3, lambda s: s.verdict.h_min_m, BELOW_ON_PAD),
     ("lowest h outside the pad", "mm", 1, 1e3, lambda s: s.verdict.h_min_outside_pad_m, ""),
@@ -207,7 +207,7 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
 
 
 def _found(side: Side, name: str, digits: int | None = None) -> str:
-    """Return one of a flight's numbers as text."""
+    """Return one number of a flight as text."""
     _, _, usual, factor, value, _ = next(row for row in _NUMBERS if row[0] == name)
     return number(value(side), usual if digits is None else digits, factor)
 

@@ -30,7 +30,7 @@ from logs.report.style import (
 from logs.schema.events import Severity
 
 _EVENTS_MAX = 500
-_SILENT_MAX = 16  # greatest number of lanes for members without messages
+_SILENT_MAX = 16  # maximum number of lanes for members without messages
 _ROW_PX = 26
 _LETTER_SHARE = 0.009  # fraction of the axis per letter of a label; a shorter bar has no label
 _INTENT_COLORS = {
@@ -122,7 +122,7 @@ def timeline(
 ) -> go.Figure | None:
     """Draw phases, faults, right of way and events; for one flight also sent and missing data.
 
-    ``zero_s``: zero of the page in the times of the events. ``None`` without any lane.
+    ``zero_s``: zero of the page in the times of the events. The result is ``None`` if there is no lane.
     """
     lanes = _Lanes(axis)
     for side in sides:

@@ -89,7 +89,7 @@ def _sample(values: Iterable[Any]) -> TargetSample:
 
 
 def power_row(tick: Tick, power: Power | None, reserve: float) -> ControllerPowerRow:
-    """Return battery and motors as received in a tick, and its estimate of the thrust reserve."""
+    """Return the battery and motor values received in a tick, and the estimated thrust reserve."""
     told = (
         (power.arrival_s, power.voltage_v, power.throttle, power.cos_tilt) if power is not None else _NO_POWER
     )
@@ -145,7 +145,7 @@ def step_row(tick: Tick, out: Outputs) -> ControllerStepRow:
 
 
 def pack_neighbours(tick: Tick, neighbours: Sequence[Neighbour]) -> bytes:
-    """Return the messages that a tick used as CDR of ``ControllerNeighbours``."""
+    """Return the CDR of ``ControllerNeighbours`` with the messages that a tick used."""
     return ControllerNeighboursRow(tick.unix_ns, tick.number, tuple(map(_values, neighbours))).pack()
 
 

@@ -7,8 +7,8 @@ from enum import IntEnum, IntFlag
 from logs.schema.rows import LogRow
 from logs.schema.schemas import STRING, packer
 
-ONBOARD, CONTROLLER = "onboard", "controller"  # sources of events; the controller's are part of its decisions
-CAUSE = "cause of the abort: "  # prefix of the onboard process's event with the autopilot's reason
+ONBOARD, CONTROLLER = "onboard", "controller"  # sources of events; a replay compares the controller's
+CAUSE = "cause of the abort: "  # prefix of the event that reports the autopilot's reason
 
 _pack_string = packer(STRING)
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-FLEET = "fleet"  # metadata: the members
-LOSSES = "losses"  # metadata: records that each process could not pass to the recorder
+FLEET = "fleet"  # metadata record that lists the members
+LOSSES = "losses"  # metadata record: number of records that each process could not pass to the recorder
 NO_PAD = "absent"  # metadata "run", key "pad": the vehicle's physics has a floor but no pad
-SCENARIO = "scenario.toml"  # attachment: the scenario of all vehicles
+SCENARIO = "scenario.toml"  # attachment with the scenario of all vehicles
 
 
 class Names(NamedTuple):

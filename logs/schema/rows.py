@@ -3,7 +3,7 @@
 The ``.msg`` files in ``msg/`` are written by hand; this module makes the rows from them at import. A row has
 the fields of its file, whose comments state units and frames; the header becomes
 ``stamp_ns``, integer nanoseconds (Unix time, or simulated time from 2020-01-01 on in lockstep).
-``row.pack()`` returns the message as CDR, ``Row.unpack(data)`` the row. The columns are the same fields for
+``row.pack()`` makes CDR of the row, ``Row.unpack(data)`` a row of CDR. The columns are the same fields for
 numpy: arrays of shape (n,), or (n, 3) for a vector and (n, 4) for a quaternion.
 
 ``rows.pyi`` has the types for mypy and is generated: run ``python -m tests.unit.logs.row_stubs`` after a

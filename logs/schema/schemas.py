@@ -16,7 +16,7 @@ from bridge.ros2.codec import MAP, Field, Pack, Unpack, fields_of_text, standard
 from bridge.ros2.codec import codec as cdr_codec
 from logs.schema import mavlink
 
-if TYPE_CHECKING:  # packing rows does not need the import, which takes 25 ms at each start
+if TYPE_CHECKING:  # the import takes 25 ms, and packing rows does not need it
     from rosbags.interfaces import Nodetype
     from rosbags.typesys.store import Typestore
 
@@ -76,7 +76,7 @@ def fields_of(name: str) -> tuple[Field, ...]:
 
 
 def same_fields(name: str, text: str) -> bool:
-    """Whether a definition in a log has the fields of this version, also in the types that it uses."""
+    """Return whether a definition in a log, with all types that it uses, has the fields of this version."""
     first, *used = text.split(_SEPARATOR)
     texts = {name: first}
     for part in used:

@@ -29,12 +29,12 @@ from logs.schema.rows import LogRow
 from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, store_for
 
 WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING})
-WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # sources of events on /rosout
-WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # complete records; ports are random
+WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # sources of /rosout events that depend on the wall clock
+WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # records with wall times or ports
 WALL_CLOCK_METADATA_KEYS = frozenset(
     {"started", "started_unix_s", "ended", "wall_time_s", "realtime_factor", "host", "out", "log", "pid"}
 )
-MAX_DIFFERENCES = 100  # greatest number of reported differences
+MAX_DIFFERENCES = 100  # maximum number of reported differences
 
 ABSENT = "absent"
 _F64 = struct.Struct("<d")
@@ -138,7 +138,7 @@ def _data(topic: str, index: int, x: Message, y: Message) -> Iterator[MessageDif
 
 
 def messages_of(schema: str, a: bytes, b: bytes) -> Iterator[tuple[str, str, str]]:
-    """Yield (field, a, b) for each different field of two CDR messages; if all are equal, the bytes."""
+    """Yield (field, a, b) for each different field of two CDR messages; the bytes if all fields are equal."""
     if a == b:
         return
     found: list[tuple[str, str, str]] = []
@@ -203,7 +203,7 @@ def _attachments(first: LogFile, second: LogFile) -> Iterator[MessageDifference]
             yield MessageDifference(f"attachment {name}", -1, "content", *sizes)
 
 
-SHOWN_MAX = 10  # greatest number of stored differences; the others are counted
+SHOWN_MAX = 10  # maximum number of stored differences; further differences are only counted
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ def new_file(path: Path, *, force: bool) -> Iterator[Path]:
 
 @contextmanager
 def of_file(path: Path) -> Iterator[None]:
-    """Let an error of the system, such as a full disk, name the file."""
+    """Add the name of the file to an error of the system, such as a full disk."""
     try:
         yield
     except OSError as error:

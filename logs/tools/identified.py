@@ -19,11 +19,11 @@ _NS = 1e-9  # seconds per nanosecond
 
 
 class Found(NamedTuple):
-    """All identified numbers; ``None`` if the logs do not show one, with the reason in ``missing``."""
+    """All identified parameters; ``None`` if the logs do not determine one; ``missing`` has the reason."""
 
     horizontal: Loop
     vertical: Loop
-    spread: float  # spread of the lags between logs, and twice their standard errors
+    spread: float  # relative spread of the lags between logs; at least two standard errors
     tracking_error_m_s: float | None
     own_noise_m: float | None
     link: Link | None
@@ -37,7 +37,7 @@ class Found(NamedTuple):
 
 
 def gather(flights: list[Flight]) -> Found:
-    """Identify all numbers. Raises ValueError: the flights do not show the velocity loop."""
+    """Identify all parameters. Raises ValueError: the flights do not determine the velocity loop."""
     steps = [flight.steps for flight in flights if flight.steps is not None]
     if not steps:
         raise ValueError(f"{flights[0].path}: no controller steps; record a flight of the onboard process")
@@ -60,7 +60,7 @@ def gather(flights: list[Flight]) -> Found:
 
 
 def _try(what: str, missing: list[str], find: Callable[[], T]) -> T | None:
-    """Return the result, or None and the reason in ``missing``: only the velocity loop is required."""
+    """Return the result, or None and store the reason in ``missing``; only the velocity loop is required."""
     try:
         return find()
     except ValueError as error:
@@ -145,7 +145,7 @@ def toml(found: Found, count: int) -> str:
     weights = (1.0 / max(h.errors[2], 1e-6) ** 2, 1.0 / max(v.errors[2], 1e-6) ** 2)
     damping, rate_z_1_s = (weights[0] * h.damping + weights[1] * v.damping) / sum(weights), v.model_rate_1_s
     late, model = h.model_dead_time_s, "of the model without dead time that has the same lag"
-    if late:  # then the damping is the horizontal loop's; the vertical lag is unchanged
+    if late:  # use the damping of the horizontal loop; the vertical lag is unchanged
         damping, rate_z_1_s, model = h.damping, 2.0 * h.damping / v.lag_s, "of the model"
     lines = [
         f"# identified from {count} log{'s' * (count > 1)}; +- one standard error",

@@ -37,25 +37,25 @@ from logs.verdict.types import (
     violated,
 )
 
-REST_SPEED_MAX_M_S = 0.10  # greatest speed at rest relative to the pad; the estimate is still noisy at rest
-REST_HEIGHT_MAX_M = 0.05  # largest distance of feet and pad beyond the configured gap: two estimates drift
+REST_SPEED_MAX_M_S = 0.10  # maximum speed at rest relative to the pad; the estimate is noisy even at rest
+REST_HEIGHT_MAX_M = 0.05  # maximum distance of feet and pad beyond the configured gap; estimates drift
 REST_SEEN_S = (
-    0.5  # greatest distance in time of a valid state, s: at rest a state in mm repeats and looks stuck
+    0.5  # maximum time to the nearest valid state, s: at rest, states in mm repeat and count as stuck
 )
-_SAME_S = 1e-6  # less than the resolution of a tick
+_SAME_S = 1e-6  # tolerance of equal times, s; much shorter than a tick
 BEFORE_S = 0.3  # time before phase TOUCHDOWN, s: a gust may press the vehicle onto the pad before that phase
 AFTER_S = 1.0  # time after phase TOUCHDOWN, s: with the paper's rule the vehicle falls the last centimetres
 MEMORY_S = 0.15  # time before a contact from which the sink rate is computed, s
 STOPPED_SHARE = 0.5  # fraction of the earlier median sink rate; below it the descent has stopped
-STAYS_S = 0.05  # time that the mean must remain below this fraction, s; a single noisy sample does not count
+STAYS_S = 0.05  # time for which the mean must remain below this fraction, s; one noisy sample does not count
 SINK_MIN_M_S = 0.05  # slowest descent whose end can be detected, m/s
-# fraction of the highest sink rate; the last step above it was before the contact. A smaller fraction
+# fraction of the highest sink rate; the last step above this fraction was before the contact. A smaller one
 # includes steps of a lagging state (0.03 s at 50 Hz: 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)
 BEGINS_SHARE = 0.95
 BEND_OF_NOISE = 1.65  # median size of the second difference of normal noise, in standard deviations
 FALL_S = 0.06  # time in which the sink rate falls to that fraction, s
 FIT_S = 0.05  # time before the contact that the straight line covers, s
-HEIGHT_ERROR_MAX_M = 0.05  # error of both estimates together, beyond the gap that the configuration allows
+HEIGHT_ERROR_MAX_M = 0.05  # maximum error of both estimates together, beyond the configured gap
 _NO_CONTACTS = "an estimate shows no contacts"
 
 
@@ -116,7 +116,7 @@ def _outcome(flight: Flight, steps: Steps, touch: EstimatedTouchdown | None) -> 
     feet_m, gap_m = feet_and_gap_m(flight.config)
     d_m, height_m = float(steps.d_m[at]), float(steps.e_m[at, 2]) - feet_m
     carried = flight.pad_carries
-    if not carried:  # the target moves on, up and down, too; the floor does not
+    if not carried:  # the target continues to move, also vertically; the floor does not move
         sank_m = steps.own_position_enu_m[touch.index, 2] - steps.own_position_enu_m[at, 2]
         height_m = float(touch.e_m[2] - sank_m) - feet_m
     velocity_m_s = steps.relative_velocity_m_s if carried else steps.own_velocity_enu_m_s
@@ -151,7 +151,7 @@ class EstimatedTouchdown:
 
 
 def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> EstimatedTouchdown | None:
-    """Find the first contact with the pad from step ``begin`` on; ``config`` None: a Crazyflie's sizes.
+    """Find the first contact with the pad from step ``begin`` on; ``config`` None: sizes of a Crazyflie.
 
     Returns ``None`` if the estimate shows no contact and the controller noticed none.
     """
@@ -183,7 +183,7 @@ def feet_and_gap_m(config: FlightConfig | None) -> tuple[float, float]:
 
 
 def _height_max_m(config: FlightConfig | None) -> float:
-    """Return the greatest height above the pad for a contact, m; a stop higher up is braking in flight."""
+    """Return the maximum height above the pad for a contact, m; above it a stop is braking in flight."""
     height_m = sum(feet_and_gap_m(config)) + HEIGHT_ERROR_MAX_M
     strategy = packaged_strategy_of(config) if config is not None else None
     return max(height_m, strategy.stopped_below_m) if strategy is not None else height_m
@@ -211,7 +211,7 @@ def _stopped(steps: Steps, span: slice, height_max_m: float) -> int | None:
         last = int(np.searchsorted(t_s, t_s[at] - FALL_S))
         fall = sink_m_s[last:at]
         peak_m_s, bend_m_s = float(np.nanmax(fall, initial=0.0)), np.abs(np.diff(before, 2))
-        noise_m_s = float(np.median(bend_m_s)) / BEND_OF_NOISE  # a steady descent has no second difference
+        noise_m_s = float(np.median(bend_m_s)) / BEND_OF_NOISE  # zero for a steady descent without noise
         quick = np.flatnonzero(fall >= peak_m_s - max((1.0 - BEGINS_SHARE) * peak_m_s, 3.0 * noise_m_s))
         return span.start + last + int(quick[-1]) if len(quick) else None
     return None
@@ -226,7 +226,7 @@ def _within(t_s: Floats, values: Floats, begin_s: float, end_s: float) -> Floats
 def _at(steps: Steps, begin: int, last: int) -> EstimatedTouchdown:
     """Return position and velocity at the contact, halfway between the last step before it and the next.
 
-    An estimated velocity is late by about half a step or more: its line ends at the next step.
+    An estimated velocity is late by about half a step or more: the line through it ends at the next step.
     """
     t_s, next_s = 0.5 * float(steps.t_s[last] + steps.t_s[last + 1]), float(steps.t_s[last + 1])
     first = max(begin, int(np.searchsorted(steps.t_s, t_s - FIT_S)))

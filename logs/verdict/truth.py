@@ -27,9 +27,9 @@ from logs.verdict.types import (
     violated,
 )
 
-REST_SPEED_MAX_M_S = 0.05  # greatest speed at rest relative to the pad; sliding and rolling are faster
-LAND_AWAY_SPEED_MAX_M_S = 1.0  # greatest sink rate, m/s, at the end of an abort: a landing, but not a fall
-_SAME_S = 1e-6  # less than the resolution of a tick
+REST_SPEED_MAX_M_S = 0.05  # maximum speed at rest relative to the pad; sliding and rolling are faster
+LAND_AWAY_SPEED_MAX_M_S = 1.0  # maximum sink rate of a landing after an abort, m/s; faster is a fall
+_SAME_S = 1e-6  # tolerance of equal times, s; much shorter than a tick
 
 
 _NAMES = {
@@ -161,7 +161,7 @@ def _first_contact(truth: Truth, begin: int) -> _Touch | None:
 
 
 def _contact_at(truth: Truth, index: int) -> _Touch:
-    """Return a contact with the simulator's record just before it, else with the true state before it."""
+    """Return a contact with the record of the simulator just before it, or else the previous true state."""
     before = max(index - 1, 0)
     first_s = float(truth.first_touch_time_s[index])
     noted = math.isfinite(first_s) and first_s != truth.first_touch_time_s[before]
@@ -207,7 +207,7 @@ def _covered(truth: Truth, start_s: float, begin: int) -> bool:
 
 
 def _missing(flight: Judged, truth: Truth, start_s: float, begin: int, until: int, outcome: Outcome) -> str:
-    """Return the data that are missing to exclude other events; empty if complete."""
+    """Return a text that names missing data, which could hide other events; empty if no data are missing."""
     if not _covered(truth, start_s, begin):
         return f"true states have a gap of more than {GAP_MAX_S:g} s"
     lost = int(flight.metadata.get("losses", {}).get("vehicle", "0"))

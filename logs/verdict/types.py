@@ -13,8 +13,8 @@ from flightstack.core.types import Phase
 from logs.reader.flight_data import Floats, Judged
 from logs.schema.events import CAUSE
 
-VIOLATION_LIMIT_M = -0.005  # limit, m; a lower h outside the pad is a violation
-# radii of a vehicle, m; a pair has their sum: Crazyswarm's examples; the firmware has 0.3 and 0.9
+VIOLATION_LIMIT_M = -0.005  # violation limit, m: a lower h outside the pad violates the barrier
+# ellipsoid radii of a vehicle, m (examples of Crazyswarm; firmware: 0.3 and 0.9); those of a pair are added
 RADIUS_BESIDE_M = 0.125
 RADIUS_ABOVE_M = 0.375
 REST_TIME_S = 2.0  # time at rest after the motors stop, s
@@ -32,7 +32,7 @@ FALLS = (
     'A touchdown faster than 0.5 m/s is usually a fall: touchdown.rule = "paper" stops the motors a few '
     'centimetres above the pad, as the paper does; with "contact" they run until contact'
 )
-_SAID_WITHIN_S = 0.1  # greatest time between an event and its tick, s, including a margin for another clock
+_SAID_WITHIN_S = 0.1  # maximum time between an event and its tick, s, with a margin for clock differences
 
 
 class Outcome(StrEnum):
@@ -45,7 +45,7 @@ class Outcome(StrEnum):
     ABORTED = "aborted"
     CRASHED = "crashed"
     TIMEOUT = "timeout"
-    UNKNOWN = "unknown"  # records are missing; never in a campaign
+    UNKNOWN = "unknown"  # the log lacks records; does not occur in a campaign
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +57,8 @@ class Verdict:
     violation: bool | None
     h_min_m: float | None  # lowest h since the landing began
     h_min_outside_pad_m: float | None  # lowest h where d > pad radius
-    touchdown_error_m: float | None  # d at first contact, if with the pad
-    # vertical speed relative to the pad's surface at first contact, positive downwards
+    touchdown_error_m: float | None  # distance d at the first contact; None: the contact is not with the pad
+    # vertical speed relative to the pad's surface at the first contact, positive downwards
     touchdown_speed_vertical_m_s: float | None
     touchdown_speed_horizontal_m_s: float | None  # horizontal speed relative to the pad's surface
     time_to_land_s: float | None  # time from the start of the landing to first contact, if landed
@@ -84,7 +84,7 @@ def finite(value: float) -> float | None:
 
 
 def lowest(values: Floats) -> float | None:
-    """Return the smallest number; ``None`` without a finite one (+inf: no step outside the pad)."""
+    """Return the smallest number; ``None`` if it is not finite (+inf: no step was outside the pad)."""
     known = values[np.isfinite(values)]
     return float(known.min()) if len(known) else None
 
@@ -105,7 +105,7 @@ class Abort:
 
 
 def abort_declared(flight: Judged) -> Abort | None:
-    """Return the first step in phase ABORT with the event that states the reason, or ``None``."""
+    """Return time and reason of the first step in phase ABORT; ``None`` if there is no such step."""
     if flight.steps is None:
         return None
     steps = np.flatnonzero(flight.steps.phase == Phase.ABORT)

@@ -17,7 +17,7 @@ on the ground after a declared abort is no crash. The same holds for a vehicle o
 takes off again to free the pad (phase LEAVE): it has landed if it rested on the pad before, and if its later
 contacts are only with the ground, and gentle.
 
-Missing data are never taken for safe: without them a flight has not landed, and an absent violation is "not
+Missing data never count as safe: without them a flight has not landed, and an absent violation is "not
 known" (``None``) instead of False. A log without true states, such as one of real hardware, is judged by the
 vehicle's own estimate; ``judged_from`` names the source.
 
@@ -68,7 +68,7 @@ def records_lost(flight: Flight) -> dict[str, int]:
 
 
 def outside_envelope(flight: Flight) -> str | None:
-    """Return the part of the scenario outside the proven envelope; None: the log does not contain it."""
+    """Return the text that names values outside the proven envelope; None: the log has no such text."""
     return flight.metadata.get("run", {}).get("outside_envelope")
 
 
@@ -104,7 +104,7 @@ def verdict_result(
     about: Mapping[str, object] | None = None,
     realtime_factor: float | None = None,
 ) -> dict[str, Any]:
-    """Return the result of a flight as plain values for JSON: the keys of ``flightstack sitl --json``."""
+    """Return the result of a flight for JSON, with the keys of ``flightstack sitl --json``."""
     if about is None:
         filter_flown = flight.config.filter if flight.config is not None else None
         about = flown_by({"filter": filter_flown, **flight.metadata.get("run", {})})
@@ -133,7 +133,7 @@ class Near(Protocol):
     def distance_min_m(self) -> float: ...  # distance of the centres of mass; infinite: none yet
 
     @property
-    def ellipsoid_min(self) -> float: ...  # smallest distance in the ellipsoid's measure; infinite: never
+    def ellipsoid_min(self) -> float: ...  # smallest distance in the ellipsoid's measure; infinite: none yet
 
     @property
     def violations(self) -> int: ...  # number of times inside the ellipsoid
@@ -153,7 +153,7 @@ class FleetVerdict:
     collisions: int | None  # pairs whose shapes overlapped; None: data are missing
     # number of times that two flying vehicles came inside their ellipsoid; None: data are missing
     ellipsoid_violations: int | None
-    # smallest distance of two flying vehicles in its measure; None: never two at the same time, or unknown
+    # smallest distance of two flying vehicles in the ellipsoid's measure; None: never two, or unknown
     ellipsoid_min: float | None
     # smallest distance of two centres of mass; None: unknown, or a single member
     distance_min_m: float | None
@@ -213,7 +213,7 @@ def judge_fleet(fleet: Fleet) -> FleetVerdict:
 
 def judged(log: Path, member: str | None = None) -> tuple[Fleet, FleetVerdict]:
     """Read and judge a log; a single member has the same verdict as in its fleet."""
-    LogFile(log, member)  # raises if the member does not exist
+    LogFile(log, member)  # raises LogError if the member does not exist
     fleet = load_fleet(log)
     verdict = judge_fleet(fleet)
     if member is None:
@@ -240,7 +240,7 @@ def fleet_result(
     about: Mapping[str, object] | None = None,
     realtime_factor: float | None = None,
 ) -> dict[str, Any]:
-    """Return the result of a log as plain values for JSON: the keys of ``flightstack sitl --json``.
+    """Return the result of a log for JSON, with the keys of ``flightstack sitl --json``.
 
     ``pages`` are the reports by member, the main page by ""; ``about`` describes the flight, by default from
     the log.

@@ -1,4 +1,4 @@
-"""A Rerun recording and its layout; it accepts a complete log, or rows piece by piece in flight."""
+"""A Rerun recording and its layout, for a complete log or for the rows that arrive during a flight."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import rerun.blueprint as rrb
 from logs.reader.flight_data import Flight, Floats, Ints, shape
 from logs.recorder.markers import OWN_COLOR, Color, Path
 
-FLIGHT = "flight"  # timeline: seconds since the first step
-LOG_TIME = "log_time"  # timeline: date and time of the log
+FLIGHT = "flight"  # timeline of seconds since the first step
+LOG_TIME = "log_time"  # timeline of date and time in the log
 EVENTS, RUN, WORLD, PHASE = "/events", "/run", "/world", "/phase"
 AXES = ("x", "y", "z")
 Corner = Literal["LeftTop", "RightTop", "RightBottom"]
@@ -102,7 +102,7 @@ def _plot(origin: str, name: str, legend: Corner = "RightTop") -> Any:
 
 
 def of_member(entity: str, member: str) -> str:
-    """Return the name of an entity of a member: in the common world, else below the member's name."""
+    """Return the name of a member's entity: below the common world, or else below the member's name."""
     if not member or entity == WORLD:
         return entity
     return (
@@ -141,7 +141,7 @@ class Canvas:
         )
 
     def due(self, name: str, period_ns: int, at_ns: int) -> bool:
-        """Whether this is the first call with this name in the period of ``at_ns``."""
+        """Return whether this is the first call with this name in the period of ``at_ns``."""
         slot = at_ns // period_ns
         if self._slots.get(name) == slot:
             return False
@@ -161,7 +161,7 @@ def every(at_ns: Ints, period_ns: int) -> Ints:
 
 
 def rgba(color: Color | str) -> tuple[int, int, int, int]:
-    """Return a colour with parts from 0 to 255, as Rerun expects it; from parts, or from hexadecimal."""
+    """Return a colour as four numbers from 0 to 255 for Rerun, from fractions or from hexadecimal."""
     if isinstance(color, str):
         red, green, blue = bytes.fromhex(color.removeprefix("#"))
         return red, green, blue, 255
@@ -170,6 +170,6 @@ def rgba(color: Color | str) -> tuple[int, int, int, int]:
 
 
 def run_of(flight: Flight) -> dict[str, str]:
-    """Return the metadata of the run; for a real flight, barrier and pad of the configuration."""
+    """Return the metadata of the run; for a real flight, barrier and pad from the configuration."""
     known = {} if flight.config is None else shape(flight.config)
     return known | flight.metadata.get("run", {})

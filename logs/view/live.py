@@ -25,7 +25,7 @@ from logs.view.view import draw, events, viewer_program
 
 NATIVE, WEB = "native", "web"
 ENDING = ".rrd"
-SIZE_M = 3.0  # initial extent of the scene, m, before any path is known
+SIZE_M = 3.0  # extent of the scene until a path is known, m
 VIEWER_TIME_MAX_S = 2.0  # longest wait for the viewer, s; then the flight starts without a viewer
 FLUSH_TIME_MAX_S = 2.0  # time for a viewer to receive the last rows, s; a blocked viewer misses them
 MEMORY_LIMIT = "512MB"  # limit of viewer and server each; the oldest data are dropped first
@@ -41,7 +41,7 @@ class LiveRecording:
         self._canvas: Canvas | None = None
         self._phase: int | None = None
         self._viewer: subprocess.Popen[bytes] | None = None
-        self._stays = where == NATIVE  # the user closes the window
+        self._stays = where == NATIVE  # whether the window stays open until the user closes it
         self.address = where  # address of the page to open, or the file
         if where == NATIVE:
             self._start("--hide-welcome-screen")
@@ -90,7 +90,7 @@ class LiveRecording:
 
     def _start(self, *words: str) -> str:
         """Start Rerun and send it the recording; return its address, which only this machine can reach."""
-        port = Port()  # Rerun itself would listen on every network, at a port that may be in use
+        port = Port()  # a free local port; the default of Rerun is a fixed port on every network
         self._viewer = subprocess.Popen(
             [
                 viewer_program(), "--bind", "127.0.0.1", "--port", str(port.number), *words,
@@ -107,7 +107,7 @@ class LiveRecording:
         return at
 
     def _entered(self, origin_ns: int, steps: Sequence[ControllerStepRow], reason: str) -> list[Event]:
-        """Return the phases that began; the reason belongs to the last one."""
+        """Return the phases that began since the last call; the reason belongs to the newest phase."""
         events = []
         for row in steps:
             if row.phase != self._phase:
@@ -122,7 +122,7 @@ class LiveRecording:
 
 
 def _wait_for(port: int) -> None:
-    """Wait until the viewer accepts connections, to show the flight from its start; 2 s at most."""
+    """Wait at most 2 s until the viewer accepts connections, to show the flight from its start."""
     until_s = time.monotonic() + VIEWER_TIME_MAX_S
     while time.monotonic() < until_s:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=0.5):
@@ -143,7 +143,7 @@ def _new(path: Path) -> Path:
 
 
 def _center(step: ControllerStepRow) -> tuple[float, float, float]:
-    """Return the point between vehicle and target, if they are known."""
+    """Return the midpoint of the known positions of vehicle and target; the origin if none is known."""
     known = [
         point
         for point, valid in (

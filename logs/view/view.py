@@ -100,14 +100,14 @@ class Recording:
 def open_viewer(recording: Path, *, web: bool) -> int:
     """Show an ``.rrd`` file in Rerun until it is closed; return the exit status."""
     program = viewer_program()
-    # Rerun itself would listen on every network; the flight is shown only on this machine.
+    # The flight is shown only on this machine; by default Rerun would listen on every network.
     serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # with free ports
     return subprocess.run([program, str(recording), "--bind", "127.0.0.1", *serving], check=False).returncode
 
 
 def viewer_program() -> str:
     """Return the path of Rerun's program."""
-    beside = Path(sys.executable).with_name("rerun")  # program of this environment, active or not
+    beside = Path(sys.executable).with_name("rerun")  # the program of this Python environment
     program = str(beside) if beside.exists() else shutil.which("rerun")
     if program is None:
         raise FileNotFoundError(f"no program `rerun` at {beside} or in PATH; pip install rerun-sdk again")
@@ -148,7 +148,7 @@ def _scene(canvas: Canvas, flight: Flight) -> None:
             labels=[canvas.member] if canvas.member else None,
         ),
     )  # fmt: skip
-    if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # two such ellipsoids touch at the distance limit
+    if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # half of the ellipsoid of a pair
         beside_m, above_m = 0.5 * float(run["ellipsoid_xy_m"]), 0.5 * float(run["ellipsoid_z_m"])
         canvas.style(
             f"{WORLD}/vehicle/ellipsoid",
@@ -207,7 +207,7 @@ def _normals(corners: Floats) -> Floats:
 
 
 def _paths(canvas: Canvas, flight: Flight) -> None:
-    """Send both paths as they grow."""
+    """Send the paths of vehicle and target, each time with all points so far."""
     steps = flight.steps
     assert steps is not None
     for name, valid, position_m, color in (

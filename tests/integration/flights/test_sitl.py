@@ -92,7 +92,7 @@ def test_a_world_that_stands_still_for_some_seconds_only_delays_a_lockstep_fligh
 
 def test_a_killed_world_ends_the_run(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
-    run.until("-> TAKEOFF")  # lockstep simulates the ten seconds of the flight in half a second
+    run.until("-> TAKEOFF")  # ten seconds before the landing; lockstep simulates them in half a second
     kill(run.children()["world"])
     assert run.end() == 1
     assert any("world ended in flight" in line for line in run.lines), run.lines
