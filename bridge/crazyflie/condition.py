@@ -29,7 +29,7 @@ _POSITION_DECKS = {
 _UP: Vec3 = (0.0, 0.0, 1.0)
 _GAP_MAX_S = Limits().gap_max_s  # time without a pose after which a problem is reported, s
 _SHARE = 0.1  # weight of a new difference in the mean; at 10 Hz the time constant is 1 s
-_AT_REST_G = 0.1  # greatest difference of the measured length from 1 g; a larger one includes motion
+_AT_REST_G = 0.1  # maximum difference of the measured length from 1 g; a larger one includes motion
 
 
 class Condition:

@@ -13,13 +13,13 @@ from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.types import ZERO, Vec3
 
 GAIN_1_S = 1.5  # position gain, 1/s; a third of the firmware's velocity loop's, so no overshoot
-SPEED_XY_M_S = 0.3  # greatest horizontal speed, m/s
-CLIMB_M_S = 0.4  # greatest climb rate, m/s
+SPEED_XY_M_S = 0.3  # largest horizontal speed, m/s
+CLIMB_M_S = 0.4  # maximum climb rate, m/s
 DESCENT_M_S = 0.25  # descent rate, m/s
-ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # greatest height error, m, and speed, m/s, at the end of a take-off
+ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # largest height error, m, and speed, m/s, at the end of a take-off
 # first part of a take-off, m, flown with constant horizontal velocity until it is clear of a moving deck
 CLEAR_M = 0.1
-CARRIED_MAX_M_S = 1.0  # greatest velocity of a moving deck that the take-off follows, m/s
+CARRIED_MAX_M_S = 1.0  # largest velocity of a moving deck that the take-off follows, m/s
 # Descent rate without a position, m/s: an accelerometer bias makes the firmware's vertical velocity drift by
 # 0.05 m/s per second, until the vehicle climbs while the estimate shows a descent.
 UNPLACED_M_S = 0.4
@@ -28,7 +28,7 @@ LANDING_MIN_S = 1.0  # time of a landing before a stop counts, s: a climb must e
 STOPPED_TIME_S = 0.4  # time that the stop must last, s; longer than the descent takes to begin
 SINKING_M_S = -0.1  # limit of a descent command, m/s; a set-point between it and 0 may be a control error
 YAW_GAIN_1_S = 2.0  # yaw gain, 1/s; CRTP velocity set-points have a yaw rate but no yaw
-YAW_RATE_MAX_RAD_S = 1.5  # greatest yaw rate, rad/s
+YAW_RATE_MAX_RAD_S = 1.5  # largest yaw rate, rad/s
 
 
 def yaw_rate(wanted_rad: float, state: CrazyflieState) -> float:

@@ -143,9 +143,9 @@ LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later one is ignored
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # limit of a step back, ms: more is a restart, less a packet out of order
 _AHEAD_S = 0.03  # limit: a packet may be faster than the fastest one by this and by the drift
-_DRIFT = 0.1  # greatest drift of a simulated firmware's clock; the clock of CrazySim ran at 0.97
+_DRIFT = 0.1  # maximum drift of a simulated firmware's clock; the clock of CrazySim ran at 0.97
 _SPAN_S, _SPAN_PACKETS = 0.25, 10  # minimum length of a span, s and packets; longer than a delayed burst
-_MAGNITUDE = (1 << 9) - 1  # greatest magnitude of an element; the sign is a separate bit (quatcompress.h)
+_MAGNITUDE = (1 << 9) - 1  # largest magnitude of an element; the sign is a separate bit (quatcompress.h)
 
 
 class BootClock:

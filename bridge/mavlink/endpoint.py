@@ -20,14 +20,14 @@ from bridge.mavlink.transport.byte_stream import ByteStream, open_stream
 from bridge.mavlink.transport.transport import DatagramTransport, EndpointCounters
 from flightstack.config.options import Signing
 
-_SENDERS_MAX = 16  # greatest number of other systems and components with a counter
+_SENDERS_MAX = 16  # maximum number of other systems and components with a counter
 
 
 @dataclass(slots=True)
 class LinkCounters:
     foreign: int = 0  # frames from other systems or components
-    held_lost: int = 0  # frames received in lockstep without a tick
-    setpoints_refused: int = 0  # set-points refused: not finite, or the vehicle takes off
+    held_lost: int = 0  # frames received in lockstep for which no tick came
+    setpoints_refused: int = 0  # refused set-points: not finite, or sent while the vehicle takes off
     # frames of other senders, by system and component
     senders: dict[tuple[int, int], int] = field(default_factory=dict)
 
@@ -37,9 +37,9 @@ class LinkCounters:
             self.senders[sender] = self.senders.get(sender, 0) + 1
 
 
-_CHUNKS_PER_CALL = 512  # greatest number of chunks in one call of receive()
-_RECEIVE_MAX_S = 0.004  # limit of processor time in one call, s
-_UNTIMED_BYTES = 4096  # bytes read before the first clock reading, which costs as much as a datagram
+_CHUNKS_PER_CALL = 512  # maximum number of chunks in one call of receive()
+_RECEIVE_MAX_S = 0.004  # limit of the processor time of one call, s
+_UNTIMED_BYTES = 4096  # bytes read without a clock reading, which costs as much as a datagram
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 _OLD = frozenset({Refusal.STALE, Refusal.REPLAYED})  # correct signature, old timestamp
 _ANSWER_S = 1.0  # time between two replies to frames with old timestamps, which may be replayed, s
@@ -87,7 +87,7 @@ class Endpoint:
     ) -> None:
         """Open the socket or line.
 
-        ``max_peers``: greatest number of peers that are known by a heartbeat; ``always``: peers of ``udpin``
+        ``max_peers``: maximum number of peers that are known by a heartbeat; ``always``: peers of ``udpin``
         that receive telemetry from the start and never expire; ``allow_unsigned``: permit listening to a
         network without a key. A refused TCP connection is no error: the endpoint retries, and
         ``take_notices`` reports it.
@@ -101,8 +101,8 @@ class Endpoint:
         warning = check_policy(
             url, address, configured, signed=signing_key is not None, allow_unsigned=allow_unsigned
         )
-        # the recorder's callback for every valid frame in both directions, without a signature, which depends
-        # on the clock; only this callback gets frames of unknown messages, whose checksum cannot be checked
+        # The recorder's callback: it receives every valid frame of both directions without the signature, and
+        # frames of unknown messages, whose checksum cannot be checked.
         self.tap: Tap | None = None
         self.counters = EndpointCounters()  # numbers of frames and bytes by outcome
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
@@ -118,13 +118,13 @@ class Endpoint:
             self._transport.close()
             raise
         self._framer = StreamFramer(self.counters) if self._transport.is_stream else None
-        self._heartbeat: Message | None = None  # newest heartbeat of this endpoint, kept with a key
+        self._heartbeat: Message | None = None  # newest heartbeat of this endpoint; stored only with a key
         self._answered_s = -math.inf  # time of the last reply to a frame with an old timestamp
         self._unknown: list[bytes] = []  # frames of unknown messages in the current chunk
         self.local_port = self._transport.local_port  # UDP port of the socket; 0 for other links
         self.baud = self._transport.baud  # speed of a serial line, bit/s; None for other links
         warnings = (warning, self._signer.warning if self._signer else None)
-        self.warnings = tuple(filter(None, warnings))  # texts for the operator before a flight
+        self.warnings = tuple(filter(None, warnings))  # warnings for the operator before a flight
 
     @property
     def peers(self) -> tuple[Peer, ...]:
@@ -168,7 +168,7 @@ class Endpoint:
         return split_frames(data, self.counters, self._unknown.append)
 
     def _take_unknown(self, frame: bytes, peer: Peer) -> None:
-        """Pass a frame of an unknown message to the recorder; its sender becomes no peer, earns no bytes."""
+        """Pass a frame of an unknown message to the recorder; its sender does not become a peer."""
         refused = self._refused(frame)
         if refused is not None:
             self.counters.add(refused.value)
@@ -210,12 +210,12 @@ class Endpoint:
         return self._signer.refusal(frame) if signed else Refusal.UNSIGNED
 
     def _answer_stale(self, peer: Peer) -> None:
-        """Send a heartbeat to a peer whose clock is late: a signed frame advances an autopilot's clock."""
+        """Send a heartbeat to a peer with a late clock: its signed timestamp advances an autopilot clock."""
         now_s = time.monotonic()
         if self._heartbeat is None or self._signer is None or now_s - self._answered_s < _ANSWER_S:
             return
         self._answered_s = now_s
-        mav = self._mav  # the reply has no new number and is not recorded: it depends on wall time
+        mav = self._mav  # the reply depends on wall time, so it gets no new number and no record
         frame = pack(self._heartbeat, mav.seq, mav.srcSystem, mav.srcComponent)
         self._transport.send((self._signer.sign(frame),), peer)
         self.counters.stale_answered += 1
@@ -224,7 +224,7 @@ class Endpoint:
         return self._transport.wait(max(0.0, timeout_s))
 
     def fileno(self) -> int:
-        """Return the descriptor for a ``select`` over several links; it changes when a line is lost."""
+        """Return the descriptor for ``select``; the descriptor changes when the connection is lost."""
         return self._transport.fileno()
 
     def take_notices(self) -> list[str]:
@@ -241,7 +241,7 @@ class Endpoint:
         return frame
 
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
-        """Send messages in order; by UDP in one datagram (in several if they exceed 1400 bytes).
+        """Send messages in order; UDP uses one datagram, or several for more than 1400 bytes.
 
         ``peer`` None: all known peers; without any peer no message is sent or numbered.
         Raises struct.error: a field does not fit its type on the wire.
@@ -263,7 +263,7 @@ class Endpoint:
                 self.tap(Direction.OUT, frame, peers[0])
 
     def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
-        """Send a frame again, unchanged: with the same sequence number, and not recorded.
+        """Send a frame again with the same sequence number; do not record it.
 
         Repetitions depend on wall time, so they are neither logged nor numbered. With a key the frame gets a
         new signature, since receivers reject a repeated timestamp.

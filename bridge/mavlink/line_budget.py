@@ -1,4 +1,4 @@
-"""Chooses message rates at which a flight fits into a serial line. Pure."""
+"""Chooses message rates for which a serial line is fast enough. Pure."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.messages import MESSAGES
 
 _BITS_PER_BYTE = 10  # bits per byte on a serial line, 8N1
-_USABLE = 0.9  # usable fraction of the line; replies, texts and other messages of the autopilot need the rest
+_USABLE = 0.9  # fraction of the line for planned messages; replies, texts and others use the remainder
 _FRAME = 12  # length of a MAVLink 2 header and checksum, bytes
 _SIGNATURE = 13  # length of a signature, bytes
-_IN_A_ROW = 3  # minimum number of message periods in the greatest age of the state: two may be lost
+_IN_A_ROW = 3  # minimum number of message periods in the state's maximum age; two messages may be lost
 _BAUDS = (9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600, 1_500_000, 3_000_000)
-# rates requested in addition to position and attitude, Hz
+# rates requested in addition to position and attitude, Hz; then rates that are sent without a request, Hz
 _ASKED_HZ = {dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0, dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0}
-_UNASKED_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}  # by PX4 v1.16
+_UNASKED_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}  # PX4 v1.16
 _OUT_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}
 _STATE = (dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, dialect.MAVLINK_MSG_ID_ATTITUDE)
 _SETPOINT: int = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
@@ -30,11 +30,11 @@ class LineTooSlowError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class LinePlan:
-    state_hz: float  # rate of position and of attitude
+    state_hz: float  # rate of position, and rate of attitude
     setpoint_every: int  # ticks between two set-points
     setpoint_hz: float  # rate of set-points
-    in_bytes_s: float  # telemetry from the vehicle to the companion
-    out_bytes_s: float  # set-points, heartbeats and replies from the companion to the vehicle
+    in_bytes_s: float  # data rate of telemetry from the vehicle to the companion
+    out_bytes_s: float  # data rate of set-points, heartbeats and replies from the companion
     capacity_bytes_s: float | None  # capacity of the line in each direction; None: no limit
 
     @property
@@ -58,7 +58,7 @@ def plan(baud: int | None, rate_hz: float, own_age_max_s: float, *, signed: bool
     """Choose the highest rates that fit; they are integer fractions of the loop rate.
 
     ``baud``: speed of the serial line, bit/s, None: no limit; ``rate_hz``: loop rate; ``own_age_max_s``:
-    greatest age of the vehicle state. Lowest rate of states and set-points: 3 / ``own_age_max_s``.
+    maximum age of the vehicle state. Lowest rate of states and set-points: 3 / ``own_age_max_s``.
     Raises LineTooSlowError: even the lowest rates do not fit.
     """
     capacity = None if baud is None else baud / _BITS_PER_BYTE

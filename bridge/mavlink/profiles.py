@@ -56,16 +56,16 @@ class Profile:
     name: str
     title: str
     autopilot: int  # MAV_AUTOPILOT in the heartbeat
-    modes: Mapping[int, Mode]  # mode by custom_mode of the heartbeat; missing ones mean OTHER
+    modes: Mapping[int, Mode]  # mode by custom_mode of the heartbeat; other values mean OTHER
     sequences: Mapping[Request, tuple[Step, ...]]
     takeoff_altitude: TakeoffAltitude
     # Whether set-points may be sent during the vehicle's take-off. If not, a set-point ends the take-off, and
-    # the external mode follows set-points only after the first one.
+    # the external mode is a take-off until the first set-point.
     stream_in_takeoff: bool
     prestream_s: float  # time of continuous set-points before the mode change, s
-    unset: float  # value of a command parameter that is not given
+    unset: float  # value for a command parameter without a given value
     encoding: Encoding
-    needs_origin: bool  # the position needs SET_GPS_GLOBAL_ORIGIN if there are no satellites
+    needs_origin: bool  # whether the position requires SET_GPS_GLOBAL_ORIGIN without satellites
     prepare: tuple[Step, ...] = ()  # steps on the ground before the first request
     asked_hz: Mapping[int, float] = field(default_factory=dict)  # extra rates by message id
 
@@ -183,7 +183,7 @@ PX4 = Profile(
     },
     takeoff_altitude=TakeoffAltitude.AMSL,
     stream_in_takeoff=True,
-    # time, s; at its next health check PX4 needs a set-point younger than COM_OF_LOSS_T = 1.0 s
+    # PX4's next health check needs a set-point younger than COM_OF_LOSS_T = 1.0 s
     prestream_s=0.3,
     unset=math.nan,
     encoding=Encoding.BYTEWISE,
@@ -195,7 +195,7 @@ OWN_SITL = replace(  # the simulated vehicle imitates PX4
     PX4,
     name="sitl",
     title="own simulator, OFFBOARD",
-    # time, s; the vehicle checks each set-point on arrival, and a deck may rise meanwhile
+    # short, because the vehicle checks each set-point on arrival and a deck may rise during this time
     prestream_s=0.05,
 )
 
@@ -215,7 +215,7 @@ ARDUPILOT = Profile(
     title="ArduCopter, GUIDED",
     autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
     modes={
-        4: Mode.EXTERNAL,  # GUIDED; also during the vehicle's own take-off
+        4: Mode.EXTERNAL,  # ArduPilot's name: GUIDED; also the mode of its take-off
         5: Mode.HOLD,  # ArduPilot's name: LOITER
         9: Mode.LAND,
         16: Mode.HOLD,  # ArduPilot's name: POSHOLD
@@ -226,7 +226,7 @@ ARDUPILOT = Profile(
         Request.TAKEOFF: (
             Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_airborne),
             _ARM,
-            # A repeated take-off restarts the spool-up, so the tries are further apart.
+            # A repeated take-off restarts the spool-up of the motors, so the time between tries is longer.
             Step(_NAV_TAKEOFF, "take off", _takeoff, _airborne, period_s=4.0, tries=4),
         ),
         Request.EXTERNAL: (Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _external),),
@@ -242,7 +242,7 @@ ARDUPILOT = Profile(
     # The pre-arm bit depends on the mode, so the mode is set first. ArduPilot acknowledges but drops a mode
     # change in the first seconds after boot, so the step repeats during the whole wait.
     prepare=(Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_armed, period_s=1.0, tries=3600),),
-    asked_hz={dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0},  # all SRx_ rates may be 0
+    asked_hz={dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0},  # requested because all SRx_ rates may be 0
 )
 
 PROFILES: Mapping[str, Profile] = {p.name: p for p in (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)}
@@ -292,7 +292,7 @@ def named(enum: str, number: int) -> str:
     return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)
 
 
-# mark in flight_custom_version; other autopilots have eight digits of their revision there
+# mark in flight_custom_version, where other autopilots have eight digits of their revision
 SITL_MARK = b"cfstack\x00"
 CRAZYFLIE_MARK = b"cfbridge"
 _MARKED: Mapping[bytes, Profile] = {SITL_MARK: OWN_SITL, CRAZYFLIE_MARK: CRAZYFLIE}

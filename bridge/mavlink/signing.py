@@ -1,7 +1,7 @@
-"""MAVLink 2 message signing (mavlink.io, guide/message_signing): checks the signature, then the timestamp.
+"""MAVLink 2 message signing (mavlink.io, guide/message_signing): checks signature, then timestamp.
 
-A frame without a correct signature changes no state. A stream is a link, system and component, independent of
-the address; so a frame replayed from another address is rejected as old, too.
+A frame without a correct signature changes no state. The ids of link, system and component identify a
+stream, independent of the address; a frame replayed from another address is also rejected as old.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import msgspec
 from bridge.mavlink.codec.framing import with_signed_flag
 
 KEY_BYTES = 32  # length of the secret key in MAVLink 2 signing, bytes
-_KEY_READ_MAX = 4096  # greatest number of bytes read; far more than any valid file has
+_KEY_READ_MAX = 4096  # maximum number of bytes read; far more than any valid file has
 _HEX = re.compile(rb"[0-9a-fA-F]{64}")
 _HELP = "a key file holds 32 bytes or 64 hexadecimal characters; `flightstack key FILE` makes one"
 
@@ -50,7 +50,7 @@ def load_key(path: Path) -> SigningKey:
     except OSError as error:
         raise ValueError(f"signing key {path}: {error.strerror}; {_HELP}") from error
     try:
-        mode = os.fstat(descriptor).st_mode  # mode of the open file; another file may have the path by now
+        mode = os.fstat(descriptor).st_mode  # mode of the open file; the path may lead to another file
         if not stat.S_ISREG(mode):
             raise ValueError(f"signing key {path} is no ordinary file; {_HELP}")
         if mode & 0o077:
@@ -85,9 +85,9 @@ def make_key(path: Path) -> None:
 
 Stream = tuple[int, int, int]  # ids of link, system and component
 
-STREAMS_MAX = 64  # more than the senders of any link; only holders of the key can fill the table
+STREAMS_MAX = 64  # maximum number of streams; only holders of the key can fill the table
 TIMESTAMP_MAX = 2**48 - 1
-_STATE_READ_MAX = 65536  # greatest number of bytes read; 64 streams need 3000
+_STATE_READ_MAX = 65536  # maximum number of bytes read; 64 streams need 3000
 
 
 _Byte = Annotated[int, msgspec.Meta(ge=0, le=255)]
@@ -137,8 +137,8 @@ def save_state(path: Path, state: SigningState) -> None:
 EPOCH_NS = 1_420_070_400_000_000_000  # 2015-01-01T00:00:00Z, time zero of signing
 TICK_NS = 10_000  # unit of a signing timestamp
 _S = 1_000_000_000 // TICK_NS  # ticks per second
-STALE_TICKS = 60 * _S  # greatest delay of a new stream behind the local clock (mavlink.io: one minute)
-AHEAD_TICKS = 3600 * _S  # greatest lead of a frame: ArduPilot adds a minute to its clock at every start
+STALE_TICKS = 60 * _S  # maximum delay of a new stream behind the local clock (mavlink.io: one minute)
+AHEAD_TICKS = 3600 * _S  # maximum lead of a frame: ArduPilot adds a minute to its clock at each start
 _SAVE_S = 10.0  # time between two writes of the state, s
 _LINK = bytes(1)  # link id of every endpoint of this project
 _TAG = 6  # bytes of SHA-256 in a frame
@@ -175,7 +175,7 @@ class Signer:
         ValueError: the state file is bad; OSError: the state cannot be read or written.
         """
         self.warning: str | None = None  # text for the operator about the clock, or None
-        self.state_errors = 0  # number of failed writes of the state; each is repeated after 10 s
+        self.state_errors = 0  # number of failed writes of the state; a failed write is repeated after 10 s
         self._own = bytes((system_id, component_id))
         self._keyed = hashlib.sha256(key.secret)
         self._unix_ns, self._monotonic_ns = unix_ns, monotonic_ns
@@ -188,7 +188,7 @@ class Signer:
         self._start = self._first_time()
         self._saved_s = self._start_ns / 1e9
         if self._path is not None:
-            save_state(self._path, self._snapshot())  # early: missing permissions are an error at the start
+            save_state(self._path, self._snapshot())  # written at the start, to detect missing permissions
 
     @property
     def streams(self) -> int:
@@ -206,9 +206,9 @@ class Signer:
         return body + self._tag(body)
 
     def refusal(self, frame: bytes) -> Refusal | None:
-        """Return the reason to reject a signed frame; None: it is accepted and its timestamp stored."""
+        """Return the reason to reject a signed frame; None: the frame is accepted, its timestamp stored."""
         if frame[5:7] == self._own:
-            return Refusal.REFLECTED  # a reflected frame has a correct signature from any address
+            return Refusal.REFLECTED  # a reflected frame has a correct signature
         if not hmac.compare_digest(self._tag(frame[:-_TAG]), frame[-_TAG:]):
             return Refusal.BAD_SIGNATURE
         stamp = int.from_bytes(frame[-_STAMP:-_TAG], "little")

@@ -35,13 +35,13 @@ class Refusal(Enum):
 @dataclass(frozen=True, slots=True)
 class Limits:
     frame_id: str | None = None  # required frame of the poses; None: any frame is accepted
-    late_max_s: float = 0.1  # greatest delay relative to the fastest recent sample, s
+    late_max_s: float = 0.1  # maximum delay relative to the fastest recent sample, s
     # time that the poses must agree after their sender's clock has jumped, s; no pose is good until then
     clock_proof_s: float = 0.3
-    gap_max_s: float = 0.2  # greatest age of the last good pose, s; the vehicle state has the same limit
+    gap_max_s: float = 0.2  # maximum age of the last good pose, s; the vehicle state has the same limit
     rate_min_hz: float = 20.0  # lowest good rate, Hz; a lower rate is reported; PX4 needs 30 to 50 Hz
-    rate_max_hz: float = 100.0  # greatest forwarded rate, Hz
-    speed_max_m_s: float = 5.0  # greatest speed of the body, m/s; the allowances below for noise are added
+    rate_max_hz: float = 100.0  # largest forwarded rate, Hz
+    speed_max_m_s: float = 5.0  # maximum speed of the body, m/s; the allowances below for noise are added
     jump_m: float = 0.05
     turn_rate_max_rad_s: float = 20.0
     turn_rad: float = 0.2

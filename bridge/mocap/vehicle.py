@@ -21,7 +21,7 @@ from bridge.mocap.checks import Passed
 from flightstack.core.types import Landed, Mode, VehicleStatus
 
 COMPONENT_ID = dialect.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
-RATE_MAX_HZ = 50.0  # greatest rate of poses for PX4 and ArduPilot, Hz
+RATE_MAX_HZ = 50.0  # maximum rate of poses for PX4 and ArduPilot, Hz
 SILENT_S = 3.0  # time without a heartbeat after which the vehicle counts as absent, s
 _HEARTBEAT_S = 1.0
 _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s

@@ -23,7 +23,7 @@ ENCODING = "application/cdr;nav_msgs/msg/Odometry"
 _UNIT_TOLERANCE = 0.01
 _LARGEST = 1e9  # limit in m, m/s and rad/s: larger numbers are damaged data
 WARN_FACTOR = 1.5  # ratio of reported to configured noise above which a warning is sent
-_UNUSED_M2 = 1e3  # greatest used variance; diff_drive_controller and others write 1e6 for unmeasured values
+_UNUSED_M2 = 1e3  # largest used variance; diff_drive_controller and others write 1e6 for unmeasured values
 
 
 class RawSample(NamedTuple):

@@ -30,8 +30,8 @@ from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import ZERO, Vec3
 
-TEXTS_MAX = 32  # greatest number of different warnings per flight; the counters continue
-OFFSET_MAX_M = 5.0  # greatest offset of the landing spot per axis, m; a larger one has a wrong unit
+TEXTS_MAX = 32  # maximum number of different warnings per flight; the counters continue
+OFFSET_MAX_M = 5.0  # largest offset of the landing spot per axis, m; a larger one has a wrong unit
 LOOK_EVERY = 100  # samples between two checks of frames and covariances
 CAPACITY = 1024  # samples between two polls
 
@@ -114,7 +114,7 @@ class TargetSpec:
         return plain and self.offset_m == ZERO
 
 
-SETTLED_M_S = 0.05  # greatest standard deviation of a usable velocity; a quarter of the Burger's
+SETTLED_M_S = 0.05  # largest standard deviation of a usable velocity; a quarter of the Burger's
 UNKNOWN_M_S = 100.0  # standard deviation of a velocity that was not measured, far above robot speeds
 GATE_SIGMAS = 6.0  # distance from the expected pose that makes an outlier: 1 in 10^8 by chance
 # outliers, or poses behind the newest stamp, in a row after which the estimate restarts with them
@@ -339,7 +339,7 @@ class TargetSource:
             self._texts.append(text)
 
 
-KEYS_MAX = 8  # greatest number of keys
+KEYS_MAX = 8  # maximum number of keys
 _CAPACITY = 64  # samples between two polls
 # A chunk of the key contains the name: robot1/odom, 0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_...
 _LIKELY = (

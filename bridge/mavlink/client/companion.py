@@ -34,7 +34,7 @@ class Origin(NamedTuple):
 
 
 class OriginSender:
-    """Sends SET_GPS_GLOBAL_ORIGIN until the vehicle reports its origin, if it is disarmed on the ground."""
+    """Sends SET_GPS_GLOBAL_ORIGIN to a disarmed vehicle on the ground until it reports its origin."""
 
     def __init__(self, origin: Origin | None, target_system: int) -> None:
         """``origin`` None: no message is sent."""
@@ -43,7 +43,7 @@ class OriginSender:
         self._last_s = -math.inf
 
     def restart(self) -> None:
-        """Start again after a restart of the vehicle, which may have lost its origin."""
+        """Send the origin again after a restart of the vehicle, which may have lost it."""
         self._tries = 0
 
     def step(self, status: VehicleStatus | None, known: bool, now_s: float) -> list[Message]:
@@ -77,7 +77,7 @@ def request_message(target: tuple[int, int], message_id: int, unset: float) -> M
 
 
 # Set-point mask: ignore position (7) and acceleration (0x1C0), use velocity and yaw, ignore yaw rate (0x800).
-# PX4 and ArduPilot interpret only this mask alike; without a yaw PX4 drifts and ArduPilot turns.
+# Only this mask has the same meaning in PX4 and ArduPilot; without a yaw PX4 drifts and ArduPilot turns.
 VELOCITY_AND_YAW = 2503
 
 
@@ -98,9 +98,9 @@ def velocity_setpoint(setpoint: ApprovedSetpoint, target: tuple[int, int], now_s
 
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD number of SET_MESSAGE_INTERVAL
 _CHECK_S = 1.0  # time over which a rate is measured, s
-_ENOUGH = 0.7  # sufficient fraction of the requested rate; loss and the autopilot's ticks reduce it
-_ROUNDING_S = 1e-6  # margin above the rounding error of a time, s
-_REQUESTS = 5  # number of requests that follow each other every _CHECK_S
+_ENOUGH = 0.7  # sufficient fraction of the requested rate; loss and the autopilot's tick reduce the rate
+_ROUNDING_S = 1e-6  # margin for the rounding error of a time, s
+_REQUESTS = 5  # number of requests that are sent every _CHECK_S; later requests are sent less often
 _AGAIN_S = 3.0  # time between two later tries, s, as long as no message arrives
 
 
@@ -116,8 +116,8 @@ class _Stream:
 class StreamRequests:
     """Counts messages and returns SET_MESSAGE_INTERVAL commands as long as their rate is too low. Pure.
 
-    It requests every second at first, then less often as long as no message arrives: an autopilot may have no
-    position for minutes (no satellites, no origin). ``rates_hz`` has message ids as keys.
+    As long as no message arrives, it requests every second at first, then less often: an autopilot may have
+    no position for minutes (no satellites, no origin). ``rates_hz``: required rate by message id.
     """
 
     def __init__(
@@ -158,7 +158,7 @@ class StreamRequests:
         if stream.tries and elapsed_s < _CHECK_S:
             return False
         if stream.tries and stream.seen >= _ENOUGH * stream.rate_hz * elapsed_s:
-            stream.tries = 1  # the stream arrives; if it stops, requests start again
+            stream.tries = 1  # the stream arrives; if it stops later, requests start again
             stream.seen, stream.since_s = 0, now_s
             return False
         if stream.tries < _REQUESTS:
@@ -195,7 +195,7 @@ _FINAL = frozenset(
 
 
 class CommandSequencer:
-    """Sends the commands of the current request. Pure: status and time in, messages out.
+    """Returns the commands of the current request, from status and time. Pure.
 
     A request is complete when a heartbeat newer than the request shows its status: a later change of mode has
     another cause, and the controller decides how to react.
@@ -218,10 +218,10 @@ class CommandSequencer:
         self.above_home: tuple[float, float] | None = None
         self._offset_m = 0.0  # height of the vehicle above the datum of its take-off command
         self.failed: str | None = None  # reason why the current request failed, or None
-        self.reached = False  # a heartbeat has shown the requested status
+        self.reached = False  # whether a heartbeat has shown the requested status
         self._request = Request.NONE
         self._since_s = -math.inf
-        self._begun = False  # a request was made before
+        self._begun = False  # whether an earlier request exists
         self._enter(None, -math.inf)
 
     def _enter(self, step: Step | None, now_s: float) -> None:
@@ -249,7 +249,7 @@ class CommandSequencer:
         self._stream_last_s = now_s
 
     def note_ack(self, command: int, result: int) -> None:
-        """Record a COMMAND_ACK, as the reason of a failure and to decide on a retry."""
+        """Record a COMMAND_ACK; it decides on a retry and can be the reason of a failure."""
         if self._step is None or command != self._step.command:
             return
         self._last_result = _RESULTS.get(result, f"result {result}")
@@ -273,7 +273,7 @@ class CommandSequencer:
         if step is not self._step:
             self._enter(step, now_s)
         if step is None:
-            # Before the first request no status is required: the vehicle may leave the prepared mode.
+            # Preparation before the first request is never complete: the vehicle may leave the mode again.
             self.reached = self._begun and status is not None and status.arrival_s > self._since_s
             return []
         datum = self._lacking(step)

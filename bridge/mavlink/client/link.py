@@ -30,10 +30,10 @@ from flightstack.core.types import Landed, OwnState, Request
 COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
 _HEARTBEAT_S = 1.0  # period, s; every autopilot monitors a link by heartbeats of 1 Hz
 _HELLO_S = 0.2  # wall time between heartbeats before the first message of the vehicle, s
-_LANDED_STATE_HZ = 5.0  # requested rate; the default of PX4
-_THROTTLE_HZ = 10.0  # requested rate of VFR_HUD, when the thrust reserve is estimated
-_TEXTS_MAX = 256  # greatest number of texts that wait for ``take_texts``
-_HELD_MAX = 4096  # greatest number of messages that wait for their tick in lockstep
+_LANDED_STATE_HZ = 5.0  # requested rate of the landed state; PX4's default
+_THROTTLE_HZ = 10.0  # requested rate of VFR_HUD if the thrust reserve is estimated
+_TEXTS_MAX = 256  # maximum number of texts that wait for ``take_texts``
+_HELD_MAX = 4096  # maximum number of messages that wait for their tick in lockstep
 _RESTARTED = "restarted, or heard again after a silence: missing telemetry is requested again"
 
 
@@ -61,7 +61,7 @@ class VehicleLink:
         line: LinePlan | None = None,
         power: bool = False,
     ) -> None:
-        """Set up the link over an endpoint of the vehicle's system id, which it closes.
+        """Set up the link; it closes ``endpoint``, which has the vehicle's system id.
 
         ``takeoff_height_m``: climb of ``Request.TAKEOFF``; ``rate_hz``: rate of the loop, requested for
         position and attitude; ``profile`` None: the first heartbeat selects it; ``defer_timesync``: lockstep,
@@ -81,7 +81,7 @@ class VehicleLink:
             self.state.watch_power()
         # reason why this vehicle is not supported, or None
         self.refused: str | None = None
-        self.heard = False  # a message of the vehicle has arrived
+        self.heard = False  # whether a message of the vehicle has arrived
         self._target = (system_id, dialect.MAV_COMP_ID_AUTOPILOT1)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
         self._line, self._setpoints = line, 0
@@ -150,9 +150,9 @@ class VehicleLink:
             self._queue_due(tick_s)
 
     def command(self, request: Request, now_s: float) -> None:
-        """Send the commands of a request; called every tick with the current one."""
+        """Send the due commands of the current request; called at every tick."""
         if self._requests is None:
-            if request is Request.MOTORS_OFF:  # the command is equal for all autopilots and needs no profile
+            if request is Request.MOTORS_OFF:  # this command needs no profile
                 self._outgoing += self._kill.step(request, None, now_s)
             return
         sequencer, _, origin = self._requests
@@ -169,7 +169,7 @@ class VehicleLink:
     def send_setpoint(self, setpoint: ApprovedSetpoint, now_s: float) -> bool:
         """Queue a velocity set-point; no other function sends a velocity.
 
-        Returns False if it is rejected: a number is not finite, or it would end a take-off of the vehicle.
+        Returns False if a value is not finite, or if the set-point would end a take-off of the vehicle.
         """
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
         profile = self.state.profile
@@ -181,7 +181,7 @@ class VehicleLink:
         self.state.follow(True)
         self._setpoints += 1
         if self._line is not None and self._setpoints % self._line.setpoint_every:
-            return True  # the slow line skips this set-point; a newer one follows
+            return True  # a slow line skips this set-point; a newer set-point follows
         self._outgoing.append(velocity_setpoint(setpoint, self._target, now_s))
         return True
 
@@ -207,12 +207,12 @@ class VehicleLink:
 
     @property
     def heeded(self) -> frozenset[int]:
-        """Ids of the messages that have an effect here."""
+        """Ids of the messages that have an effect on this link."""
         asked = self._requests.streams.asked if self._requests is not None else ()
         return frozenset((*self._handlers, *self.state.heeded, *asked))
 
     def silent_until_s(self, request: Request) -> float:
-        """Return the time until which only set-points are due if only states arrive."""
+        """Return the time before which this link sends only set-points, if only vehicle states arrive."""
         requests, waits = self._requests, self._outgoing or self._held or self._line
         restarted = self.state.restarted_s != self._restarted_s
         if requests is None or waits or restarted or not self.state.following:
@@ -222,7 +222,7 @@ class VehicleLink:
         return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, requests.streams.quiet_until_s)
 
     def hear(self, now_s: float) -> bool:
-        """Handle messages that arrived outside of ticks and send a due heartbeat; False: more work is due."""
+        """Handle messages between ticks and send a due heartbeat; return False if more work is due."""
         for received in self.endpoint.receive():
             self._handle(received.message, now_s)
         self._queue_due(now_s)
@@ -233,7 +233,7 @@ class VehicleLink:
         return True
 
     def took(self, own: OwnState, ticks: int, *, setpoints: bool) -> None:
-        """Record ticks outside of ``poll`` with the newest state; either all or none have a set-point."""
+        """Record ticks that ran without ``poll``; ``setpoints``: all of them sent a set-point, else none."""
         self.state.took(own)
         self._setpoints += ticks if setpoints else 0
         if self._requests is not None:
@@ -314,7 +314,7 @@ class VehicleLink:
             self._said(*said)
 
     def _said(self, severity: int, text: str) -> None:
-        """Pass on a text of the vehicle; it may be the reason of a failed command."""
+        """Pass on a status text of the vehicle; the text may be the reason of a failed command."""
         self._say(severity, text)
         if self._requests is not None:
             self._requests.sequencer.note_text(text)

@@ -1,9 +1,9 @@
 """Selects the frames of one vehicle by their ids and address, and explains why none arrive. Pure.
 
-Ids do not identify a sender: a script or router with default ids, or a second vehicle, may use the same. So a
+Ids do not identify a sender: a script or router with default ids, or a second vehicle, may use them, too. A
 sender is an address with ids, and a heartbeat adds its kind (type and autopilot). Frames that contradict the
-known sender are ignored as long as it is alive, counted, and reported whenever the count has doubled. A frame
-that arrives a second time, over a slower path or a line that duplicates, contains an outdated state.
+known sender are ignored and counted as long as it is alive, and reported whenever the count has doubled. A
+frame that arrives a second time, over a slower path or a duplicating line, contains an outdated state.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from bridge.mavlink.transport.transport import EndpointCounters
 
 SILENT_S = 2.5  # time without a frame after which the known sender is not alive, s; heartbeats have 1 Hz
 _APART_S = 0.5  # time of alternating addresses that proves two senders, s; reordering takes less time
-_GAP_MAX = 4  # greatest step of the sequence number (modulo 256) in a stream: three lost frames
-_STEADY = 8  # frames in a row that make a stream without gaps
+_GAP_MAX = 4  # largest step of the sequence number (modulo 256) in a stream: three lost frames
+_STEADY = 8  # number of consecutive frames after which a stream has no gaps
 _AGAIN_S = 0.95  # time after which a repeated contradicting heartbeat is accepted, s: heartbeats have 1 Hz
 _FRAMES = 200  # number of stored frames; their sequence numbers differ (modulo 256)
-_OTHERS_MAX = 8  # greatest number of other addresses; the oldest is replaced
+_OTHERS_MAX = 8  # maximum number of other addresses; the oldest is replaced
 
 
 class Kind(NamedTuple):
@@ -39,7 +39,7 @@ class Kind(NamedTuple):
 
 @dataclass(slots=True)
 class _Other:
-    """Another address that uses the same ids."""
+    """Another address that uses the vehicle's ids."""
 
     first_s: float
     last_s: float
@@ -51,7 +51,7 @@ class Senders:
 
     known: Peer | None = None  # address of the vehicle; None before its first frame
     ignored: int = 0  # number of rejected frames with the vehicle's ids
-    repeated: int = 0  # number of frames that arrived again
+    repeated: int = 0  # number of frames that arrived a second time
     doubled: str | None = None  # error text as long as a second address with the same ids is alive
     _now_s: float = -math.inf  # arrival of the newest frame
     _known_s: float = -math.inf  # arrival of the newest frame from the known address
@@ -61,7 +61,7 @@ class Senders:
     # base_mode, custom_mode and time of a contradicting heartbeat
     _doubted: tuple[tuple[int, int], float] | None = None
     _sequence: int = 0  # sequence number of the newest frame of the known sender
-    _steady: int = 0  # frames of the known sender in a row without a gap
+    _steady: int = 0  # number of consecutive frames of the known sender
     _number: int = -1  # sequence number of the known sender's newest frame that was not repeated
     _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # newest frames, in order
     _others: dict[Peer, _Other] = field(default_factory=dict)
@@ -69,7 +69,7 @@ class Senders:
     _notices: list[str] = field(default_factory=list)
 
     def begin(self, now_s: float) -> None:
-        """Change to another clock; the known sender remains and counts as heard now."""
+        """Change to another clock; the known sender remains and counts as received now."""
         if self._kind is not None:
             self._beat_s = now_s
         self.ignored, self._due, self._now_s, self._known_s = 0, 1, now_s, -math.inf
@@ -120,10 +120,10 @@ class Senders:
         return False
 
     def _repeats(self, message: Message) -> bool:
-        """Whether a frame of the known sender arrived before; lockstep requests may be repeated."""
+        """Whether a frame of the known sender is a repetition; lockstep requests may be repeated."""
         header, newest = message.get_header(), self._newest
         frame = (header.seq, header.msgId, message.get_crc())
-        # a message without a checksum was never on a wire; a sender may also give all frames the same number
+        # a message without a checksum was never on a wire; some senders give all frames one number
         if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC or frame[2] is None or header.seq == self._number:
             return False
         self._number = header.seq
@@ -229,7 +229,7 @@ _NO_DATA = "no data arrives; check that the vehicle is on and that its link lead
 
 
 class Arrivals:
-    """Increments of an endpoint's counters since the last call."""
+    """Measures how much an endpoint's counters have grown since the last call."""
 
     def __init__(self) -> None:
         self._before: dict[str, int] = {}
@@ -251,7 +251,7 @@ def why_silent(
     """Return a sentence about the missing heartbeat of a vehicle with the likely reason.
 
     ``grown``: increments of the endpoint's counters; ``senders``: number of frames of each other sender
-    (system, component); ``time``: how long none arrived, such as " for 5 s".
+    (system, component); ``time``: duration without a heartbeat, such as " for 5 s".
     """
     text = f"no heartbeat of system {system_id}, component 1{time}: "
     cause = _first(_SIGNING, grown)

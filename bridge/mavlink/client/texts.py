@@ -17,8 +17,8 @@ import msgspec
 
 from bridge.mavlink.codec.messages import CODES, Message
 
-_CHUNK = 50  # characters per message; a shorter chunk is the last one
-_CHUNKS_MAX = 16  # greatest number of chunks of a text: 800 characters
+_CHUNK = 50  # characters per message; a shorter chunk ends the text
+_CHUNKS_MAX = 16  # maximum number of chunks of a text: 800 characters
 
 
 class TextAssembler:
@@ -58,7 +58,7 @@ def clean(text: str) -> str:
 
 
 EVENT = 410  # message id; pymavlink has no name for it
-_SHOWN_MAX = 7  # log levels up to debug equal MAV_SEVERITY; higher ones are protocol and disabled
+_SHOWN_MAX = 7  # highest level that equals a MAV_SEVERITY; above: protocol, disabled
 _ARGUMENT = re.compile(r"\{(\d+)(?::\.(\d+))?(m\^2|m/s|m_v|m|C)?\}")
 _UNITS = {None: "", "m": " m", "m_v": " m", "m^2": " m²", "m/s": " m/s", "C": " °C"}
 _TAG = re.compile(r"(?<!\\)</?[a-z][^>]*>")
@@ -84,7 +84,7 @@ class _Table(msgspec.Struct):
 
 def event_text(message: Message) -> tuple[int, str] | None:
     """Return MAV_SEVERITY and text of an EVENT; None if the event is not meant for people."""
-    severity: int = message.log_levels & 0x0F  # lower half: external level; upper half: PX4's internal one
+    severity: int = message.log_levels & 0x0F  # bits 0 to 3: external level; bits 4 to 7: internal level
     if severity > _SHOWN_MAX:
         return None
     known = _table().events.get(message.id)
@@ -124,6 +124,6 @@ def _filled(template: str, values: list[float | str]) -> str:
 
 @cache
 def _table() -> _Table:
-    """Read the table at the first event; this takes a millisecond."""
+    """Return the table of events; the first call reads the file, which takes a millisecond."""
     data = files("bridge.mavlink.client").joinpath("px4_events.json").read_bytes()
     return msgspec.json.decode(data, type=_Table)

@@ -18,13 +18,13 @@ from flightstack.core.types import Landed, Mode, OwnState, Power, VehicleStatus
 _GLOBAL_POSITION = dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
-_REBOOT_S = 1.0  # limit, s; a boot clock that steps back further after a silence shows a reboot
-# time for which rejected messages must agree, s: longer than the default of checks.own_age_max_s, so that the
-# vehicle state counts as lost in between
+_REBOOT_S = 1.0  # step back of the boot clock that shows a reboot after a silence, s
+# time for which rejected messages must agree before they are accepted, s; longer than the default of
+# checks.own_age_max_s, so that the vehicle state counts as lost before
 _PROOF_S = 0.3
-_TICK_S = 0.1  # period of the slowest loop, s; each loop handles messages only at its ticks
-_YAW_AGE_MAX_S = 0.5  # greatest time between a position and the attitude that gives the heading, s
-_LARGEST = 1e6  # limit in m and m/s; a larger number counts as corrupted
+_TICK_S = 0.1  # period of the slowest loop, s; a loop handles messages only at its ticks
+_YAW_AGE_MAX_S = 0.5  # maximum time between a position and the attitude that gives the heading, s
+_LARGEST = 1e6  # largest plausible value, m or m/s; a larger value counts as corrupted
 _THROTTLE_AGE_MAX_S = 1.0  # maximum age of the throttle in VFR_HUD, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _LANDED = {state.value: state for state in Landed}
@@ -43,17 +43,17 @@ class StateCounters:
     """Numbers of rejected telemetry messages by reason."""
 
     not_finite: int = 0  # messages with NaN, infinite or implausibly large numbers
-    out_of_order: int = 0  # messages that are not newer than the newest one
+    out_of_order: int = 0  # messages with a time stamp not later than the newest
     ahead: int = 0  # messages with a time stamp in the future
     without_yaw: int = 0  # positions without a recent attitude
-    other_autopilot: int = 0  # heartbeats of an autopilot that is not configured, or of no multirotor
+    other_autopilot: int = 0  # heartbeats of an autopilot that is not configured, or not of a multirotor
 
 
 class VehicleState:
     """Newest state and status of the vehicle from its messages; the caller has checked the sender."""
 
     def __init__(self, profile: Profile | None) -> None:
-        # meaning of the modes; None: still unknown, so that no status is available
+        # profile with the meaning of the modes; None: still unknown, so no status is available
         self.profile = profile
         self.counters = StateCounters()
         self.own: OwnState | None = None  # newest vehicle state; None before a position and an attitude
@@ -65,7 +65,7 @@ class VehicleState:
         self.above_home: tuple[float, float] | None = None
         self.autopilot: int | None = None  # MAV_AUTOPILOT of the newest heartbeat; None before the first one
         self.type: int | None = None  # MAV_TYPE of the newest heartbeat; None before the first one
-        # the vehicle has sent its origin since its last restart
+        # whether the vehicle has sent its origin since its last restart
         self.origin_known = False
         # time of the last restart on the stack's clock: the boot clock stepped, or heartbeats resumed after a
         # silence; -inf: no restart
@@ -74,7 +74,7 @@ class VehicleState:
         self._following = profile is None or profile.stream_in_takeoff
         self._custom_mode = 0
         self.battery: Battery | None = None  # newest battery data; None before SYS_STATUS
-        # newest data of battery and motors; None before the first; updated only after ``watch_power``
+        # newest data of battery and motors; None: no data yet; updated only after ``watch_power``
         self.power: Power | None = None
         self._throttle, self._throttle_s, self._cos_tilt = math.nan, -math.inf, math.nan
         self._watches_power = False
@@ -154,7 +154,7 @@ class VehicleState:
                 self.tilted(m.roll, m.pitch)
 
     def _in_time(self, clock: SenderClock, time_s: float, arrival_s: float) -> bool:
-        """Whether a boot time is plausible; a step that is accepted means a restart."""
+        """Whether a boot time is plausible; an accepted step of the boot clock means a restart."""
         reading = clock.accept(time_s, arrival_s)
         if reading is Reading.STEPPED:
             self._restart(arrival_s)
@@ -170,7 +170,7 @@ class VehicleState:
         self._beat_s = arrival_s
         self.autopilot, self.type, profile = m.autopilot, m.type, self.profile
         if profile is None or refusal(m.autopilot, m.type, profile) is not None:
-            self.counters.other_autopilot += 1  # the mode numbers of another autopilot have another meaning
+            self.counters.other_autopilot += 1  # ignored: its mode numbers have another meaning
             return
         armed = bool(m.base_mode & _ARMED)
         if not armed and not profile.stream_in_takeoff:
@@ -183,7 +183,7 @@ class VehicleState:
         self.restarted_s, self.origin_known = arrival_s, False
 
     def _mode(self) -> Mode:
-        """Return the mode of the newest heartbeat; external without set-points is the vehicle's take-off."""
+        """Return the mode of the newest heartbeat; an external mode without set-points is a take-off."""
         assert self.profile is not None
         mode = self.profile.mode(self._custom_mode)
         return Mode.TAKEOFF if mode is Mode.EXTERNAL and not self._following else mode

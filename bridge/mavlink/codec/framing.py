@@ -1,9 +1,9 @@
 """Finds the MAVLink 2 frames in a datagram or a byte stream. Pure.
 
-A parser that trusts the length byte after every start marker loses several good frames to a stray 0xFD, and a
-cut datagram damages the next one. So each datagram is parsed alone, a frame counts only with a correct
-checksum, and after any other byte the search continues at the next one. The incomplete end of a stream waits
-in a bounded buffer.
+A parser that trusts the length byte after every start marker loses several good frames after a stray 0xFD,
+and a cut datagram damages the next datagram. Therefore each datagram is parsed alone, and a frame counts only
+with a correct checksum; after any other byte the search continues at the next byte. The incomplete end of a
+stream waits in a bounded buffer.
 
 The checksum also covers the message's definition, so a frame of an unknown message cannot be checked: its raw
 bytes are passed on if the frames around it confirm its length; it is never decoded.
@@ -25,8 +25,8 @@ _CHECKSUM = 2  # length of the checksum, bytes
 _SIGNATURE = 13  # number of bytes of link id, timestamp and signature
 FLAG_SIGNED = 0x01  # the only incompatibility flag that MAVLink 2 defines
 
-_UNKNOWN_RUN_MAX = 4  # greatest number of frames of unknown messages in a row
-# buffered bytes of a stream: four frames of the greatest length, for unknown frames and for those that
+_UNKNOWN_RUN_MAX = 4  # maximum number of frames of unknown messages in a row
+# buffered bytes of a stream: four frames of the largest length, for unknown frames and for those that
 # confirm their end
 REST_MAX = 1120
 

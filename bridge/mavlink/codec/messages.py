@@ -31,7 +31,7 @@ class WideField(msgspec.Struct, array_like=True, frozen=True):
     kind: str  # MAVLink type, without the array length
     name: str
     array: int  # number of elements; 0: no array
-    extension: bool  # sent after the sorted fields, not in CRC_EXTRA
+    extension: bool  # whether the field follows the sorted fields and is not in CRC_EXTRA
 
     @property
     def size(self) -> int:
@@ -119,7 +119,7 @@ MESSAGES: dict[int, Any] = {**dialect.mavlink_map, **{d.id: make_class(d) for d 
 
 # CRC_EXTRA of every known message: the checksum also covers the message's definition.
 CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in MESSAGES.items()}
-# fastcrc computes CRC-16/MCRF4XX; where it has no build, pymavlink's slow class does.
+# CRC-16/MCRF4XX by the package fastcrc; without a build of it, by pymavlink's slow class.
 checksum = dialect.mcrf4xx or (lambda data: dialect.x25crc(data).crc)
 
 Message = Any  # an instance of one of pymavlink's generated classes, which have no type hints
@@ -140,7 +140,7 @@ def decode(frame: bytes) -> Message:
     id_, length = message_id(frame), frame[1]
     make, size, unpack, arguments = _DECODERS[id_]
     payload = frame[_HEADER_BYTES : _HEADER_BYTES + length]
-    if length != size:  # trailing zeros are omitted; a newer dialect may have added fields
+    if length != size:  # the sender omits trailing zeros; its newer dialect may have more fields
         payload = payload[:size].ljust(size, _ZERO)
     message = make(*arguments(unpack(payload)))
     message._header = dialect.MAVLink_header(id_, frame[2], frame[3], length, frame[4], frame[5], frame[6])
@@ -150,7 +150,7 @@ def decode(frame: bytes) -> Message:
 
 
 def _arguments(cls: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]]:
-    """Return a function from the values on the wire to the arguments of the class, in its order."""
+    """Return a function that sorts the values on the wire into the class's order of arguments."""
     spans = [(sum(cls.lengths[:order]), cls.lengths[order]) for order in cls.orders]
     if len(spans) > 1 and max(cls.lengths) == 1 and "char" not in cls.fieldtypes:
         return itemgetter(*(start for start, _ in spans))
@@ -186,13 +186,13 @@ Payload = Callable[[Message], bytes]
 
 
 def pack(message: Message, sequence: int, system_id: int, component_id: int) -> bytes:
-    """Serialise a message; it stores the frame for ``get_msgbuf``; its header stays unchanged.
+    """Serialise a message; the message stores the frame for ``get_msgbuf`` and keeps its header.
 
     Raises struct.error: a field does not fit its type on the wire; IndexError: an array is too short.
     """
     id_bytes, extra, payload_of = _PACKERS[message._header.msgId]
     payload = payload_of(message)
-    if payload[-1] == 0:  # trailing zeros are omitted, but the first byte is always sent
+    if payload[-1] == 0:  # omit trailing zeros, but always send the first byte
         payload = payload.rstrip(_ZERO) or _ZERO
     body = _HEAD(len(payload), 0, 0, sequence, system_id, component_id) + id_bytes + payload
     frame: bytes = _MARKER + body + checksum(body + extra).to_bytes(2, "little")

@@ -1,4 +1,4 @@
-"""Identifies the vehicle and reads its parameters before a flight. Bounded in time; writes no parameter."""
+"""Identifies a vehicle and reads its parameters before a flight, in bounded time; writes no parameter."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicl
 _HEARTBEAT_S = 1.0
 _VERSION_S = 0.5  # time between two tries, s
 _VERSION_TRIES = 12  # number of tries; a busy line of 57,600 baud loses most replies
-_VERSION_TRIES_UNNEEDED = 4  # number of tries if the rules do not depend on the release
+_VERSION_TRIES_UNNEEDED = 4  # number of tries for a vehicle whose rules do not depend on the release
 _SAY_S = 2.0  # time between two texts about the wait, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # time between two polls, s
@@ -132,11 +132,11 @@ class ParameterReader:
 class Report:
     profile: Profile | None  # profile of the autopilot; None: not recognised
     version: str | None  # release of the autopilot; None: not received
-    findings: tuple[Finding, ...]  # one finding per rule; empty if the check ended early
-    problem: str | None  # reason, other than parameters, why the vehicle may not fly, or None
+    findings: tuple[Finding, ...]  # findings, one per rule; empty if the check ended early
+    problem: str | None  # reason besides parameters that forbids the flight, or None
     notes: tuple[str, ...] = ()  # information about the release for the operator
     rules: str | None = None  # release whose rules were used; None: no rules
-    # required and measured rates of a serial line; None: another kind of link
+    # required and measured rates of a serial line; None: the link is not serial
     line: str | None = None
     rest_v: float | None = None  # battery voltage before arming; None: armed, or not received
 
@@ -162,7 +162,7 @@ def examine(
     say: Callable[[str], None] = lambda _text: None,
     senders: Senders | None = None,
 ) -> Report:
-    """Check the vehicle; this consumes the messages of ``endpoint``.
+    """Check the vehicle and return a report; the check consumes the messages of ``endpoint``.
 
     ``chosen``: configured profile, None: the heartbeat selects it; ``accepted``: names of accepted
     parameters; ``wait_s``: time-out of the first heartbeat; ``accept_release``: allow an unknown release,
@@ -205,7 +205,7 @@ class Dialogue:
     ) -> None:
         """``take`` receives each message of the vehicle's autopilot."""
         self.endpoint, self.target, self.senders = endpoint, (system_id, 1), senders
-        self.heard = self.armed = False  # heartbeat of the vehicle: whether one arrived, and its content
+        self.heard = self.armed = False  # whether a heartbeat of the vehicle arrived; whether it is armed
         self.foreign = LinkCounters()
         self._take, self._said_s = take, -math.inf
 
@@ -258,7 +258,7 @@ class _Check:
         return self.refused is not None or (read and not self.link.senders.suspects)
 
     def waits_for(self, time: str = "") -> str:
-        """Return a text about the message that has not arrived yet; ``time`` is that of ``why_silent``."""
+        """Return a text about the message that has not arrived yet; ``time``: see ``why_silent``."""
         link = self.link
         if not link.heard:
             grown = self._arrivals.grown(link.endpoint.counters)

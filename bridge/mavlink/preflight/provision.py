@@ -1,7 +1,7 @@
 """Sets or removes the MAVLink signing key of a vehicle on the ground by SETUP_SIGNING. Bounded in time.
 
-PX4 from 1.18 on accepts a first key unsigned on any link; a key of zeros, signed with the current key, ends
-signing. ArduPilot accepts a key, too, but never signs on its first USB link. Both reject a key if armed.
+PX4 1.18 and later accepts a first key unsigned on any link; a key of zeros, signed with the current key, ends
+signing. ArduPilot also accepts a key but never signs on its first USB link. Both reject a key if armed.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _provision(
     link = Dialogue(endpoint, system_id, lambda _message: None, Senders())
 
     def changed() -> bool:
-        """Whether frames show the change: signed ones, or unsigned ones after a removal."""
+        """Whether received frames show the change: they are signed, or unsigned after a removal."""
         return bool(endpoint.counters.unsigned if remove else endpoint.counters.unchecked)
 
     def until(done: Callable[[], bool], within_s: float) -> bool:

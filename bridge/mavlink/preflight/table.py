@@ -17,9 +17,9 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import ARDUPILOT, OWN_SITL, PX4
 from flightstack.common.strict_toml import Files
 
-_FILE_OF = {OWN_SITL.name: "px4", PX4.name: "px4", ARDUPILOT.name: "ardupilot"}  # others have no parameters
+_FILE_OF = {OWN_SITL.name: "px4", PX4.name: "px4", ARDUPILOT.name: "ardupilot"}  # others have no rules
 _SLACK = 1e-6  # relative tolerance of a parameter in single precision
-_NAME_MAX = 16  # characters of a name, MAVLink PARAM_VALUE
+_NAME_MAX = 16  # maximum length of a name, MAVLink PARAM_VALUE
 
 
 class Needs(NamedTuple):
@@ -31,14 +31,14 @@ class Needs(NamedTuple):
     system_id: int = 1  # MAVLink id of the vehicle and its companion
 
 
-# a bound: a number, or the name of the requirement of the flight that gives it
+# a bound: a number, or the name of the field of ``Needs`` that has the number
 Bound = float | Literal[
     "horizontal_m_s", "vertical_m_s", "horizontal_m_s2", "vertical_m_s2", "altitude_max_m", "system_id"
 ]  # fmt: skip
 
 
 class Level(Enum):
-    """Result of a rule; a rule's own level is that of an unsafe or missing value."""
+    """Result of a rule; the level in a rule is the result for an unsafe or missing value."""
 
     OK = "ok"
     INFO = "info"  # safe, but the vehicle could perform better
@@ -53,8 +53,8 @@ class Name:
     """Name of a parameter in a range of releases."""
 
     name: str
-    since: str = ""  # first release; empty: the oldest of the table
-    before: str = ""  # first release without the name; empty: there is none
+    since: str = ""  # first release with the name; empty: the table's oldest release
+    before: str = ""  # first release without the name; empty: the name still exists
     unit: str = ""
     scale: float = 1.0  # factor from the parameter's unit to the rule's unit
 
@@ -78,22 +78,22 @@ class Rule:
     Numbers have the rule's unit: a parameter's value times the ``scale`` of its name.
     """
 
-    means: str  # this project's name of the setting in all releases
+    means: str  # this project's name of the setting, equal for all releases
     names: tuple[Name, ...]
-    text: str  # consequence of another value
+    text: str  # consequence of an unsafe value
     severity: Level = Level.UNSAFE
     missing: Level | None = None  # severity of a missing value; None: severity of the rule
     profiles: tuple[str, ...] = ()  # profiles of the file that have this rule; empty: all profiles
     stops: tuple[str, ...] = ()  # values that stop the motors in the air and are always unsafe
-    wanted: str = ""  # allowed values as text; {}: the number; empty: derived from the condition
+    wanted: str = ""  # allowed values as text, {} for the number; empty: text from the condition
     # conditions, of which exactly one is given
-    low: Bound | None = None  # smallest and greatest allowed value
+    low: Bound | None = None  # smallest and largest allowed value
     high: Bound | None = None
     values: tuple[str, ...] = ()  # allowed whole numbers with their meaning, such as "4 (land)"
     bits_set: int | None = None
     bits_clear: int | None = None
     not_zero: bool = False
-    # greatest number of a second allowed range, which has no lower limit
+    # upper limit of a second allowed range, which has no lower limit
     off: float | None = None
     off_text: str = ""
 
@@ -207,7 +207,7 @@ class Table:
 
 
 def minor(release: str) -> tuple[int, int]:
-    """Return major and minor number of a release such as ``4.7``. Raises ValueError: another form."""
+    """Return major and minor number of a release such as ``4.7``. Raises ValueError: not this form."""
     major, dot, number = release.partition(".")
     if not (dot and major.isdecimal() and number.isdecimal()):
         raise ValueError(f"found {release!r}, a release such as '4.7' is needed")
@@ -235,8 +235,8 @@ class Finding:
     unit: str
     wanted: str
     why: str
-    means: str  # name of the setting over all releases
-    elsewhere: str  # names in other releases, with the value where it can be converted
+    means: str  # name of the setting, equal for all releases
+    elsewhere: str  # names in other releases, with the value if it can be converted
 
     @property
     def shown(self) -> str:
@@ -315,7 +315,7 @@ class Choice(NamedTuple):
 def choose(table: Table, release: Release | None, silence: str, *, accept: bool) -> Choice:
     """Choose the rules of a release, or of the nearest one if the release is unknown.
 
-    ``release`` None: none was received, for the reason ``silence``; ``accept``: allow an unknown release.
+    ``release`` None: no release was received, because of ``silence``; ``accept``: allow an unknown release.
     """
     newest, oldest = table.releases[-1], table.releases[0]
     number = (release.major, release.minor) if release is not None else (0, 0)

@@ -30,8 +30,8 @@ Sender = tuple[int, int] | tuple[int, int, Peer]
 GROUND_STATIONS = frozenset({255, 245})
 
 
-SPEED_MAX_M_S = 5.0  # greatest accepted speed, m/s; far above the commands of any controller of this stack
-YAW_RATE_MAX_RAD_S = 6.0  # greatest accepted yaw rate, rad/s
+SPEED_MAX_M_S = 5.0  # largest accepted speed, m/s; far above the commands of any controller of this stack
+YAW_RATE_MAX_RAD_S = 6.0  # largest accepted yaw rate, rad/s
 
 # POSITION_TARGET_TYPEMASK: a set bit means "ignore". Bit 9 concerns the acceleration, which is unused.
 _POSITION = 0b000000111
@@ -84,10 +84,10 @@ def read_setpoint(message: Any, yaw_rad: Callable[[], float | None]) -> Setpoint
 
 
 _CHUNK = 50  # characters of one STATUSTEXT
-_TEXTS_MAX = 64  # greatest number of texts between two ticks
+_TEXTS_MAX = 64  # maximum number of texts between two ticks
 # time between two refusals on one topic, s; a wrong stream repeats its error 100 times a second
 _SAME_GAP_S = 1.0
-_BURST = 20  # refusals on different topics in a row; a ground station sends a dozen requests at its start
+_BURST = 20  # refusals on different topics without delay; a ground station starts with a dozen requests
 _PER_S = 5.0  # rate of further refusals, 1/s
 _TOPICS_MAX = 64
 
@@ -115,7 +115,7 @@ class Texts:
     def refuse(
         self, text: str, now_s: float, topic: str = "", severity: int = dialect.MAV_SEVERITY_WARNING
     ) -> None:
-        """Add the reason of a refusal, unless the same one was added in the last second.
+        """Add the reason of a refusal, unless an equal reason was added in the last second.
 
         Refusals with the same ``topic`` count as equal; without a topic the text is used.
         """
@@ -141,12 +141,12 @@ class Texts:
         return texts
 
     def messages(self, text: Text) -> list[Message]:
-        """Convert a text into STATUSTEXT, a long one in chunks."""
+        """Convert a text into STATUSTEXT messages; a long text is split into chunks."""
         raw = text.text.encode("ascii", "replace")
         if len(raw) <= _CHUNK:
             return [dialect.MAVLink_statustext_message(text.severity, raw)]
         self._id = self._id % 0xFFFF + 1  # 0 means "not in chunks"
-        # A chunk shorter than 50 ends the text; an empty chunk follows a full last one.
+        # A chunk shorter than 50 characters ends the text; after a full last chunk an empty chunk follows.
         return [
             dialect.MAVLink_statustext_message(text.severity, raw[at : at + _CHUNK], self._id, at // _CHUNK)
             for at in range(0, len(raw) + 1, _CHUNK)
@@ -154,7 +154,7 @@ class Texts:
 
 
 class Right(Enum):
-    """Senders that may send a command if one sender has control."""
+    """Senders that may send a command while one sender has control."""
 
     ANYBODY = "anybody"  # right to queries, telemetry and landing, which change nothing or increase safety
     OWNER = "owner"  # right to commands that change the motion of the vehicle
@@ -174,8 +174,8 @@ class Commander(ABC):
     height_range_m: ClassVar[tuple[float, float]]  # allowed take-off height above home
 
     def __init__(self) -> None:
-        self.mode = FlightMode.HOLD  # mode; also valid if the vehicle is disarmed
-        self.failsafe = False  # a failure, not a client, has set the mode
+        self.mode = FlightMode.HOLD  # flight mode; also defined for a disarmed vehicle
+        self.failsafe = False  # whether a failure, not a client, has set the mode
         self.texts = Texts()
         self.home_enu_m: Vec3 = ZERO
         self.takeoff_z_m = 0.0  # local height of the next or present take-off
@@ -195,7 +195,7 @@ class Commander(ABC):
     @property
     @abstractmethod
     def standing(self) -> bool:
-        """Whether the vehicle stands on the ground or the pad; a mere touch does not count."""
+        """Whether the vehicle stands on the ground or the pad; a short touch does not count."""
 
     @property
     @abstractmethod
@@ -204,7 +204,7 @@ class Commander(ABC):
     @property
     @abstractmethod
     def stream_lost_s(self) -> float:
-        """Time without set-points, s, after which OFFBOARD has no stream and control is free."""
+        """Time without set-points after which the stream counts as lost and control is free, s."""
 
     @abstractmethod
     def sensors_healthy(self, now_s: float, /) -> int:
@@ -256,7 +256,7 @@ class Commander(ABC):
         return int(dialect.MAV_LANDED_STATE_ON_GROUND) if self.standing else AIRBORNE_STATE[self.mode]
 
     def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
-        """Return the reason why this sender may not do this now; a disarmed vehicle accepts every sender."""
+        """Return the reason to refuse a command of a sender, or None; disarmed, every sender is accepted."""
         ground = right is Right.OWNER_OR_GROUND and sender[0] in GROUND_STATIONS
         if not self.armed or right is Right.ANYBODY or ground:
             return None
@@ -271,7 +271,7 @@ class Commander(ABC):
         return f"{owner[0]}/{owner[1]}{at} has control"
 
     def take_off(self, height_m: float | None, now_s: float) -> str | None:
-        """Climb to a local height and hold there; if disarmed, once it is armed. It never descends."""
+        """Climb to a local height and hold it; a disarmed vehicle climbs after arming. Never descend."""
         reason = self._why_no_mode(FlightMode.TAKEOFF, now_s)
         if reason is not None:
             return f"Take-off refused: {reason}"
@@ -290,7 +290,7 @@ class Commander(ABC):
         return None
 
     def land(self, now_s: float) -> None:
-        """Land at the present place; on the ground this has no effect. It is never refused."""
+        """Land at the present position; never refused, without effect on the ground."""
         if self.armed:
             self._enter(FlightMode.LAND, now_s)
 
@@ -323,7 +323,7 @@ class Commander(ABC):
     def _enter(
         self, mode: FlightMode, now_s: float, *, failsafe: bool = False, restart: bool = False
     ) -> None:
-        """Change the mode and start to fly it; the same mode restarts only with ``restart``."""
+        """Change the mode and start to fly it; the present mode restarts only with ``restart``."""
         self.failsafe = failsafe
         if mode is not self.mode or restart:
             self._change(mode)

@@ -27,11 +27,11 @@ DENIED: int = dialect.MAV_RESULT_DENIED
 UNSUPPORTED: int = dialect.MAV_RESULT_UNSUPPORTED
 FAILED: int = dialect.MAV_RESULT_FAILED
 
-_WAITING_MAX = 8  # greatest number of senders that wait for an acknowledgement
+_WAITING_MAX = 8  # maximum number of senders that wait for an acknowledgement
 _INT32_MAX = 2**31 - 1
 _INT_NAN = 0x7FF80000  # NaN that a faulty client has cast to an integer (PX4 mavlink_receiver.cpp)
 _INT_SCALE = 1e-7  # COMMAND_INT carries degrees times 1e7
-# COMMAND_INT frames whose z counts from sea level, or from home; COMMAND_LONG counts from sea level.
+# COMMAND_INT frames with z above sea level, and with z above home; COMMAND_LONG has z above sea level.
 _AMSL_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT})
 _HOME_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
 _CUSTOM_MODE = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
@@ -53,7 +53,7 @@ class Command:
         return None if math.isnan(value) else value
 
     def local_z_m(self, height_m: float, home_enu_m: Vec3) -> float:
-        """Convert a height of this command into the local z; local z = 0 is at sea level."""
+        """Convert a height in this command into the local z, which is 0 at sea level."""
         return height_m + (home_enu_m[2] if self.frame in _HOME_FRAMES else 0.0)
 
     @property
@@ -80,7 +80,7 @@ def answer(reason: str | None, result: int = REJECTED) -> Answer:
 
 class Entry(NamedTuple):
     run: Callable[[Command], Answer]
-    right: Right  # senders that may send it if one of them has control
+    right: Right  # senders that may send the command while one sender has control
     place: bool = False  # the command has a position or height, so the frame of COMMAND_INT matters
     right_of: Callable[[Command], Right] | None = None  # used if the right depends on the parameters
 
@@ -126,7 +126,7 @@ class Commands(Generic[V]):
         snapshot: Callable[[float], Snapshot[V] | None],
         own: Table,
     ) -> None:
-        """``builders`` make the messages that can be requested, by id; ``own`` has further commands."""
+        """``builders``: functions that make requestable messages, by id; ``own``: additional commands."""
         self._vehicle, self._streams = vehicle, streams
         self._builders, self._snapshot = builders, snapshot
         self._waiting: list[tuple[int, Sender]] = []  # pending commands and their senders
@@ -152,7 +152,7 @@ class Commands(Generic[V]):
         result, reason, messages, later = self._run(message, sender, now_s)
         if reason is not None:
             entry = self.table.get(message.command)
-            # A ground station requests many messages that it does not need, so no warning is sent for them.
+            # No warning is sent for refused queries: a ground station requests many messages without need.
             question = entry is not None and entry.right is Right.ANYBODY
             severity = dialect.MAV_SEVERITY_DEBUG if question else dialect.MAV_SEVERITY_WARNING
             self._vehicle.texts.refuse(reason, now_s, severity=severity)
@@ -182,7 +182,7 @@ class Commands(Generic[V]):
         if forbidden is not None:
             return Answer(REJECTED, f"Command {command.number} refused: {forbidden}")
         if entry.place and not command.frame_known:
-            # PX4 ignores the frame, and would fly to another place than the intended one.
+            # PX4 ignores the frame and would fly to a wrong place.
             return Answer(DENIED, f"Command {command.number} denied: frame {command.frame}, only global")
         return entry.run(command)
 
@@ -231,7 +231,7 @@ class Commands(Generic[V]):
         return Answer()
 
     def _stream(self, command: Command) -> int | None:
-        """Return the message id in param1; None: it has no stream."""
+        """Return the message id in param1; None: the message has no stream."""
         message_id = integer(command.given(1))
         return message_id if message_id is not None and self._streams.known(message_id) else None
 
@@ -243,7 +243,7 @@ class Commands(Generic[V]):
         return Answer()
 
     def _right_to_interval(self, command: Command) -> Right:
-        """Return the sender's right: all peers share the rates; only the sender in control may lower them."""
+        """Return the required right: peers share the rates, so only the sender in control may lower them."""
         message_id = self._stream(command)
         rarer = message_id is not None and self._streams.rarer(message_id, command.given(2) or 0.0)
         return Right.OWNER if rarer else Right.ANYBODY
@@ -259,7 +259,7 @@ class Commands(Generic[V]):
         message_id = integer(command.given(1))
         builder = self._builders.get(message_id) if message_id is not None else None
         if builder is None:
-            # After an ACCEPTED QGroundControl would wait for the message for ever.
+            # After ACCEPTED, QGroundControl would wait for this message without limit.
             return Answer(DENIED, f"Message {message_id} refused: there is none")
         snapshot = self._snapshot(command.now_s)
         if snapshot is None:

@@ -16,7 +16,7 @@ INT32 = dialect.MAV_PARAM_TYPE_INT32
 REAL32 = dialect.MAV_PARAM_TYPE_REAL32
 _FLOAT = struct.Struct("<f")
 _INT = struct.Struct("<i")
-_LIST_AT_ONCE = 20  # list values per tick, as many as PX4 sends together on UDP
+_LIST_AT_ONCE = 20  # number of list values per tick, equal to PX4's on UDP
 _OUT_OF_RANGE = dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE  # the dialect has no error for a wrong type
 _READ_ONLY = dialect.MAV_PARAM_ERROR_READ_ONLY
 NOT_NOW = dialect.MAV_PARAM_ERROR_PERMISSION_DENIED
@@ -32,7 +32,7 @@ class Parameter:
     low: float
     high: float
     in_flight: bool = False
-    choices: tuple[int, ...] = ()  # valid values, if not the whole range is valid
+    choices: tuple[int, ...] = ()  # valid values; empty: the whole range is valid
 
     @property
     def allowed(self) -> str:
@@ -107,7 +107,7 @@ class Parameters:
         )
 
     def preset(self, name: str, value: float) -> None:
-        """Set a parameter before the start; fixed ones cannot change."""
+        """Set a parameter before the start; fixed parameters cannot change afterwards."""
         if name not in self._index:
             raise ValueError(f"parameter {name!r} is not known: allowed is {', '.join(self._index)}")
         parameter = self.entry(name)
@@ -121,7 +121,7 @@ class Parameters:
         self.left_to_list = len(self._table)
 
     def listing(self) -> list[Message]:
-        """Return PARAM_VALUE of the next values of a list; empty if no list is active."""
+        """Return PARAM_VALUE of the next parameters of the requested list; empty: no list is requested."""
         count = min(_LIST_AT_ONCE, self.left_to_list)
         names = [self._table[(self._next + i) % len(self._table)].name for i in range(count)]
         self.left_to_list -= count

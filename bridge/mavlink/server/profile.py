@@ -1,6 +1,6 @@
 """PX4 as this project's vehicles imitate it: modes, capabilities, and differences between the vehicles.
 
-The numbers are from PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``).
+The constants are from PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``).
 ``bridge.mavlink.profiles`` describes how the flight stack uses an autopilot.
 """
 
@@ -39,7 +39,7 @@ class Code(NamedTuple):
 
 
 _AUTO = 1 | 4 | 8 | 16  # bits custom, auto, guided, stabilised (PX4 streams/HEARTBEAT.hpp)
-_EXTERNAL = 1 | 16  # custom, stabilised: PX4's offboard is not an auto mode
+_EXTERNAL = 1 | 16  # bits custom, stabilised: PX4's offboard is not an auto mode
 
 PX4_CODES: Mapping[FlightMode, Code] = {
     FlightMode.HOLD: Code(4, 3, _AUTO),  # PX4's name: AUTO.LOITER
@@ -81,7 +81,7 @@ CAPABILITIES = (
     | _M.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 )
 VERSION = 1 << 24 | 18 << 16 | 255  # AUTOPILOT_VERSION.flight_sw_version: 1.18.0, official
-# The order within a datagram: a position is used with the attitude that precedes it.
+# Messages of every tick in the order of a datagram: clients use a position with the attitude before it.
 EVERY_TICK = (_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 # Indoors there is no GPS, but clients recognise a good position only by its bit (MAVSDK telemetry_impl.cpp).
 POSITION_SOURCE = _M.MAV_SYS_STATUS_SENSOR_GPS | _M.MAV_SYS_STATUS_SENSOR_VISION_POSITION
@@ -91,8 +91,8 @@ POSITION_SOURCE = _M.MAV_SYS_STATUS_SENSOR_GPS | _M.MAV_SYS_STATUS_SENSOR_VISION
 class ServerProfile:
     mark: bytes  # 8 bytes in AUTOPILOT_VERSION.flight_custom_version that identify the kind of vehicle
     sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always healthy
-    # builder and default rate, Hz, by message id, in the order of a datagram; None: at every tick or on
-    # request
+    # builder and default rate, Hz, by message id, in the order of a datagram; rate None: at every tick, or
+    # on request
     streams: Mapping[int, tuple[Callable[[Any], Message], float | None]]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ServerProfile:

@@ -1,4 +1,4 @@
-"""Server for one MAVLink vehicle: messages and times in, messages out.
+"""Server for one MAVLink vehicle: receives messages with times, returns messages.
 
 Pure: no socket, no clock, no randomness. It behaves like PX4 1.18 (``Commander.cpp``,
 ``mavlink_receiver.cpp``, ``streams/*.hpp``), except where a comment states a difference.
@@ -23,8 +23,8 @@ from bridge.mavlink.server.telemetry import Builder, Snapshot, Streams, V, autop
 SYSTEM_ID = 1
 COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot only at this component id
 _HEARTBEAT_S = 1.0
-_LOG_MAX = 1024  # greatest number of texts that wait for the log
-_BROADCAST = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE})  # the only command accepted when sent to system 0
+_LOG_MAX = 1024  # maximum number of texts that wait for the log
+_BROADCAST = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE})  # commands accepted with target system 0 (all)
 _NOTHING: frozenset[int] = frozenset()
 
 # Opcodes and errors of FILE_TRANSFER_PROTOCOL (mavlink.io, services/ftp).
@@ -32,7 +32,7 @@ _FTP_NAK = 129
 _FTP_FAIL = 1
 _FTP_BYTES = 251
 _FTP_HEADER = 12  # bytes: sequence (2), session, opcode, size, requested opcode, burst, padding, offset (4)
-# Mission, fence and rally points: known types, of which the vehicle has no items.
+# Mission, fence and rally points: known types of items; the vehicle has no items.
 _TYPES = frozenset(
     {dialect.MAV_MISSION_TYPE_MISSION, dialect.MAV_MISSION_TYPE_FENCE, dialect.MAV_MISSION_TYPE_RALLY}
 )
@@ -53,7 +53,7 @@ _REFUSED_SETPOINTS = {
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: "global position",
 }
 
-Handler = Callable[[Any, Sender, float], list[Message]]  # message, sender and time, s, to replies
+Handler = Callable[[Any, Sender, float], list[Message]]  # from message, sender, time (s) to replies
 
 
 class Server(ABC, Generic[V]):
@@ -68,7 +68,7 @@ class Server(ABC, Generic[V]):
         *,
         system_id: int = SYSTEM_ID,
     ) -> None:
-        """Set up; ``rate_hz`` is the highest rate of any message."""
+        """``rate_hz``: rate of the ticks, and highest rate of any message."""
         self.vehicle, self.profile, self.parameters = vehicle, profile, parameters
         self.system_id = system_id
         self.streams: Streams[V] = Streams(rate_hz, profile)
@@ -94,7 +94,7 @@ class Server(ABC, Generic[V]):
             **self.own_handlers(),
         }
         self._heartbeat_due_s = -math.inf
-        self._shown: object = None  # condition that was sent last
+        self._shown: object = None  # condition that the last HEARTBEAT and SYS_STATUS show
         self._landed_shown = vehicle.landed_state
         self._texts_to_log: list[Text] = []
 
@@ -116,7 +116,7 @@ class Server(ABC, Generic[V]):
         return {}
 
     def condition(self, snapshot: Snapshot[V]) -> object:
-        """Return a value; when it changes, HEARTBEAT and SYS_STATUS are sent immediately."""
+        """Return a value whose change sends HEARTBEAT and SYS_STATUS immediately."""
         vehicle = snapshot.vehicle
         return vehicle.mode, vehicle.armed, vehicle.failsafe, snapshot.valid
 
@@ -152,7 +152,7 @@ class Server(ABC, Generic[V]):
         return messages
 
     def silent_until_s(self, now_s: float, heeded: frozenset[int]) -> float:
-        """Return the time until which no message with these ids is due, if the vehicle does not change.
+        """Return the time before which no message with these ids is due, if the vehicle does not change.
 
         ``now_s`` is the time of the next tick. Messages sent at every tick do not count.
         """
@@ -161,7 +161,7 @@ class Server(ABC, Generic[V]):
         return min(self._heartbeat_due_s, self.streams.next_s(heeded))
 
     def brief(self, now_s: float, heeded: frozenset[int]) -> list[Message] | None:
-        """Return the part of ``telemetry`` with these message ids, without the messages of every tick.
+        """Return the due messages with these ids, as ``telemetry`` does, without those of every tick.
 
         Return None, and change no state, if another message is due.
         """
@@ -206,7 +206,7 @@ class Server(ABC, Generic[V]):
         return messages
 
     def _for_us(self, message: Any) -> bool:
-        """Whether the message is for this system or for all; a message without an address is for all."""
+        """Whether a message is for this system or all systems; without an address it is for all."""
         system = getattr(message, "target_system", 0)
         return system in (0, self.system_id) and getattr(message, "target_component", 0) in (0, COMPONENT_ID)
 
@@ -245,13 +245,13 @@ class Server(ABC, Generic[V]):
         return []
 
     def _on_timesync(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
-        boot_ns = self.boot_ns(now_s) if message.tc1 == 0 else None  # another tc1 marks a reply
+        boot_ns = self.boot_ns(now_s) if message.tc1 == 0 else None  # tc1 != 0 marks a reply
         if boot_ns is None:
             return []
-        return [dialect.MAVLink_timesync_message(max(1, boot_ns), message.ts1)]  # 0 would be a request
+        return [dialect.MAVLink_timesync_message(max(1, boot_ns), message.ts1)]  # 0 would mark a request
 
     def _on_parameter_list(self, _message: Any, _sender: Sender, _now_s: float) -> list[Message]:
-        self.parameters.list_all()  # sent with the telemetry of the next ticks
+        self.parameters.list_all()  # the values are sent with the telemetry of the next ticks
         return []
 
     def _on_parameter_read(self, message: Any, sender: Sender, _now_s: float) -> list[Message]:

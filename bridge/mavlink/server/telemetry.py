@@ -57,9 +57,9 @@ class Snapshot(Generic[V]):
     vehicle: V
     profile: ServerProfile
     estimate: EstimateLike
-    valid: bool  # position and velocity are good enough for control
-    now_s: float  # time base of the stream rates
-    boot_s: float  # boot clock of the vehicle
+    valid: bool  # whether position and velocity are good enough for control
+    now_s: float  # time on the server's clock, on which the rates are based
+    boot_s: float  # time on the vehicle's boot clock
     epoch_ns: int = 0  # Unix time at zero of the boot clock
 
     @property
@@ -112,7 +112,7 @@ def attitude_quaternion(s: Snapshot[V]) -> Message:
 
 
 def home_position(s: Snapshot[V], latitude_e7: int, longitude_e7: int) -> Message:
-    """Build HOME_POSITION for a place on earth, 1e-7 degrees."""
+    """Build HOME_POSITION from a position on earth, 1e-7 degrees."""
     home = s.vehicle.home_enu_m
     q = [1.0, 0.0, 0.0, 0.0]
     return dialect.MAVLink_home_position_message(
@@ -178,21 +178,21 @@ class _Stream(Generic[V]):
     build: Builder[V]
     interval_s: float  # period; infinite: off
     due_s: float
-    passed_s: float = -_OFF  # time when the message was sent last; it is sent at most once per tick
+    passed_s: float = -_OFF  # time of the last sending; a message is sent at most once per tick
 
     def passes(self, now_s: float, limit_s: float) -> bool:
-        """Whether the message is due until ``limit_s``; if so, schedule it again one interval later."""
+        """Return whether the message is due before ``limit_s``; if so, schedule it one interval later."""
         if self.due_s > limit_s or now_s == self.passed_s:
             return False
         self.passed_s = now_s
         self.due_s += self.interval_s
-        if self.due_s <= now_s:  # missed messages are not sent later
+        if self.due_s <= now_s:  # missed messages are skipped
             self.due_s = now_s + self.interval_s
         return True
 
 
 class Streams(Generic[V]):
-    """Intervals of all messages, and the messages that are due; all peers share them, as on a PX4 port."""
+    """Intervals and due times of all messages; all peers share them, as on a PX4 port."""
 
     def __init__(self, rate_hz: float, profile: ServerProfile) -> None:
         """Set the default rates of all messages.
@@ -250,7 +250,7 @@ class Streams(Generic[V]):
             self.set_interval(message_id, 0.0, now_s)
 
     def hide(self, message_ids: frozenset[int]) -> None:
-        """Stop these messages from now on, and send all others at their rates."""
+        """Stop these messages from now on; send all other messages at their rates."""
         if message_ids != self._hidden:
             self._hidden = message_ids
             self._sort()
@@ -267,9 +267,9 @@ class Streams(Generic[V]):
         return messages + [stream.build(snapshot) for stream in self._passed(snapshot.now_s)]
 
     def next_s(self, message_ids: frozenset[int]) -> float:
-        """Return a lower bound of the next due time of these messages, except those sent at every tick.
+        """Return a lower bound of the next due time of these messages, without messages of every tick.
 
-        It is -inf unless exactly position and attitude, of these messages, are sent at every tick.
+        The bound is -inf unless exactly position and attitude, of these messages, are sent at every tick.
         """
         busy = {stream.message_id for stream in self._busy}
         if not busy.issuperset(EVERY_TICK) or busy & message_ids - set(EVERY_TICK):
@@ -282,12 +282,12 @@ class Streams(Generic[V]):
         return min(due_s, default=_OFF) - 0.5 * self._period_s
 
     def pass_over(self, snapshot: Snapshot[V], message_ids: frozenset[int]) -> list[Message]:
-        """Advance as ``due`` does, but build only these messages, and none of those sent at every tick."""
+        """Advance as ``due`` does, but build only these messages, and no message of every tick."""
         passed = self._passed(snapshot.now_s)
         return [stream.build(snapshot) for stream in passed if stream.message_id in message_ids]
 
     def _passed(self, now_s: float) -> list[_Stream[V]]:
-        """Return the due streams, except those of every tick, and schedule them one interval later."""
+        """Return the due streams with longer intervals than a tick; schedule them one interval later."""
         limit_s = now_s + 0.5 * self._period_s  # streams are sent at the tick nearest to their due time
         if self._lazy_due_s > limit_s:
             return []

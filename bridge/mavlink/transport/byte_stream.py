@@ -19,8 +19,8 @@ from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import Chunk, EndpointCounters
 
 RETRY_S = 0.5  # time between two tries to open a lost connection, s
-_READ_BYTES = 4096  # greatest size of a read
-_NOTICES_MAX = 32  # greatest number of texts that wait for ``take_notices``
+_READ_BYTES = 4096  # maximum size of a read
+_NOTICES_MAX = 32  # maximum number of texts that wait for ``take_notices``
 OUTGOING_MAX = 4096  # buffered bytes of TCP; a serial line has fewer
 _FRAME_MAX = 280  # length of the longest frame, bytes; every queue must hold one
 _BITS_PER_BYTE = 10  # bits per byte on a serial line: a start bit, eight data bits, a stop bit (8N1)
@@ -35,7 +35,7 @@ class ByteStream:
     """A serial line or TCP connection that is reopened after a loss.
 
     ``name`` of the connection and ``peer`` of the other side are for notices and the log. ``connect`` opens a
-    channel, or starts to. ``outgoing_max``: greatest number of bytes that wait.
+    channel, or starts to. ``outgoing_max``: maximum number of bytes that wait.
     """
 
     is_stream = True
