@@ -1,1 +1,1 @@
-"""Pure flight controller with one step per tick; it imports only ``common`` from the rest of the project."""
+"""Pure flight controller with one step per tick; outside this package it imports only ``common``."""

@@ -30,7 +30,7 @@ from flightstack.core.types import ZERO, Charge, Inputs, Mode, Neighbour, Phase,
 
 
 class Event(NamedTuple):
-    """Message to the operator; ``level`` has the values of rcl_interfaces/msg/Log."""
+    """Message to the operator; ``level``: severity as in rcl_interfaces/msg/Log."""
 
     level: int
     text: str
@@ -54,8 +54,8 @@ class Outputs(NamedTuple):
     finished: bool  # the flight is over
     target_accepted: int  # number of accepted target samples
     target_rejected: int  # number of rejected target samples
-    reserve: float = math.nan  # maximum thrust over weight; NaN if unknown or without a table [reserve]
-    own_message: Neighbour | None = None  # message to the fleet; None without a table [fleet] or a position
+    reserve: float = math.nan  # ratio of maximum thrust to weight; NaN: unknown, or no table [reserve]
+    own_message: Neighbour | None = None  # message to the fleet; None: no table [fleet], or no position
 
 
 def _level(transition: Transition) -> int:
@@ -179,12 +179,12 @@ class Controller(LandingKernel):
         )
 
     def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
-        """Return whether the flight is over; a fleet member sends its position until all others are down."""
+        """Return whether the flight is over; a fleet member continues until all other members are down."""
         over = self._mission.finished(status, now_s)
         return over and self._fleet.over(now_s - self.memory.phase_since_s, now_s)
 
     def _estimate_reserve(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
-        """Estimate the thrust reserve, and limit the accelerations of this tick to those it allows."""
+        """Estimate the thrust reserve, set this tick's acceleration limits, and return the battery state."""
         own = inputs.own
         rise_m_s = own.velocity_enu_m_s[2] if own is not None else 0.0
         flies = own is not None and self.in_free_flight
@@ -200,7 +200,7 @@ class Controller(LandingKernel):
                 if self.track.stepped_s:
                     by = f"{self.track.stepped_s:+.2f} s"
                     events.append(Event(WARN, f"target: its sender's clock was set by {by}, or began anew"))
-            elif not count & (count - 1):  # report when the count doubles, not for every sample
+            elif not count & (count - 1):  # the event is sent when the count doubles, not for every sample
                 so_far = f" ({count} refused so far)" if count > 1 else ""
                 events.append(Event(WARN, f"target sample refused: {verdict.text}{so_far}"))
         return events

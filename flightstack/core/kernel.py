@@ -41,13 +41,13 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-# time after the start of a take-off in which the autopilot alone sets the climb rate, s: arming, spool-up
-# (COM_SPOOLUP_TIME, 1 s), ramp (MPC_TKO_RAMP_T, 3 s); PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
+# Time after the start of a take-off in which only the autopilot sets the climb rate, s: arming, spool-up
+# (COM_SPOOLUP_TIME, 1 s), ramp (MPC_TKO_RAMP_T, 3 s). PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s.
 RISE_FREE_S = 7.0
 
 FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
 
-Rules = NDArray[np.int64]  # (n, 2) bit masks: flags that a rule of a phase requires, and flags that block it
+Rules = NDArray[np.int64]  # (n, 2) bit masks, a row per rule: required flags, blocking flags
 
 
 class Barriers(NamedTuple):
@@ -80,7 +80,7 @@ class Landing(NamedTuple):
 
 
 class LandingKernel:
-    """Parts of the controller, and the steps that also run in compiled form."""
+    """Parts of the controller whose methods also run in compiled form."""
 
     config: FlightConfig
     barrier: Barrier
@@ -190,7 +190,7 @@ class LandingKernel:
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def bounds(self, at: Relative, active_m: float, gradient: Vec3, base: Vec3) -> tuple[Vec3, Vec3]:
-        """Return the box, with the minimum vertical velocity that the filter requires beside its program."""
+        """Return the box, with the minimum vertical velocity that the filter requires besides its program."""
         lower, upper = self.box(base)
         climb_m_s = self.strategy.climb_m_s(active_m, gradient, base, at)
         if climb_m_s > lower[2]:
@@ -200,14 +200,14 @@ class LandingKernel:
     def least_z_m_s(self, target_m_s: Vec3) -> float:
         """Return the lowest vertical velocity that a set-point may cause if it is the last one sent, m/s.
 
-        If the companion process ends this near to the pad, only the pad stops the vehicle.
+        If the companion process ends near the pad, only the pad stops the vehicle.
         """
         if self.memory.phase is not Phase.TOUCHDOWN:
             return -math.inf
         return target_m_s[2] - self.strategy.contact_speed_max_m_s
 
     def unsent(self, at: Relative) -> Barriers:
-        """Return the barrier values of a tick that sends no velocity."""
+        """Return the barrier values for a tick that sends no set-point."""
         _, gradient, dh_dt = self.strategy.barrier(at).evaluate(at.e_m, at.target.velocity_enu_m_s)
         idle = FilterResult(ZERO, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
         return Barriers(self.barrier.h(at.e_m), gradient, dh_dt, ZERO, idle)
@@ -245,7 +245,7 @@ class LandingKernel:
         self, at: Relative, active_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, base: Vec3,
         lower: Vec3, upper: Vec3,
     ) -> FilterResult:  # fmt: skip
-        """Filter a velocity with the constraints of neighbours, in a box that is smaller near the pad."""
+        """Filter a velocity with landing barrier and neighbours' constraints; the box shrinks at the pad."""
         if self.strategy.replaces_program:
             own = self.strategy.filtered(at, active_m, gradient, dh_dt_m_s, nominal, lower, upper)
             if own.status is FilterStatus.REJECTED:
@@ -259,7 +259,7 @@ class LandingKernel:
 
     @rare
     def _clear_of_neighbours(self, wanted: Vec3, base: Vec3) -> Vec3:
-        """Filter a velocity with the constraints of neighbours only, which apply in every phase."""
+        """Filter a velocity only with the neighbours' constraints, which apply in every phase."""
         if not self._rows.rows:
             return wanted
         return self._fleet.solve(wanted, (), self._rows, *self.box(base)).velocity_enu_m_s

@@ -16,7 +16,7 @@ from flightstack.core.types import ZERO, Neighbour, OwnState, Phase, TargetSampl
 
 
 class AbortWay(IntEnum):
-    """Way in which phase ABORT ends the flight."""
+    """Kind of abort: how phase ABORT ends the flight."""
 
     NONE = 0
     MOTORS_OFF = 1  # motors off immediately: emergency stop
@@ -57,10 +57,10 @@ class Memory:
 
 @dataclass(slots=True)
 class ClockMemory:
-    """State of a sender's clock; ``way`` is arrival minus stamp, the clock difference plus the delay."""
+    """State of a sender's clock; ``way``: arrival minus stamp, which is clock difference plus delay."""
 
-    offset_s: float = inf  # minimum of arrival minus stamp, s; rises quickly if no message reaches it
-    floor_s: float = inf  # minimum of arrival minus stamp, s; rises slowly if no message reaches it
+    offset_s: float = inf  # minimum of arrival minus stamp, s; it rises quickly until a message reaches it
+    floor_s: float = inf  # minimum of arrival minus stamp, s; it rises slowly until a message reaches it
     held_s: float = 0.0  # time since a message last reached ``offset_s``, s
     stamp_s: float = -inf  # newest accepted stamp, s on the sender's clock
     taken_s: float = -inf  # arrival time of the newest accepted message, s
@@ -69,7 +69,7 @@ class ClockMemory:
     run_arrival_s: float = 0.0  # newest arrival in the run of rejected messages, s
     run_stamp_s: float = 0.0  # newest stamp in the run of rejected messages, s
     run_way_s: float = 0.0  # minimum of arrival minus stamp in the run of rejected messages, s
-    run_sure: bool = False  # no delay can explain the rejected messages: the sender's clock has changed
+    run_sure: bool = False  # whether only a change of the sender's clock explains the rejected messages
 
 
 @dataclass(slots=True)
@@ -83,13 +83,13 @@ class TrackMemory(ClockMemory):
     elsewhere_since_s: float = 0.0
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
     drift_smooth_m: Vec3 = ZERO  # ``drift_m`` without the noise of single samples
-    distrusted: bool = False  # positions and velocity contradict each other
+    distrusted: bool = False  # whether positions and velocity contradict each other
     distrusts: int = 0  # number of contradictions of positions and velocity in this flight
     parted_m: float = 0.0  # largest distance since the contradiction began, m
-    settled: bool = False  # the flight has started: the target may no longer jump to another place
+    settled: bool = False  # whether the flight has started: the target's position may no longer jump
     accepted: int = 0
     rejected: int = 0
-    refusal: str = ""  # why the newest sample was rejected; empty if it was accepted
+    refusal: str = ""  # reason why the newest sample was rejected; empty if it was accepted
 
 
 Covariance = tuple[float, float, float, float, float, float]  # p position, v velocity, a acceleration
@@ -126,7 +126,7 @@ class PlausibilityMemory:
     """State of the plausibility checks of vehicle state and set-points."""
 
     last: OwnState | None = None  # newest vehicle state that is a new measurement
-    moved_s: float = 0.0  # arrival time of the newest state that differed or was not of a flight, s
+    moved_s: float = 0.0  # arrival time of the newest state that had changed or was not in flight, s
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
     distrusted: bool = False
     missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity
@@ -137,8 +137,8 @@ class ReserveMemory:
     """State of the estimate of the thrust reserve."""
 
     effort: float = nan  # smoothed vertical part of (throttle / maximum)^p; NaN before the first sample
-    rise_m_s: float = 0.0  # vertical velocity with the same smoothing; its change gives the acceleration
-    tired: bool = False  # the reserve fell below its minimum; remains set in flight
+    rise_m_s: float = 0.0  # vertical velocity, smoothed like ``effort``; its change is the mean acceleration
+    tired: bool = False  # whether the reserve fell below its minimum in this flight
 
 
 # position, m; velocity, m/s; acceleration by the velocity loop, m/s^2; error of the reported velocity, m/s;
@@ -168,7 +168,7 @@ Level = tuple[float, float]  # horizontal velocity on x and y, m/s
 
 @dataclass(slots=True)
 class LateMemory:
-    """State of a velocity loop with a dead time."""
+    """Set-points of a vehicle whose velocity loop has a dead time."""
 
     sent_m_s: tuple[Level, ...] = ()  # horizontal set-points that have no effect yet, oldest first
 
@@ -177,7 +177,7 @@ class LateMemory:
 class FilterMemory:
     """State of a user's filter."""
 
-    refusal: str = ""  # why the filter's newest result is not a valid velocity; empty if valid
+    refusal: str = ""  # reason why the filter's newest result is not a valid velocity; empty if valid
 
 
 @dataclass(slots=True)
@@ -214,9 +214,9 @@ class Heard:
 
     word: Neighbour | None = None  # newest message of the neighbour; None before the first
     yields: bool = False  # this vehicle has announced that it yields to the neighbour
-    claim_s: float = nan  # time of the neighbour's claim to which this vehicle yields, s
+    claim_s: float = nan  # time stamp of the neighbour's claim to which this vehicle yields, s
     yielded_s: float = -inf  # time of the last announcement of yielding, s
-    on_pad: bool = False  # the neighbour stood on this vehicle's pad in its newest message
+    on_pad: bool = False  # whether the neighbour's newest position is on this vehicle's pad
     faster_m_s2: Vec3 = ZERO  # smoothed acceleration of the neighbour's velocity command
     jumped_m: Vec3 = ZERO  # sum of the position jumps beyond the reachable set
 
@@ -238,8 +238,8 @@ class FleetMemory:
     granted: bool = False
     waits_since_s: float = inf  # time since which the vehicle waits for the right of way, s
     committed_s: float = inf  # time since which COMMITTED is announced, s
-    crowded: bool = False  # the event that the constraints of neighbours are relaxed was sent
+    crowded: bool = False  # whether the event "constraints relaxed" was sent
     crowded_s: float = -inf  # time at which constraints of neighbours were last relaxed, s
-    left: bool = False  # the vehicle has left its pad for another vehicle, or has tried to
-    stays: bool = False  # the event that the vehicle does not leave its pad was sent
+    left: bool = False  # whether the vehicle has left its pad for another vehicle, or has tried to
+    stays: bool = False  # whether the event "vehicle does not leave its pad" was sent
     place_enu_m: Vec3 | None = None  # place where the vehicle lands after leaving its pad

@@ -1,4 +1,4 @@
-"""Numeric functions of the core that a simulator may compile: one source, equal to the last bit.
+"""Numeric functions of the core that may also be compiled; both forms agree to the last bit.
 
 Such a function takes and returns numbers and tuples of numbers. It calls only other such functions, ``exp``,
 ``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. On these and on + - * /
@@ -37,7 +37,7 @@ def rare(function: F) -> F:
     return function
 
 
-# annotations of fields that are always None, or missing, in compiled code
+# annotations of fields that are None (ABSENT), or do not exist (UNSEEN), in compiled code
 ABSENT, UNSEEN = "absent", "unseen"
 
 
@@ -47,7 +47,7 @@ class NotOrdinary(Exception):  # noqa: N818
 
 @cache
 def twin(function: F, compiler: Callable[[Any], Any]) -> F:
-    """Return the compiled form of a marked function and of those it calls; the plain ones are unchanged."""
+    """Compile a marked function and the functions that it calls; the plain functions remain unchanged."""
     if function not in MARKED:
         raise ValueError(f"{function.__module__}.{function.__qualname__} is not marked @numeric")
     return cast(F, compiler(scope_of(function, compiler)))
@@ -140,7 +140,7 @@ def _norm(v: Vec3) -> float:
 
 @numeric
 def _wrapped(angle_rad: float) -> float:
-    """Wrap an angle of at most one and a half turns, where the subtraction is exact; NaN beyond that."""
+    """Wrap an angle of at most one and a half turns, so that the subtraction is exact; NaN if larger."""
     if abs(angle_rad) <= math.pi:
         return angle_rad
     if not abs(angle_rad) <= 1.5 * math.tau:
@@ -150,7 +150,7 @@ def _wrapped(angle_rad: float) -> float:
 
 @numeric
 def _no_time() -> float:
-    """Return 0: compiled code has no clock, the caller measures the time of a tick."""
+    """Return 0, because compiled code has no clock; the caller measures the time of a tick."""
     return 0.0
 
 

@@ -4,13 +4,13 @@ Arrival minus stamp is the difference of the two clocks plus the delay of the me
 a message without delay; the excess of any other message over it is the lateness of that message. The minimum
 follows the messages by these rules:
 
-* a minimum that no message reaches for ``HOLDS_S`` rises at the rate ``FORGETS``: it follows drifting clocks,
-  and a queue that grows faster counts as lateness;
-* a stamp that is too far ahead, or older than the newest, is rejected. If rejected messages agree with each
+* a minimum that no message reaches for ``HOLDS_S`` rises at the rate ``FORGETS`` and follows drifting clocks;
+  the delay of a queue that grows faster counts as lateness;
+* a stamp too far ahead, or older than the newest one, is rejected. If rejected messages agree with each
   other for ``proof_s`` and none was accepted meanwhile, the sender's clock was set or restarted: the minimum
   of these messages is adopted;
-* messages that are only late may come from a queue, which looks like a clock that was set back in a pause. No
-  queue keeps its length for long, so late messages must agree for ``patience_s``.
+* late messages may come from a queue, which looks like a clock that was set back in a pause. No queue keeps
+  its length for a long time, so late messages must agree for ``patience_s``.
 
 One-way stamps cannot distinguish a delay that grows slower than ``FORGETS`` from a slow clock.
 """
@@ -24,12 +24,12 @@ from flightstack.core.numeric import rare
 from flightstack.core.types import TextEnum
 
 FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators may run 3 % slow
-HOLDS_S = 1.0  # time in which at least one message has a short delay, s
+HOLDS_S = 1.0  # time in which at least one message is assumed to have a short delay, s
 FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the fastest slew of a Linux clock
-ELAPSED_MAX_S = 1.0  # longest pause that counts as time for the rise of a minimum, s
-FLOOR_MAX_S = 0.2  # largest distance of the slow minimum below the fast one, s; beyond it, clocks drift
+ELAPSED_MAX_S = 1.0  # part of a pause, at most, during which a minimum rises, s
+FLOOR_MAX_S = 0.2  # largest difference of fast and slow minimum, s; a larger one means that clocks drift
 GRAIN_S = 1e-6  # tolerance for the rounding of Unix times to doubles (2.4e-7 s), s
-AHEAD_S = 0.03  # largest reduction of the delay below all earlier ones, s, in addition to one tick
+AHEAD_S = 0.03  # largest time by which a delay may be shorter than all earlier ones, s, plus one tick
 AGREE_S = 0.1  # largest difference of arrival minus stamp between messages of one clock, s
 GAP_MAX_S = 0.5  # longest pause between two messages that agree, s
 PATIENCE_S = 10.0  # time for which late messages must agree, s; queues of some seconds change meanwhile
@@ -61,7 +61,7 @@ class SenderClock:
     ahead_max_s: float
     _late_max_s: float  # lateness above which a message is rejected
     _proof_s: float  # time for which rejected messages must agree until their clock is adopted
-    # step back after a pause from which on a clock is adopted immediately, s: the sender has restarted
+    # smallest step back after a pause for which a clock is adopted immediately, s: the sender has restarted
     _reboot_s: float
 
     def __init__(
@@ -87,7 +87,7 @@ class SenderClock:
         if stamp_s > memory.stamp_s:
             known = (
                 arrival_s - memory.began_s >= self._proof_s
-            )  # earlier samples may come from a queue that empties
+            )  # earlier samples may come from a queue that is being emptied
             if known and transit_s < memory.floor_s - self.ahead_max_s:
                 reading = Reading.AHEAD
             elif transit_s - memory.offset_s > self._late_max_s or self._goes_on_late(transit_s, arrival_s):
@@ -132,7 +132,7 @@ class SenderClock:
         return max(0.0, now_s - stamp_s - self.memory.offset_s)
 
     def _goes_on_late(self, transit_s: float, arrival_s: float) -> bool:
-        """Whether messages of a clock that was set back slightly have caught up with the newest stamp."""
+        """Whether a clock that was set back slightly has reached the newest accepted stamp again."""
         m = self.memory
         return transit_s - m.offset_s > AGREE_S and m.run_sure and self._agrees(transit_s, arrival_s)
 
@@ -143,7 +143,7 @@ class SenderClock:
 
     @rare
     def _noted(self, reading: Reading, stamp_s: float, arrival_s: float) -> bool:
-        """Store a rejected message; return whether no delay can explain the messages that agree with it."""
+        """Store a rejected message; return whether only a changed clock explains the current run of them."""
         m, transit_s = self.memory, arrival_s - stamp_s
         if stamp_s > m.run_stamp_s and self._agrees(transit_s, arrival_s):
             m.run_way_s = min(m.run_way_s, transit_s)

@@ -16,7 +16,7 @@ FUTURE_MAX_S = 0.05  # largest time by which a state may be ahead of this clock,
 
 @numeric
 class Relative(NamedTuple):
-    """Vehicle relative to the target; both states are known.
+    """Vehicle state relative to the target; it exists only if both states are known.
 
     Attributes:
         own: state of the vehicle.
@@ -49,8 +49,8 @@ class Snapshot:
     e_m: Vec3 | None  # position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known
     follows: bool = True  # the vehicle follows the commanded velocity
     charge: Charge = Charge.FIT  # state of the battery; FIT without a table [reserve]
-    permissions: Permissions = ALONE  # with respect to other vehicles; all granted without a table [fleet]
-    # the target is recent, but its reported velocity is not trusted: ``target`` has that of its positions
+    permissions: Permissions = ALONE  # from the fleet; all are granted without a table [fleet]
+    # whether ``target`` has the velocity of its positions, because its reported velocity is not trusted
     target_placed: bool = False
     good: bool = field(init=False)  # all inputs are usable
     # vehicle relative to target; ``None`` unless both are known

@@ -1,7 +1,7 @@
 """Types of the stack: inputs and outputs of a controller step.
 
-Everything is ENU, metres, seconds, radians. Times named ``*_s`` are on the stack's own clock unless the
-name says otherwise. A value that is absent is ``None``, never zero.
+All values are in ENU, metres, seconds, radians. Times named ``*_s`` are on the stack's clock unless the name
+says otherwise. A missing value is ``None``, never zero.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class TextEnum(IntEnum):
     text: str
 
     def __new__(cls, text: str) -> Self:
-        """Number the members in the order of their declaration."""
+        """Return a member numbered in the order of declaration."""
         member = int.__new__(cls, len(cls.__members__))
         member._value_, member.text = len(cls.__members__), text
         return member
@@ -48,10 +48,10 @@ class FilterStatus(IntEnum):
     NOT_RUN = 0
     SOLVED = 1
     CLOSED_FORM = 2  # the solver failed, or its result was rejected: the exact projection is used
-    INFEASIBLE = 3  # no velocity in the box meets the barrier; the one that raises h fastest is used
+    INFEASIBLE = 3  # no velocity in the box meets the barrier; the velocity that raises h fastest is used
     REJECTED = 4  # an input of the program is not finite: there is no result
     CROWDED = 5  # neighbours' constraints are relaxed by the smallest common slack; barrier and box are met
-    OWN = 6  # a user's class with its own ``filter``: limits are checked, the barrier is not
+    OWN = 6  # result of a user's method ``filter``: the gate checks limits, but not the barrier
 
 
 class Request(IntEnum):
@@ -177,7 +177,7 @@ class Intent(IntEnum):
 class Neighbour(NamedTuple):
     """Message of a fleet member; all times are on the receiver's stack clock."""
 
-    id: int  # number of the vehicle, 1 to 250
+    id: int  # id of the member, 1 to 250
     stamp_s: float  # time of the message, corrected for the difference of the clocks
     arrival_s: float  # arrival time of the message
     position_enu_m: Vec3  # position at the stamp

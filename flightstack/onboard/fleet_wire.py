@@ -1,9 +1,8 @@
-"""Fleet messages: this vehicle sends one to the others in each tick, and receives theirs.
+"""Fleet messages: this vehicle sends one in each tick, and receives those of the other members.
 
 Each process publishes ``FleetWord`` on ``NAMESPACE/fleet/word`` and subscribes to ``**/fleet/word``. This one
-pattern needs no list of namespaces, and also detects two processes with the same vehicle id, and vehicles
-that are no members. The key begins with the namespace, as all keys of a vehicle do, so that access rules can
-name it.
+pattern needs no list of namespaces, and also detects two processes with one vehicle id, and vehicles that are
+not members. Like all keys of a vehicle, the key begins with the namespace, so that access rules can name it.
 
 In flight no call blocks. Rejected messages are counted; a text reports each doubling of the count.
 
@@ -41,11 +40,11 @@ from logs.schema.schemas import FLEET_WORD
 
 KEY = "fleet/word"
 EVERYBODY = f"**/{KEY}"
-CAPACITY = 256  # queued messages; the oldest are dropped, since only the newest of each member is needed
-BYTES_MAX = 2048  # longest message that is accepted
-PROOF_S = 0.3  # time for which messages after a clock step must agree: longer than a message is late
-ONE_WAY_S = 2.0  # time of one-way reception until a report, s
-NAMESAKE_S = 1.0  # time to listen for another process with the same vehicle id before the start, s
+CAPACITY = 256  # maximum number of queued messages; the oldest ones are dropped
+BYTES_MAX = 2048  # maximum size of an accepted message, bytes
+PROOF_S = 0.3  # time for which messages after a clock step must agree, s: longer than the latency
+ONE_WAY_S = 2.0  # duration of one-way reception after which it is reported, s
+NAMESAKE_S = 1.0  # listening time before the start, s: is there a process with the same vehicle id?
 # Largest drift between two clocks, s/s: Linux slews each by at most 500 ppm (adjtimex(2)).
 DRIFT = 1e-3
 
@@ -56,9 +55,9 @@ def namespace_of(config: FlightConfig) -> str:
 
 
 class NoFleet:
-    """A vehicle alone: no messages are sent or received."""
+    """Fleet connection of a single vehicle: it neither sends nor receives messages."""
 
-    doubled = ""  # text about another process with this vehicle's id; empty: none
+    doubled = ""  # text about another process with this vehicle's id; empty: there is none
 
     def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
         """Set the clock of the ticks in real time; before this call nothing is sent.
@@ -67,7 +66,7 @@ class NoFleet:
         """
 
     def namesake(self) -> str:
-        """Return why this process must not start: another one has the same vehicle id; empty: none."""
+        """Return an error text if another process has this vehicle's id; empty: there is none."""
         return self.doubled
 
     def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
@@ -123,7 +122,7 @@ class OtherClock:
         """
         ahead_ns, before_ns = arrival_ns - stamp_ns, self.ahead_ns(arrival_ns)
         self._ahead = Least(ahead_ns if before_ns is None else min(ahead_ns, before_ns), arrival_ns)
-        if echo_ns is not None:  # the other process keeps the minimum itself
+        if echo_ns is not None:  # the other process already reports its minimum
             self._echo = Least(echo_ns, arrival_ns)
         offset = self.offset(arrival_ns)
         if offset is None or offset.bound_ns >= 0:
@@ -148,7 +147,7 @@ class OtherClock:
 
 
 class _Counts:
-    """Counts of rejected messages; a text is added whenever a count has doubled."""
+    """Counters of rejected messages; a text is stored whenever a counter has doubled."""
 
     def __init__(self) -> None:
         self._counts: dict[str, int] = {}
@@ -161,13 +160,13 @@ class _Counts:
 
 
 class _Member:
-    """State of the connection to another member's process."""
+    """Connection to the process of another member."""
 
     def __init__(self, fleet: Fleet) -> None:
         self.process: int | None = None
         self.clock = OtherClock()
         self.stamps = SenderClock(fleet.age_max_s, PROOF_S, fleet.latency_max_s)
-        self.heard_ns = 0  # arrival of the newest message, on this clock
+        self.heard_ns = 0  # arrival of the newest message, ns on this clock
         self.claim_ns: int | None = None
         self.claim_s = math.nan
         self.one_way_ns: int | None = None  # start of one-way reception from the member
@@ -199,7 +198,7 @@ class FleetWire(NoFleet):
         self._epoch_ns, self._now_s = epoch_ns, now_s
 
     def namesake(self) -> str:
-        """Listen for another process with this vehicle's id; the messages until then are dropped."""
+        """Listen for another process with this vehicle's id; messages received in that time are dropped."""
         time.sleep(max(0.0, self._opened_s + NAMESAKE_S - time.monotonic()))
         for row in self._rows():
             if row.id == self._fleet.id and row.process != self._process:
@@ -208,7 +207,7 @@ class FleetWire(NoFleet):
 
     def words(self) -> tuple[Neighbour, ...]:
         rows = self._rows()
-        now_s = self._now_s()  # read after the messages were taken, so that no message is newer
+        now_s = self._now_s()  # read after the queue, so that no message is newer than this time
         now_ns = self._epoch_ns + round(now_s * 1e9)
         newest: dict[int, Neighbour] = {}
         for row in rows:
@@ -258,9 +257,9 @@ class FleetWire(NoFleet):
         self.doubled = f"fleet: {what}: end it, or give one of them another id"
 
     def _is_of_member(self, row: FleetWordRow, now_ns: int) -> bool:
-        """Whether a message is from another member's process; the first process of an id remains valid."""
+        """Whether a message comes from another member; of two processes with one id, the first is valid."""
         if row.id == self._fleet.id:
-            if row.process != self._process:  # otherwise the network has returned this process's own message
+            if row.process != self._process:  # the network may return messages of this process
                 self._hear_namesake()
             return False
         member = self._members.get(row.id)
@@ -280,9 +279,9 @@ class FleetWire(NoFleet):
         return True
 
     def _taken(self, row: FleetWordRow, now_s: float, now_ns: int) -> Neighbour | None:
-        """Convert a message to this clock; None if a newer one came before, or its time is too uncertain."""
+        """Convert a message to this clock; return None if it is outdated or its time is too uncertain."""
         member, fleet = self._members[row.id], self._fleet
-        # a queue cannot look like another clock: the offset's bound contains the delays of both directions
+        # PROOF_S is short: a queue cannot look like a changed clock, because the offset's bound covers delays
         reading = member.stamps.accept(row.stamp_ns / 1e9, now_ns / 1e9, PROOF_S)
         if reading is Reading.AHEAD or reading is Reading.UNUSABLE:
             self._counts.add(f"the clock of vehicle {row.id}, or of this one, has jumped")
@@ -308,7 +307,7 @@ class FleetWire(NoFleet):
             return None
         if not row.claims:
             member.claim_ns, member.claim_s = None, math.nan
-        elif row.claim_ns != member.claim_ns:  # once for each claim: its time must remain equal to the bit
+        elif row.claim_ns != member.claim_ns:  # once per claim: its time must not change by a bit
             member.claim_ns = row.claim_ns
             member.claim_s = (row.claim_ns + offset.ns - self._epoch_ns) / 1e9
         stamp_s = (row.stamp_ns + offset.ns - self._epoch_ns) / 1e9
@@ -319,7 +318,7 @@ class FleetWire(NoFleet):
             return None
 
     def _note_one_way(self, member: _Member, n: int, now_ns: int, *, heard: bool) -> None:
-        """Report once that messages of a member arrive but that the member receives none of this vehicle."""
+        """Report once that messages arrive from a member, but the member receives none from this vehicle."""
         if heard:
             member.one_way_ns, member.said_one_way = None, False
             return

@@ -1,6 +1,6 @@
 """Requests of the operator, and the end of a flight.
 
-After the end, ``runner.fly`` leaves the vehicle, but never in the air without a request to land.
+After the end, ``runner.fly`` releases the vehicle; in the air it first requests a landing.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from flightstack.core.controller import Outputs
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
 
-LAND_SHOWN_MAX_S = 1.0  # longest time of landing commands until a heartbeat (1 Hz) confirms the landing
+LAND_SHOWN_MAX_S = 1.0  # maximum time of repeated landing commands without a confirming heartbeat (1 Hz)
 
 
 class Ended(NamedTuple):
@@ -29,11 +29,11 @@ class Person:
     """Requests of the operator to the process; this base class makes none."""
 
     operator = Operator.NONE  # request to the controller
-    stop = False  # whether the process has to end immediately
-    _seen_s: float | None = None  # wall time at which ``left`` has seen the stop
+    stop = False  # whether the process must end immediately
+    _seen_s: float | None = None  # wall time at which ``left`` first detected the stop, s
 
     def left(self) -> bool:
-        """Whether a process that ends has waited for further ticks as long as its landing commands last."""
+        """Whether a process that ends has waited ``LAND_SHOWN_MAX_S`` for further ticks."""
         if not self.stop:
             return False
         now_s = time.monotonic()
@@ -43,7 +43,7 @@ class Person:
 
 
 class Signals(Person):
-    r"""Ctrl-C, or a terminal that closes, requests an abort; Ctrl-\ requests an immediate stop of the motors.
+    r"""Signals of the operator: Ctrl-C or a closed terminal requests an abort, Ctrl-\ an emergency stop.
 
     A second Ctrl-C, or SIGTERM, ends the process after the vehicle was commanded to land.
     """
@@ -81,9 +81,9 @@ class Leaving:
 
     def __init__(self, duration_s: float | None, person: Person | None = None) -> None:
         self._duration_s, self.person = duration_s, person or Person()
-        self.leaves = False  # the process is about to end, so it requests a landing
-        self.arms = False  # the vehicle was commanded to arm
-        self._theirs = False  # the process waits while another client controls the vehicle
+        self.leaves = False  # whether the process is about to end and therefore requests a landing
+        self.arms = False  # whether the vehicle was commanded to arm
+        self._theirs = False  # whether another client controls the vehicle and the process waits
 
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
         """Return the operator's request in this tick.
@@ -125,6 +125,6 @@ def flies(memory: Memory, status: VehicleStatus | None) -> bool:
     """Whether the vehicle is in the air, by its newest status, and only this process controls it."""
     if status is None or not status.armed or memory.abort_way is AbortWay.HANDS_OFF:
         return False
-    if memory.phase is Phase.LANDED:  # motors stopped, and this process has not armed the vehicle again
+    if memory.phase is Phase.LANDED:  # the motors are off, and this process has not armed the vehicle again
         return False
     return memory.phase is not Phase.WAIT or memory.was_external

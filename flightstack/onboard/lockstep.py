@@ -1,4 +1,4 @@
-"""Lockstep in the onboard process: the vehicle triggers each tick, and the target reports its sample count.
+"""Lockstep of the onboard process: the vehicle requests each tick, the target reports its sample count.
 
 No order between MAVLink and Zenoh is assumed. A tick starts when the vehicle has requested it by TIMESYNC,
 the target has reported the number of samples that belong to it, and, in a fleet, the members' messages have
@@ -33,15 +33,15 @@ from flightstack.onboard.leaving import Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
 from logs.schema.controller_rows import pack_neighbours, unpack_neighbours, word_row
 
-CREDIT_EVERY = 10  # ticks between two credits for the target
+CREDIT_EVERY = 10  # ticks between two messages that let the target continue
 WAIT_SLICE_S = 0.05  # wall time between checks for signals during a wait, s
 FIRST_WAIT_MAX_S = 600.0  # longest wait for a first message, s of wall time; it includes compilation
-SAID_S = 10.0  # waiting time after which the wait is reported, s
-# wall time without the vehicle after which the process ends, s; the vehicle may wait for the robot
+SAID_S = 10.0  # waiting time after which a text reports the wait, s
+# wall time without the vehicle's request after which the process ends, s; the vehicle may wait for the robot
 LOST_RUN_MAX_S = TARGET_SILENT_S + 15.0
 ALIVE = "sim/target/alive"  # Zenoh liveliness token of the robot's process in lockstep
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
-OVER = 1  # second number of a message that is the last one
+OVER = 1  # second value of the last message
 _LENGTH = struct.Struct("<I")
 
 
@@ -76,7 +76,7 @@ class VehicleTicks:
                 return self._clock.tick(sim_ns)
             if sim_ns is not None:
                 link.endpoint.repeat(self._vehicle.reply)
-            if silence is None:  # usually the request has arrived already, and no clock is needed
+            if silence is None:  # usually the request has already arrived, and no clock is needed
                 silence = Silence()
             waited_s = silence.look()
             if self._stopped() or waited_s > most_s:
@@ -86,7 +86,7 @@ class VehicleTicks:
                 )
             if waited_s > due_s:
                 due_s = math.inf
-                with contextlib.suppress(OSError):  # standard error is closed
+                with contextlib.suppress(OSError):  # standard error may be closed
                     print(
                         "onboard: waits for the vehicle to request its first tick",
                         file=sys.stderr,
@@ -119,7 +119,7 @@ class LockstepWires:
         self._credit = zenoh_link.blocking_publisher(session, f"{namespace}/sim/credit")
         self._session, self._alive_key = session, f"{namespace}/{ALIVE}"
         self._marker_tick, self._received = -1, 0
-        self._pool: list[RawSample] = []  # received samples whose tick is not known yet
+        self._pool: list[RawSample] = []  # received samples whose tick is not yet known
         self._released: list[RawSample] = []  # samples of the current tick
         self._counts: dict[int, int] = {}
         self._go_tick = NO_GO
@@ -145,7 +145,7 @@ class LockstepWires:
         return decoded(self._released, now_s)
 
     def landing_began(self, tick: int) -> None:
-        """Send the target the tick from which it may drive: the first that it cannot have computed yet."""
+        """Send the target the tick from which it may drive: the first tick that it cannot have computed."""
         self._go_tick = tick + RUN_AHEAD_TICKS + 1
         self._give_credit(tick)
 
@@ -184,11 +184,11 @@ class LockstepWires:
 
 
 class LockstepWords(NoFleet):
-    """Fleet messages in lockstep: the others receive a message of one tick in a later tick.
+    """Fleet messages in lockstep: other members receive a message in a later tick.
 
-    The process of the vehicles receives the messages of all members and distributes them tick by tick, so
-    that their order does not depend on wall time. It replaces ``FleetWire``, which needs real time. No other
-    process has this vehicle's id, because the launcher gives each vehicle one process.
+    The vehicles' simulator receives the messages of all members and distributes them tick by tick, so that
+    their order does not depend on wall time. This class replaces ``FleetWire``, which needs real time. No
+    other process has this vehicle's id, because the launcher starts one process per vehicle.
 
     ``session``: the caller closes it; ``namespace``: first part of the keys of this vehicle.
     """
@@ -202,9 +202,9 @@ class LockstepWords(NoFleet):
         self._texts: list[str] = []
 
     def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
-        """Wait in bounded wall time.
+        """Wait for the messages of a tick, in bounded wall time.
 
-        The first tick has no messages; it waits until the simulator has subscribed to those of this vehicle.
+        The first tick has no messages; it waits for the simulator's subscription to this vehicle's messages.
         """
         first, self._tick, silence = self._tick is None, tick, Silence()
         come = self._is_heard if first else self._has
@@ -223,7 +223,7 @@ class LockstepWords(NoFleet):
         return tuple(message._replace(arrival_s=tick.now_s) for message in found)
 
     def say(self, message: Neighbour | None) -> bytes | None:
-        """Send the message of this tick, an empty one if there is none."""
+        """Send the message of this tick; without a message, send an empty one."""
         tick = self._tick
         if tick is None:
             return None
@@ -236,7 +236,7 @@ class LockstepWords(NoFleet):
         return texts
 
     def close(self) -> None:
-        """Send a last message, so that no process waits; undeclare publisher and subscriber."""
+        """Send a last message, so that no process waits for one; undeclare publisher and subscriber."""
         self._told.put(b"", attachment=PAIR.pack(self._tick.number if self._tick is not None else -1, OVER))
         self._heard.undeclare()
         self._told.undeclare()
@@ -254,12 +254,12 @@ class LockstepWords(NoFleet):
 
 
 def joined(payloads: Sequence[bytes]) -> bytes:
-    """Return several payloads as one; the length precedes each of them."""
+    """Join payloads; each is preceded by its length."""
     return b"".join(part for each in payloads for part in (_LENGTH.pack(len(each)), each))
 
 
 def split(payload: bytes) -> Iterator[bytes]:
-    """Yield the payloads that ``joined`` has combined."""
+    """Yield the payloads of a result of ``joined``."""
     at = 0
     while at < len(payload):
         (length,) = _LENGTH.unpack_from(payload, at)

@@ -43,16 +43,16 @@ from logs.schema.schemas import (
 
 STATUS_HZ = 20.0  # rate of the live topics
 HEALTH_HZ = 5.0  # rate of the live health
-BATTERY_AGE_MAX_S = 5.0  # longest age of a voltage: SYS_STATUS arrives at least once a second
+BATTERY_AGE_MAX_S = 5.0  # maximum age of a voltage, s; SYS_STATUS arrives at least once a second
 STATE_HZ = 1.0  # rate of the state snapshots at which a replay can start
 TIMESYNC_ID = 111  # low byte of the message id, at offset 7 of a MAVLink 2 frame
 
 
 class OnboardLog:
-    """Writer of the log messages of each tick, and publisher of the live ones at lower rates.
+    """Writer of each tick's log messages, and publisher of the live topics at lower rates.
 
-    ``session``: session of the live topics; ``names``: names of the records; ``config``: configuration that
-    flies.
+    ``session``: session of the live topics; ``names``: names of the records; ``config``: configuration of the
+    flight.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class OnboardLog:
         self._packed_step = b""  # packed step of the last tick
         self._asked = b""  # last TIMESYNC request that arrived
         self._sequence = self._unix_ns = 0
-        self._flush_every = 10 if lockstep else 1  # ticks between flushes; fewer wake-ups of the recorder
+        self._flush_every = 10 if lockstep else 1  # ticks between flushes: fewer wake-ups of the recorder
         self._every = max(1, round(rate_hz / STATUS_HZ))
         self._state_every = max(1, round(rate_hz / STATE_HZ))
         self._health_every = max(1, round(rate_hz / HEALTH_HZ))
@@ -110,12 +110,12 @@ class OnboardLog:
         """Store a MAVLink frame until its tick is known; the endpoint calls this method."""
         if self._lockstep and direction is Direction.IN and frame[7] == TIMESYNC_ID:
             if frame == self._asked:
-                return  # a repeated request, equal to the byte: repeats depend on wall time
+                return  # a repeated request with equal bytes is not logged: repeats depend on wall time
             self._asked = frame
         self._frames.append((direction, frame, self._peer_names(peer)))
 
     def samples(self, samples: Sequence[RawSample], unix_ns: int) -> None:
-        """Write target samples unchanged, accepted or not."""
+        """Write target samples unchanged, also rejected ones."""
         for sample in samples:
             source_ns = sample.source_time_ns if sample.source_time_ns is not None else unix_ns
             self._feed.write(
@@ -138,7 +138,7 @@ class OnboardLog:
             )
 
     def end(self) -> None:
-        """Write the frames after the newest tick, 1 ns later; the process sent them, not its controller."""
+        """Write the frames that the process sent after the newest tick, with its time plus 1 ns."""
         self._unix_ns += 1
         self.frames()
 
@@ -175,7 +175,7 @@ class OnboardLog:
     def health(
         self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int
     ) -> bytes | None:
-        """Publish the health, which is not logged, at ``HEALTH_HZ`` and at the end; return it."""
+        """Publish the health at ``HEALTH_HZ`` and at the end, without logging it; return it."""
         if tick.number % self._health_every != 0 and not out.finished:
             return None
         payload = health_row(tick, out, reason, battery, dropped).pack()

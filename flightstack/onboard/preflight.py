@@ -1,4 +1,4 @@
-"""Pre-flight check of the onboard process: needs of the flight, and texts for the operator and the log."""
+"""Pre-flight check of the onboard process: requirements of the flight, texts for operator and log."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE, Level.INFO)
 
 
 def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
-    """Return what a flight of this configuration needs from its autopilot."""
+    """Return the requirements of this configuration on the autopilot."""
     vx, vy, vz = config.limits.velocity_max_m_s
     ax, ay, az = strategy_of(config).acceleration_max_m_s2
     return Needs(math.hypot(vx, vy), vz, math.hypot(ax, ay), az, config.limits.altitude_max_m, system_id)
 
 
 def line_plan(baud: int | None, config: FlightConfig, *, signed: bool) -> LinePlan:
-    """Return the message rates with which the flight of this configuration fits into a serial line.
+    """Return the message rates with which a flight of this configuration does not overload a serial line.
 
     ``baud``: rate of a serial line, None for other links; ``config``: configuration to fly; ``signed``:
     whether MAVLink is signed.
@@ -68,7 +68,7 @@ def check(
         endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
         accept_release=accept_release, stopped=stopped, say=say, senders=senders,
     )  # fmt: skip
-    table = config.reserve  # without a voltage so far, the controller waits for one
+    table = config.reserve  # before the first voltage, the controller waits for one
     if table is not None and report.rest_v is not None and report.problem is None:
         report = replace(report, problem=too_low(table, report.rest_v) or None)
     if endpoint.baud is None:
@@ -98,7 +98,7 @@ def lines(report: Report) -> Iterator[str]:
 
 
 def verdict(report: Report) -> str | None:
-    """Return why the vehicle must not arm; None if it may."""
+    """Return why the vehicle must not arm; None: it may arm."""
     if report.problem is not None:
         return report.problem
     names = [finding.name for finding in report.blocking]

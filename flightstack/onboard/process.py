@@ -66,7 +66,7 @@ class Onboard:
         say: Callable[[str], None],
         records: ExitStack | None = None,
     ) -> None:
-        """Open the links, and a recorder if the options name none; ``records`` ends it, if given."""
+        """Open the links; start a recorder if the options name none, and end it with ``records``."""
         self.options, self.config, self.say = options, config, say
         self.namespace = options.namespace or namespace_of(config)
         self.names = Names(self.namespace, options.system_id)
@@ -107,21 +107,21 @@ class Onboard:
         lockstep = options.lockstep  # in lockstep no text may depend on wall time
         self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
         self._foreign_due, self.refusals = 1, Refusals()
-        self.cause = ""  # why the autopilot ended the flight; appended to the reason
+        self.cause = ""  # reason why the autopilot ended the flight, appended to that of the phase
         self.opened_s = time.monotonic()
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
         """Log and publish a tick, and send the message to the fleet."""
         link, arrived = self.link, taken.arrived
         exec_s *= self.options.speed
-        self.log.word(tick, self.fleet.say(out.own_message))  # sent first, since other members wait for it
+        self.log.word(tick, self.fleet.say(out.own_message))  # sent first: other members wait for it
         self.log.samples(arrived.messages, tick.unix_ns)
         for text in self.refusals.told(arrived.problems):
             self.log.event(tick.unix_ns, WARN, text)
         for severity, text in link.take_texts():
             self.waiting.note_text(tick.now_s, severity, text)
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
-        if link.counters.foreign >= self._foreign_due:  # reported when the count doubles
+        if link.counters.foreign >= self._foreign_due:  # the report is repeated when the count doubles
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self._foreign_due = 2 * link.counters.foreign
         notices = (*link.endpoint.take_notices(), *link.senders.take_notices())
@@ -146,7 +146,7 @@ class Onboard:
             self.say(f"{tick.now_s:8.2f} s  {report}")
 
     def _describe(self) -> None:
-        """Write to the log what a replay needs in addition: the configuration and the connections."""
+        """Write configuration and connections to the log; a replay needs them."""
         options, spec = self.options, self.wires.target
         own_key = f"{self.namespace}/target/odom"
         text, endpoint = dumps(self.config), self.link.endpoint
@@ -161,7 +161,7 @@ class Onboard:
                 "lockstep": str(options.lockstep).lower(),
                 "autopilot": options.autopilot,
                 "core": self.core.value,
-                # the baud rate determines the message rates of a slow line
+                # the message rates of a slow serial line depend on the baud rate
                 **({"baud": str(endpoint.baud)} if endpoint.baud is not None else {}),
                 "signed": str(endpoint.signed).lower(),
             },
@@ -182,17 +182,17 @@ class Onboard:
         self.log.event(time.time_ns(), ERROR, text)
 
     def close(self) -> None:
-        """Close all links; the feed reports its end to the recorder."""
+        """Close all links; the feed informs the recorder of its end."""
         dropped = self.link.endpoint.counters.dropped()
         if dropped:
             print(f"onboard: MAVLink frames rejected: {dropped}", file=sys.stderr)
         if self.link.endpoint.baud is not None:
             print(f"onboard: {self._line_use()}", file=sys.stderr)
-        # the fleet is first: in lockstep the others wait for its last message
+        # the fleet is first: in lockstep other members wait for its last message
         for end in (self.fleet.close, self.log.end, self.feed.close, self.link.close, self.wires.close):
             try:
                 end()
-            except Exception as error:  # continue with the other links
+            except Exception as error:  # the other links must be closed, too
                 _warn(f"not closed in order: {error!r}")
 
 
@@ -202,7 +202,7 @@ def _warn(text: str) -> None:
 
 
 def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None] = print) -> Ended:
-    """Fly until the vehicle has landed, the flight is aborted, the operator ends it, or time is over.
+    """Fly until the vehicle has landed, the flight is aborted, the operator ends it, or its time is over.
 
     Raises ConfigError: the configuration must not fly; ValueError: a URL, endpoint or key is not valid, a
     network has no key, a speed is not possible with a real vehicle or in lockstep, or compiled code is not
@@ -220,7 +220,7 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
             "--unproven flies it"
         )
     with ExitStack() as records:
-        onboard = Onboard(config, options, say, records)  # a signal before this point cancels the flight
+        onboard = Onboard(config, options, say, records)  # a signal before this line cancels the flight
         records.callback(onboard.close)
         signals = Signals()
         if onboard.log_file is not None:
@@ -254,7 +254,7 @@ def _check_speed(options: OnboardOptions) -> None:
 def _fleet(
     config: FlightConfig, options: OnboardOptions, session: zenoh_link.Session, namespace: str
 ) -> NoFleet:
-    """Return the connection to the other members of a fleet; a vehicle alone has none.
+    """Return the connection to the other fleet members; a single vehicle gets ``NoFleet``.
 
     Raises ConfigError: the members cannot connect to each other.
     """
@@ -271,7 +271,7 @@ def _fleet(
 
 
 def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended | None:
-    """Return why the vehicle or another process with its id forbids a start; None: it may start.
+    """Return why the flight must not start (vehicle not ready, or id used twice); None: it may start.
 
     The frames of the check of the autopilot's parameters are not logged.
     """
@@ -307,13 +307,13 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
     for line in preflight.lines(report):
         say(line)
     if signals.operator is Operator.EMERGENCY_STOP:
-        return None  # the ticks send the emergency stop, without this check
+        return None  # the ticks send the emergency stop without a pre-flight check
     problem = preflight.verdict(report) or onboard.fleet.namesake()
     return Ended(Phase.WAIT, problem, 1) if problem else None
 
 
 class _Leaving(Leaving):
-    """End of a flight, also if the link rejects the vehicle; the reason names missing inputs."""
+    """End of a flight, also because the link rejects the vehicle; the reason names missing inputs."""
 
     def __init__(self, onboard: Onboard, signals: Signals) -> None:
         super().__init__(onboard.options.duration_s, signals)
@@ -337,7 +337,7 @@ class _Leaving(Leaving):
 
 
 def _runner(onboard: Onboard, vehicle: LinkedVehicle, leaving: Leaving, signals: Signals) -> Runner:
-    """Return the sequence of ticks, in real time or in lockstep."""
+    """Return the runner of the ticks, in real time or in lockstep."""
     options, link, wires = onboard.options, onboard.link, onboard.wires
     rate_hz = onboard.config.loop.rate_hz
     if options.lockstep:

@@ -26,7 +26,7 @@ LOG = "flight.mcap"
 _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
 
 
-_NO_NAME = re.compile(r"[^\w.=+@-]|\.\.")  # not part of a folder's name, which commands and pages contain
+_NO_NAME = re.compile(r"[^\w.=+@-]|\.\.")  # not allowed in folder names, which commands contain
 
 
 def new_folder(name: str) -> Path:
@@ -109,7 +109,7 @@ def describe(
     fleet: Mapping[str, str] = MappingProxyType({}),
     attachments: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
-    """Write the data to the log that is needed to read and replay it, except that of the onboard process.
+    """Write the metadata with which the log can be read and replayed, except those of the onboard process.
 
     ``recorder``: socket of the recorder; ``fleet``: metadata of all flights; ``attachments``: files (TOML) by
     name.
@@ -156,7 +156,7 @@ def _describe(feed: Feed, flight: Described) -> None:
 
 
 def _revision() -> str:
-    """Return the git revision of the code, with "-dirty" if changed; empty if it is no checkout."""
+    """Return the git revision of the code, with "-dirty" if changed; empty without a git checkout."""
     try:
         result = subprocess.run(
             ["git", "describe", "--always", "--dirty"],

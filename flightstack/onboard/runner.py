@@ -36,7 +36,7 @@ from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Ended, Leaving, flies
 
 
 class Arrived(NamedTuple):
-    """Data of the target that arrived since the last tick."""
+    """Target data that arrived since the last tick."""
 
     samples: tuple[TargetSample, ...] = ()  # samples for the controller
     problems: Sequence[str] = ()  # errors of messages that could not be decoded
@@ -44,11 +44,11 @@ class Arrived(NamedTuple):
 
 
 NOTHING = Arrived()
-STALL_MAX_S = 0.05  # largest delay of a tick whose samples are used, s: a fifth of checks.target_age_max_s
+STALL_MAX_S = 0.05  # largest delay of a tick whose samples are used, s: checks.target_age_max_s / 5
 
 
 class Taken(NamedTuple):
-    """Arguments of ``Controller.step``, and the messages that contained the samples."""
+    """Arguments of ``Controller.step``, and the raw messages of their samples."""
 
     inputs: Inputs
     command_failed: bool
@@ -56,7 +56,7 @@ class Taken(NamedTuple):
 
 
 class VehicleInputs(NamedTuple):
-    """Newest state, status, battery and motors of the vehicle; whether a requested mode was given up."""
+    """Newest state, status and power of the vehicle, and whether it finally refused a requested mode."""
 
     own: OwnState | None
     status: VehicleStatus | None
@@ -79,7 +79,7 @@ class Clock(Protocol):
 
 
 class Vehicle(Protocol):
-    """The vehicle: its newest inputs, and the receiver of the outputs of a tick."""
+    """The vehicle: source of its newest inputs, and receiver of the outputs of a tick."""
 
     def read(self) -> VehicleInputs: ...
 
@@ -93,7 +93,7 @@ class Target(Protocol):
         """Return the samples since the last call; ``now_s`` is their arrival time."""
 
     def landing_began(self, tick: int) -> None:
-        """Report that the landing has started at this tick, from which a simulated robot may drive."""
+        """Report that the landing has started at this tick; a simulated robot may drive from this tick."""
 
 
 class Ending(Protocol):
@@ -116,7 +116,7 @@ Words = Callable[[], tuple[Neighbour, ...]]  # messages of other vehicles since 
 
 
 class Runner:
-    """Runner of ticks."""
+    """Runner of ticks with the five parts."""
 
     def __init__(
         self,
@@ -168,7 +168,7 @@ class Runner:
 
 
 class RealTimeClock:
-    """Clock with deadlines in real time, or in a simulator's time; it polls the link at each deadline."""
+    """Clock with deadlines in real or simulated time; at each deadline it reads the vehicle's messages."""
 
     def __init__(self, pacer: RealTimePacer, link: VehicleLink) -> None:
         self._pacer, self._link = pacer, link
@@ -183,8 +183,8 @@ class RealTimeClock:
 class LiveTarget:
     """Target in real time. The robot receives no message about the landing.
 
-    Samples of a tick in which the process stalled are not used, because they may have arrived after the tick
-    started. They would reduce the minimum delay too much, and later samples would count as too late.
+    Samples of a tick in which the process stalled are dropped: they may have arrived after the tick started,
+    would reduce the minimum delay too much, and later samples would then count as too late.
 
     ``source``: source of the samples; ``clock``: stack clock, s.
     """
@@ -206,10 +206,10 @@ class LiveTarget:
 
 
 class LinkedVehicle:
-    """Vehicle behind a MAVLink link, which the clock polls."""
+    """Vehicle with a MAVLink link; the clock reads the link."""
 
     def __init__(self, link: VehicleLink, *, lockstep: bool) -> None:
-        self.link, self._lockstep = link, lockstep  # link to the vehicle
+        self.link, self._lockstep = link, lockstep  # MAVLink link to the vehicle
         self._reply: Message = None
 
     @property
@@ -226,7 +226,7 @@ class LinkedVehicle:
         return VehicleInputs(state.own, status, link.failed is not None, state.power)
 
     def ask(self, request: Request, now_s: float) -> None:
-        """Read the link and request a mode without the controller."""
+        """Read the link, then request a mode without the controller."""
         self.link.poll(now_s)
         self.link.command(request, now_s)
         self.link.flush()
@@ -244,18 +244,18 @@ class LinkedVehicle:
         link.flush([reply])
 
 
-_PERIOD_S = 0.02  # wall time between two checks without ticks, s
+_PERIOD_S = 0.02  # wall time between two checks after the last tick, s
 REFUSED = "target sample refused: "
 
 
 class Refusals:
-    """Counter of rejected samples; it reports when the count has doubled, to keep the log short."""
+    """Counter of rejected samples; it reports each doubling of the count, to keep the log short."""
 
     def __init__(self) -> None:
         self._count, self._due = 0, 1
 
     def told(self, problems: Iterable[str]) -> list[str]:
-        """Return those of the texts that are due."""
+        """Count the problems, and return those that must be reported now."""
         found = []
         for text in problems:
             if not text.startswith(REFUSED):
@@ -269,7 +269,7 @@ class Refusals:
 
 
 def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:
-    """Return the samples in these messages, which arrive now, and why other messages contain none."""
+    """Decode messages that arrive now; return their samples, and why other messages contain none."""
     if not messages:
         return NOTHING
     samples: list[TargetSample] = []
@@ -283,7 +283,7 @@ def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:
 
 
 def fly(ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, failed: Callable[[str], None]) -> Ended:
-    """Fly until the flight is over or an error occurs, then leave the vehicle; each flight ends here.
+    """Fly until the flight is over or an error occurs, then release the vehicle; every flight ends here.
 
     Autopilots differ when set-points stop: PX4 lands, ArduPilot hovers. A process that ends in flight
     therefore requests the autopilot's landing until a heartbeat confirms it, for a bounded time: through the
@@ -309,7 +309,7 @@ def fly(ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, failed: Callabl
 def _leave(ended: Ended, ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, *, works: bool) -> Ended:
     """Request the landing until the heartbeat confirms it; the reason states whether it did."""
     memory, began_s, leaving.leaves = ticks.memory, time.monotonic(), True
-    arms = leaving.arms and not memory.was_armed  # the vehicle may arm only after this process has ended
+    arms = leaving.arms and not memory.was_armed  # arming may follow after this process has ended
     works = works and not arms
     status = vehicle.read().status
     while flies(memory, status) or (arms and status is not None and status.mode is not Mode.LAND):
@@ -320,7 +320,7 @@ def _leave(ended: Ended, ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving
         if works:
             try:
                 ticks.tick()
-            except BaseException:  # after any exception, continue without the controller
+            except BaseException:  # after an exception the loop continues without the controller
                 works = False
         else:
             with contextlib.suppress(Exception):

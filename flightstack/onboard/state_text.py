@@ -1,4 +1,4 @@
-"""Conversion of dataclasses to text and back, by their declared types and without loss of a bit.
+"""Conversion of dataclasses to text and back, by their declared types and without rounding.
 
 The codec is built from the types, so an unsupported type stops a program at its start and never in flight.
 The ``layout`` names every field and type; a text with another layout is rejected.
@@ -23,7 +23,7 @@ _BITS = "f64:"  # prefix of a float that JSON cannot represent: 16 hex digits of
 
 
 class StateTextError(ValueError):
-    """The text is not of this type."""
+    """The text does not contain a value of this type."""
 
 
 class _Plan(NamedTuple):
@@ -35,7 +35,7 @@ class _Plan(NamedTuple):
 
 
 class StateText(Generic[T]):
-    """Writer and reader for one dataclass.
+    """Writer and reader of the values of one dataclass.
 
     Raises TypeError: the declared type of a field is not bool, int, float, str, enum, tuple, dataclass, named
     tuple, or a union of one of these with None.
@@ -49,7 +49,7 @@ class StateText(Generic[T]):
         return _WRITER.encode(self._plan.encode(value))
 
     def loads(self, layout: str, text: str) -> T:
-        """Return the value that ``dumps`` wrote. Raises StateTextError: another layout, or a wrong text."""
+        """Return the value that ``dumps`` wrote. Raises StateTextError: wrong layout, or invalid text."""
         if layout != self.layout:
             raise StateTextError(f"layout {layout!r} found, this version reads {self.layout!r}")
         try:
@@ -65,7 +65,7 @@ def _refuse(word: str) -> None:
 
 
 def _is(value: Any, good: bool, at: str, needed: str) -> Any:
-    """Return the value if ``good``. Raises StateTextError: it is not."""
+    """Return the value. Raises StateTextError: ``good`` is false."""
     if not good:
         raise StateTextError(f"{at or 'the whole'}: found {value!r}, {needed} is needed")
     return value
@@ -115,7 +115,7 @@ def _decode_float(value: Any, at: str) -> float:
 
 
 def _tuple(hints: tuple[Any, ...], where: str) -> _Plan:
-    """Plan for a tuple: values with a type each, or any number of values of one type (``...``)."""
+    """Return the plan of a tuple: one type per value, or any number of values of one type (``...``)."""
     is_row = hints[-1] is Ellipsis
     plans = [_plan(each, where) for each in hints if each is not Ellipsis]
     needed = "a list" if is_row else f"a list of {len(plans)} values"
@@ -134,7 +134,7 @@ def _tuple(hints: tuple[Any, ...], where: str) -> _Plan:
 
 
 def _named(cls: Any) -> _Plan:
-    """Plan for a dataclass or named tuple."""
+    """Return the plan of a dataclass or named tuple."""
     hints = get_type_hints(cls)
     names = cls._fields if hasattr(cls, "_fields") else [f.name for f in dataclasses.fields(cls)]
     plans = {name: _plan(hints[name], f"{cls.__name__}.{name}") for name in names}

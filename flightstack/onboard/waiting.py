@@ -1,4 +1,4 @@
-"""Causes for which a flight waits, as texts for the operator, each with the setting that limits the wait.
+"""Reasons why a flight waits, as texts for the operator, each with the setting that limits the wait.
 
 ``missing`` finds the causes in the state of the links, ``countdown`` gives the limit of a phase; both are
 pure. ``WaitReport`` observes the links and reports both every two seconds.
@@ -26,17 +26,17 @@ from flightstack.onboard.zenoh_wires import ZenohWires
 PERIOD_S = 2.0  # time between two reports, s
 _FLYING = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
 _REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; texts with a lower severity are not used as reasons
-_REASONS = 3  # number of vehicle texts that are repeated
-_REASON_AGE_MAX_S = 15.0  # longest age of a reason, s; PX4 and ArduPilot repeat it within that time
-_CAUSE_AGE_MAX_S = 5.0  # longest age of a cause, s: heartbeats at 1 Hz report a disarm, two may be lost
-_PROBLEMS = 2  # number of sample errors in one report
+_REASONS = 3  # maximum number of vehicle texts in one report
+_REASON_AGE_MAX_S = 15.0  # maximum age of a reason, s; PX4 and ArduPilot repeat reasons within that time
+_CAUSE_AGE_MAX_S = 5.0  # maximum age of a cause, s; heartbeats (1 Hz) report a disarm, two may be lost
+_PROBLEMS = 2  # maximum number of sample errors in one report
 
 
 class VehicleSeen(NamedTuple):
     """Data that the vehicle link has received so far."""
 
     heartbeat_age_s: float | None  # age of the newest heartbeat; None: none received
-    silence: str  # sentence about a missing heartbeat (``senders.why_silent``)
+    silence: str  # reason for a missing heartbeat (``senders.why_silent``)
     own_age_s: float | None  # age of the newest vehicle state; None: none received
     own_believed: bool  # whether position and velocity agree
     # positions rejected since the last report, by cause (fields of ``StateCounters``)
@@ -51,7 +51,7 @@ class VehicleSeen(NamedTuple):
 class TargetSeen(NamedTuple):
     """Data that the target's link has received so far."""
 
-    name: str  # key or topic, as the user gave it
+    name: str  # key or topic that the user gave
     age_s: float | None  # age of the newest accepted sample; None: no sample
     arrived: int  # samples since the last report, including rejected ones
     problems: tuple[str, ...]  # errors of samples
@@ -70,7 +70,7 @@ def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[s
 
 
 def _seldom(what: str, every_s: float, age_s: float | None, key: str, most_s: float) -> tuple[str, ...]:
-    """Return a text about inputs that arrive, but too rarely for their age limit."""
+    """Return a text if inputs arrive too rarely for their age limit."""
     if every_s <= most_s or age_s is None or age_s > every_s:
         return ()
     return (f"{what}: one every {every_s:.2f} s ({1.0 / every_s:.1f} Hz); checks.{key} allows {most_s:g} s",)
@@ -148,7 +148,7 @@ def _of_target(seen: TargetSeen, checks: Checks) -> tuple[str, ...]:
 
 
 class _Pace:
-    """Longest interval between arrivals since the last report; with few arrivals, the newest interval."""
+    """Longest interval between arrivals since the last report; after few arrivals, the newest interval."""
 
     def __init__(self) -> None:
         self._last_s, self._longest_s, self._reported = math.nan, 0.0, True
@@ -156,18 +156,18 @@ class _Pace:
     def note(self, arrival_s: float) -> None:
         """Record the newest arrival time; the same time may be given repeatedly."""
         interval_s, self._last_s = arrival_s - self._last_s, arrival_s
-        if interval_s > 0.0:  # NaN before the second arrival
+        if interval_s > 0.0:  # not true for NaN, before the second arrival
             self._longest_s = interval_s if self._reported else max(interval_s, self._longest_s)
             self._reported = False
 
     def report(self) -> float:
-        """Return the longest interval; 0 before two arrivals."""
+        """Return the longest interval, s; 0 before the second arrival."""
         self._reported = True
         return self._longest_s
 
 
-# Phases that continue without messages of the vehicle: the setting that limits each, and what happens then.
-# Any other phase ends immediately.
+# Phases that continue without messages of the vehicle: setting that limits the phase, effect of this limit.
+# Without these messages any other phase ends immediately.
 _BOUNDS: Mapping[Phase, tuple[str, str]] = {
     Phase.WAIT: ("checks.wait_time_max_s", "gives up"),
     Phase.HOLD: ("checks.hold_time_s", "aborts"),
@@ -177,7 +177,7 @@ _BOUNDS: Mapping[Phase, tuple[str, str]] = {
 
 
 def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
-    """Return what ends the phase, the latest time, and the setting; empty for a phase without a limit.
+    """Return a text with the end of the phase, its latest time and the setting; empty without a limit.
 
     ``in_phase_s``: time since the phase started, s.
     """
@@ -195,7 +195,7 @@ class WaitReport:
         self, config: FlightConfig, system_id: int, link: VehicleLink, wires: ZenohWires, *, searches: bool
     ) -> None:
         """Set up. ``wires``: Zenoh connections; ``searches``: search other keys if no sample arrives."""
-        # missing inputs at the last report, during the wait and after its end
+        # missing inputs in the last report; they remain after the end of the wait
         self.lacking: tuple[str, ...] = ()
         self._config, self._system_id, self._link, self._wires = config, system_id, link, wires
         self._searches = searches
@@ -205,7 +205,7 @@ class WaitReport:
         self._arrived = self._refused_before = self._accepted = 0  # numbers of target samples
         self._heartbeats, self._states, self._samples = _Pace(), _Pace(), _Pace()
         self._texts: deque[tuple[float, str]] = deque(maxlen=_REASONS)
-        self._recent: dict[str, float] = {}  # newest texts of any severity, with their last arrival time
+        self._recent: dict[str, float] = {}  # newest texts of any severity, with their newest arrival time
         self._refusals: deque[str] = deque(maxlen=_PROBLEMS)
 
     def note_text(self, now_s: float, severity: int, text: str) -> None:
@@ -220,7 +220,7 @@ class WaitReport:
             self._texts = deque(((now_s if t == text else s, t) for s, t in self._texts), maxlen=_REASONS)
 
     def cause(self, now_s: float) -> str:
-        """Return why the autopilot acted by itself: its newest messages, or that no message arrived."""
+        """Return why the autopilot acted without a command: its newest messages, or that none arrived."""
         says = [text for text, at_s in self._recent.items() if now_s - at_s <= _CAUSE_AGE_MAX_S]
         if says:
             return f"the autopilot reports: {' | '.join(says)}"
@@ -241,7 +241,7 @@ class WaitReport:
             self._note_arrivals(out, now_s)
             self._arrived += arrived
             self._refusals.extend(text for text in problems if text not in self._refusals)
-            for event in out.events:  # during the wait, the controller warns only of rejected samples
+            for event in out.events:  # during the wait, all warnings are about rejected samples
                 if event.level == WARN and event.text not in self._refusals:
                     self._refusals.append(event.text)
         else:

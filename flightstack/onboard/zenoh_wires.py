@@ -29,7 +29,7 @@ from logs.schema.schemas import (
 )
 
 FLOAT64 = "std_msgs/msg/Float64"
-PLAIN_HZ = 20.0  # rate of the topics h, phase and step; viewer topics have their own rates
+PLAIN_HZ = 20.0  # rate of the topics h, phase and step; the topics of viewers have other rates
 NODE = "flightstack_onboard"
 _DERIVED = {
     "/pose": POSE_STAMPED,
@@ -76,7 +76,7 @@ class ZenohWires:
             where, target, checks.target_frame, checks.target_child_frame, config.target,
             lossless=options.lockstep,
         )  # fmt: skip
-        self.search = KeySearch(where)  # search for other keys of a target; idle until requested
+        self.search = KeySearch(where)  # search for other keys with target samples; it starts on request
         self._texts = [
             f"Zenoh listens on {endpoint} without rules: every process that reaches this endpoint "
             "can send a target (docs/how_to/zenoh.md)"
@@ -106,7 +106,7 @@ class ZenohWires:
 
 
 class LiveRos2:
-    """Publisher of one flight to ROS 2; the flight does not depend on it.
+    """Publisher of one flight to ROS 2; its errors do not affect the flight.
 
     ``session``: session that reaches the ROS 2 nodes; the caller closes it; ``domain``: their ROS_DOMAIN_ID;
     ``namespace``: first part of the topics; ``rate_hz``: rate of the ticks.

@@ -1,7 +1,7 @@
 """Names of the safety filters: one line for each filter of the package, ``MODULE:NAME`` for others.
 
-A filter is a class with the interface of ``strategies/strategy.py``. A filter from outside the package is
-imported where it flies or is checked, but not when a configuration or a log is read.
+A filter is a class with the interface of ``strategies/strategy.py``. An external filter is imported only to
+fly or check it, never to read a configuration or a log.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ FILTERS: Mapping[str, str] = MappingProxyType(
     }
 )
 ALLOWED = f"{', '.join(FILTERS)}, or MODULE:NAME of a filter from outside the package"
-_GIVEN: dict[str, Any] = {}  # classes that this process has registered, by name
+_GIVEN: dict[str, Any] = {}  # registered classes of this process, by name
 _REFERENCE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 
 
 def check_name(name: str) -> None:
-    """Reject a text that cannot be the name of a filter; nothing is imported."""
+    """Reject a text that cannot be the name of a filter; do not import anything."""
     if name not in FILTERS and (".py:" in name or not _REFERENCE.fullmatch(name)):
         module = name.replace(".py:", ":").replace("/", ".")
         close = f"did you mean {module}?" if module != name else meant(name, FILTERS)
@@ -38,9 +38,9 @@ def check_name(name: str) -> None:
 
 
 def look_here(name: str) -> None:
-    """Let an external filter be imported from the working folder, after all installed modules.
+    """Append the working folder to the import path, so that an external filter can be imported from it.
 
-    The function is for names that the user gave on the command line or in a file, not for names from a log.
+    Call this function only for names from the command line or a configuration, not for names from a log.
     """
     here = str(Path.cwd())
     if name not in FILTERS and here not in sys.path:
@@ -60,7 +60,7 @@ def file_of(reference: str) -> str:
 
 
 def failed_in(name: str, error: BaseException) -> str:
-    """Return the reason of an exception that came from an external filter's module; empty: it did not."""
+    """Return a text for an exception from an external filter's module; empty: it was raised elsewhere."""
     module, frame = name.rpartition(":")[0], error.__traceback__
     while module and frame is not None:
         if frame.tb_frame.f_globals.get("__name__") == module:
@@ -70,7 +70,7 @@ def failed_in(name: str, error: BaseException) -> str:
 
 
 def give(found: Any) -> str:
-    """Register a class of this process, which need not be importable (a notebook's); return its name."""
+    """Register a class that may not be importable, such as one of a notebook; return its name."""
     place = f"{getattr(found, '__module__', '')}:{getattr(found, '__name__', found)}"
     name = next((short for short, long in FILTERS.items() if long == place), place)
     if name not in FILTERS:
@@ -81,7 +81,7 @@ def give(found: Any) -> str:
 
 
 def given(name: str) -> Any:
-    """Return the class that this process registered under this name; None: import it from its module."""
+    """Return the class that this process registered under this name; None: no class is registered."""
     return _GIVEN.get(name)
 
 

@@ -12,15 +12,15 @@ from typing import Annotated
 from flightstack.common.strict_toml import ConfigError, span
 
 ID_MAX = 250
-OTHERS_MAX = 8  # largest number of other members: each may need a row of the program
-PART_OF_LAG = 0.25  # largest rate times lag of a first-order loop without overshoot of the distance
-# time for which a yielding vehicle keeps its whole share after its last announcement, in latencies
+OTHERS_MAX = 8  # largest number of other members; each may add a row to the quadratic program
+PART_OF_LAG = 0.25  # largest rate * lag of a first-order loop in which the distance does not overshoot
+# time after its last announcement for which a yielding vehicle takes the whole share, in latencies
 HOLD_LATENCIES = 3.0
-ZERO_LATENCIES = 2.0  # latencies for which a neighbour relies on an announcement; less, to cover delays
-DECIDE_LATENCIES = 4.0  # time until the higher id yields if two members both assume to be first, in latencies
-CARRIED_AGES = 2.2  # extrapolation time of a silent vehicle, divided by ``age_max_s``
-KEPT_PART = 0.2  # horizon of a vehicle with the right of way, divided by ``descent_s``
-CIRCLE_LATENCIES = 8.0  # latencies, times one plus the number of higher ids, until a cycle is broken
+ZERO_LATENCIES = 2.0  # time for which a neighbour relies on it, in latencies; shorter, to cover delays
+DECIDE_LATENCIES = 4.0  # time until the higher id yields if two members assume to be first, in latencies
+CARRIED_AGES = 2.2  # ratio of a silent vehicle's extrapolation time to ``age_max_s``
+KEPT_PART = 0.2  # ratio of the horizon of a vehicle with the right of way to ``descent_s``
+CIRCLE_LATENCIES = 8.0  # time until a cycle is broken, in latencies times (1 + number of higher ids)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class Fleet:
         return tuple(sorted(set(self.members) - {self.id}))
 
     def check_loop(self, lag_s: float, period_s: float) -> None:
-        """Reject a rate that is too fast for the velocity loop, and a latency shorter than a tick."""
+        """Reject a rate that is too fast for the velocity loop, or a latency that is shorter than a tick."""
         if self.rate_1_s * lag_s > PART_OF_LAG:
             raise ConfigError(
                 f"fleet.rate_1_s: found {self.rate_1_s:g}; with a lag of {lag_s:g} s at most "

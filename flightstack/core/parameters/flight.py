@@ -28,10 +28,10 @@ from flightstack.core.types import Vec3
 
 
 class TouchdownRule(Enum):
-    """Condition that stops the motors."""
+    """Condition under which the motors stop."""
 
-    PAPER = "paper"  # below touchdown.height_m inside the descending cone (paper V)
-    CONTACT = "contact"  # after the vehicle reports ground contact
+    PAPER = "paper"  # the vehicle is below touchdown.height_m inside the descending cone (paper V)
+    CONTACT = "contact"  # the vehicle reports ground contact
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,14 +106,14 @@ class Retreat:
     abort_time_max_s: Annotated[float, span(5.0, 1800.0)] = 60.0
 
 
-_NAME_MAX = 16  # largest number of characters of a MAVLink parameter's name
+_NAME_MAX = 16  # largest length of a MAVLink parameter name, characters
 
 
 @dataclass(frozen=True, slots=True)
 class Loop:
     """Rate of the onboard process."""
 
-    rate_hz: Annotated[int, span(10, 500)] = 100  # ticks in a second
+    rate_hz: Annotated[int, span(10, 500)] = 100  # ticks per second
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class BarrierShape:
             )
 
     def _as_numbers(self, given: set[str]) -> str:
-        """Return a text that gives alpha and beta for a peak, if a base file gives alpha and beta."""
+        """Return the alpha and beta of a given peak as text, for a file whose base gives alpha and beta."""
         if given < {"alpha_1_m", "beta_m"} or not given & {"alpha_1_m", "beta_m"}:
             return ""
         shape = {name: getattr(self, name) for name in given - {"alpha_1_m", "beta_m"}}
@@ -274,8 +274,8 @@ class FlightConfig:
     def slew_max_m_s2(self) -> Vec3:
         """Acceleration limit of the robust filter's velocity on each axis.
 
-        In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each axis gets the side of
-        the square in that circle, since delayed motion reduces the distance to near neighbours.
+        In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each axis gets this limit
+        divided by sqrt(2), since delayed motion reduces the distance to near neighbours.
         """
         x, y, z = self.robust.acceleration_max_m_s2
         if self.fleet is None:
@@ -285,12 +285,12 @@ class FlightConfig:
 
     @property
     def descending(self) -> FlightConfig:
-        """Configuration whose gain over the pad is that of the final descent."""
+        """This configuration with the gain of the final descent as gain over the pad."""
         return replace(self, robust=replace(self.robust, gain_over_pad_1_s=self.robust.to_contact_1_s))
 
     @property
     def far(self) -> FlightConfig:
-        """Configuration with feedback and gain far from the pad; unchanged if there are no far values."""
+        """This configuration with feedback and gain for far from the pad; unchanged without far values."""
         if not self.velocity_feedback.far_m:
             return self
         robust = replace(self.robust, gain_over_pad_1_s=self.robust.gain_1_s)
@@ -313,7 +313,7 @@ class FlightConfig:
                     f"{self.checks.clearance_m:g} m"
                 )
         check_name(self.filter)
-        # a filter from outside checks its configuration when it flies: reading a log does not run its code
+        # an external filter checks its configuration when it flies: reading a log must not run its code
         if self.filter in FILTERS:
             named(self.filter).check_config(self)
 
@@ -330,7 +330,7 @@ def check_origin(name: str, origin_wgs84: Vec3) -> None:
             f"{name}: found {list(origin_wgs84)}; allowed are a latitude of -90 to 90 and "
             "a longitude of -180 to 180 degrees, and -500 to 9000 m"
         )
-    if abs(round(height_m * 1000.0)) < 10:  # mm in the message; less is 0 in ArduPilot's centimetres
+    if abs(round(height_m * 1000.0)) < 10:  # the message has mm; ArduPilot rounds less than 10 mm to 0 cm
         raise ConfigError(
             f"{name}: found a height of {height_m:g} m; ArduPilot takes 0 for an unknown height and resets "
             "its height datum every second on the ground; give the height above sea level, or 10 where it is "

@@ -1,4 +1,4 @@
-"""Thrust reserve of the vehicle above its weight, from its battery's voltage, and the use of this reserve.
+"""Thrust reserve of the vehicle, computed from the battery voltage, and the use of this reserve.
 
 The reserve is the largest thrust divided by the weight. Thrust grows with (throttle x voltage)^p, so the
 throttle of level flight grows as the voltage falls. At the voltage of level flight the largest thrust is
@@ -25,7 +25,7 @@ from flightstack.common.strict_toml import ConfigError, span
 from flightstack.core.numeric import numeric
 
 GRAVITY_M_S2 = 9.81
-LEAST_M_S2 = 0.1  # acceleration that is always allowed, m/s^2: without it a velocity could not change
+LEAST_M_S2 = 0.1  # minimum of the acceleration limit, m/s^2, so that the velocity can always change
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Reserve:
             )
 
     def at(self, voltage_v: float) -> float:
-        """Return the reserve at a voltage in flight, from the two declared numbers of level flight."""
+        """Return the reserve at a voltage in flight, from ``hover_throttle`` and ``hover_voltage_v``."""
         return self.left(self.effort(self.hover_throttle * self.hover_voltage_v / voltage_v), voltage_v)
 
     def effort(self, throttle: float) -> float:
@@ -63,7 +63,7 @@ class Reserve:
         return math.pow(throttle / self.throttle_max, self.thrust_exponent)
 
     def left(self, effort: float, voltage_v: float) -> float:
-        """Return the reserve for an effort of level flight at a voltage that falls when the thrust rises."""
+        """Return the reserve for an effort in level flight; more thrust reduces the voltage."""
         return left(effort, self.sags(voltage_v), self.most(voltage_v))
 
     def sags(self, voltage_v: float) -> float:
@@ -77,13 +77,13 @@ class Reserve:
         return self.effort(self.motor_voltage_max_v / voltage_v)
 
     def voltage_v(self, reserve: float) -> float:
-        """Return the lowest voltage in flight that gives this reserve; inf: no voltage does."""
+        """Return the lowest voltage in flight that gives this reserve; inf: no voltage gives it."""
         hover_v, most_v = self.hover_throttle * self.hover_voltage_v, self.motor_voltage_max_v
         if most_v is not None and math.pow(most_v / hover_v, self.thrust_exponent) < reserve:
             return math.inf
         least_v = hover_v / self.throttle_max
         voltage_v = least_v
-        for _ in range(30):  # a contraction: a voltage step changes the sag by a fraction of the step
+        for _ in range(30):  # the iteration converges: the sag changes by a fraction of each voltage step
             sags = self.sags(voltage_v)
             voltage_v = least_v * math.pow(1.0 + (reserve - 1.0) * (1.0 + sags), 1.0 / self.thrust_exponent)
         return voltage_v
@@ -96,18 +96,18 @@ class Reserve:
 
 @numeric
 def left(effort: float, sags: float, most: float) -> float:
-    """Return the reserve for an effort of level flight, see ``Reserve``."""
+    """Return the reserve for an effort in level flight; numeric form of ``Reserve.left``."""
     return min(1.0 + (1.0 / effort - 1.0) / (1.0 + sags), most / effort)
 
 
 @numeric
 def up_m_s2(reserve: float, share: float) -> float:
-    """Return the limit of the commanded upward acceleration."""
+    """Return the limit of the commanded upward acceleration, m/s^2."""
     return max(LEAST_M_S2, share * (reserve - 1.0) * GRAVITY_M_S2)
 
 
 @numeric
 def level_m_s2(reserve: float, share: float) -> float:
-    """Return the limit of the commanded acceleration on x and on y, from the thrust that remains for tilt."""
+    """Return the limit of the commanded acceleration on x and y, m/s^2; tilt uses the remaining thrust."""
     lift = reserve / (1.0 + share * (reserve - 1.0)) if reserve > 1.0 else 1.0
     return max(LEAST_M_S2, GRAVITY_M_S2 * math.sqrt(0.5 * (lift * lift - 1.0)))

@@ -1,6 +1,6 @@
 """Assumptions of the robust filter about vehicle, target and links; each of them is a number with a unit.
 
-docs/how_it_works/robust_filter.md derives the margin from these numbers. Logs give the vehicle's.
+docs/how_it_works/robust_filter.md derives the margin from them. Logs identify the vehicle's values.
 """
 
 from __future__ import annotations
