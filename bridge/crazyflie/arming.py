@@ -33,7 +33,7 @@ class Arming:
     """Requests to the supervisor whose effect is not observed yet."""
 
     def __init__(self) -> None:
-        self.armed = False  # armed by a client of this bridge and confirmed by the firmware
+        self.armed = False  # whether a client of this bridge armed, and the firmware confirmed it
         self._arm: _Request | None = None
         self._off: _Request | None = None
         self._latched = False
@@ -50,7 +50,7 @@ class Arming:
         return self._arm is not None or self._off is not None or self._notices > 0
 
     def ask(self, state: CrazyflieState, now_s: float) -> list[Packet]:
-        """Start arming; firmware that arms itself needs no packet."""
+        """Start arming and return the packets; firmware that arms itself needs no packet."""
         self._off, self._notices = None, 0
         if state.info & Info.ARMED:
             self.armed = True

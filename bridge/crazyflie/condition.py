@@ -13,11 +13,11 @@ from bridge.mavlink.server.profile import POSITION_SOURCE
 from bridge.mocap.checks import Limits, Passed
 from flightstack.core.types import ZERO, Vec3
 
-STATE_AGE_MAX_S = 0.3  # maximum age of the state, s; thirty packets are missing then
-HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s; ten packets are missing then
+STATE_AGE_MAX_S = 0.3  # maximum age of the state, s: thirty lost packets
+HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s: ten lost packets
 VARIANCE_MAX_M2 = 0.01  # maximum position variance of an axis, m2; settled: 0.001 (cflib reset_estimator)
 TILT_MAX_DEG = 2.0  # maximum tilt, degrees; 1 degree causes 6.8 cm/s of drift and is a usual sensor bias
-BATTERY_MIN_V = 3.7  # lowest voltage at rest, V, a sixth of the charge; the firmware does not land when empty
+BATTERY_MIN_V = 3.7  # lowest voltage at rest, V: a sixth of the charge; the firmware does not land by itself
 # Values of stabilizer.controller that follow velocity set-points; 0 is the default, PID (controller.c). For
 # such a set-point Mellinger (2) holds height zero or gives full thrust (controller_mellinger.c).
 CONTROLLERS = {"0": "default", "1": "PID"}
@@ -28,7 +28,7 @@ _POSITION_DECKS = {
 }
 _UP: Vec3 = (0.0, 0.0, 1.0)
 _GAP_MAX_S = Limits().gap_max_s  # time without a pose after which a problem is reported, s
-_SHARE = 0.1  # weight of a new difference in the mean; at 10 Hz the time constant is 1 s
+_SHARE = 0.1  # weight of a new value in the mean difference; at 10 Hz the time constant is 1 s
 _AT_REST_G = 0.1  # maximum difference of the measured length from 1 g; a larger one includes motion
 
 
@@ -43,7 +43,7 @@ class Condition:
         self.link = Link()
         self.state: CrazyflieState | None = None  # newest state, of any age
         self.health: Health | None = None  # newest variance of the estimate, and battery
-        # reason why there is no good external pose; None if there is one, or if none is needed
+        # reason why there is no good external pose; None: there is one, or none is needed
         self.mocap_problem: str | None = "mocap: no pose yet" if mocap else None
         self._mocap, self._posed_s = mocap, -math.inf
         self._pose_quaternion: Quat | None = None  # attitude of the newest pose sent through this bridge
@@ -81,7 +81,7 @@ class Condition:
         return yaw_from_quaternion(self.state.quaternion) if self.state is not None else None
 
     def sensors_healthy(self, now_s: float) -> int:
-        """Return the position sensor's bit as long as the position estimate is good."""
+        """Return the position sensor's bit if the position estimate is good, else 0."""
         return POSITION_SOURCE if self.position_known(now_s) else 0
 
     @property
@@ -97,7 +97,7 @@ class Condition:
     def take_outside(self, outside: Outside) -> None:
         before, self._outside = self._outside, outside
         if before is None:
-            self._leaning = None  # this packet is the first that contains gravity
+            self._leaning = None  # this packet is the first packet with gravity
         elif before.tick != outside.tick:
             self._tick_s = outside.at_s
         self._compare_level(outside.acceleration_flu_g)
@@ -107,7 +107,7 @@ class Condition:
             self._posed_s = max(self._posed_s, passed.measured_s)
             self._pose_quaternion = passed.pose.orientation_wxyz
         elif problem is None:
-            self._posed_s = max(self._posed_s, now_s - _GAP_MAX_S)  # a missing pose would be a problem
+            self._posed_s = max(self._posed_s, now_s - _GAP_MAX_S)  # no pose at all would count as a gap
 
     def pose_age_s(self, now_s: float) -> float | None:
         """Return the age of the newest external pose; None: no poses are expected."""
@@ -126,7 +126,7 @@ class Condition:
             return
         attitude = self._pose_quaternion
         if attitude is None and self._tick_s is not None:
-            attitude = self.state.quaternion  # attitude that follows the poses of another program
+            attitude = self.state.quaternion  # this attitude follows the poses of another program
         if attitude is None:
             return
         gravity = acceleration_flu_g or body_from_world(self.state.quaternion, _UP)
@@ -182,7 +182,7 @@ def _supervisor(c: Condition, _now_s: float) -> str | None:
     if found is not None or c.state is None or info & FIT:
         return found
     if info & Info.AUTO_ARM and c.state.at_s - c.fit_s <= REARM_S:
-        return None  # the firmware arms itself again
+        return None  # this firmware arms itself again
     return "supervisor's pre-flight checks have not passed"
 
 
@@ -214,7 +214,7 @@ def _position(c: Condition, now_s: float) -> str | None:
     if c.health is None or now_s - c.health.at_s > HEALTH_AGE_MAX_S:
         return "no variance of the position estimate received"
     worst = max(c.health.variance_m2)
-    # a filter that does not run reports no variance
+    # a stopped filter reports no variance
     if math.isfinite(sum(c.health.variance_m2)) and 0.0 < worst <= VARIANCE_MAX_M2:
         return None
     decks = [text for name, text in _POSITION_DECKS.items() if c.link.params.get(name, "0") != "0"]
@@ -223,7 +223,7 @@ def _position(c: Condition, now_s: float) -> str | None:
 
 
 def _poses(c: Condition, now_s: float) -> str | None:
-    """Without poses the variance remains small for seconds, but after 2.5 s the position error is 0.65 m."""
+    """Return the problem of missing poses: the variance stays small, but the error is 0.65 m after 2.5 s."""
     age_s = c.pose_age_s(now_s)
     if age_s is None or age_s <= POSE_AGE_MAX_S:
         return None

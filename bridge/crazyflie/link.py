@@ -44,15 +44,15 @@ PARAMS = (  # parameters that are checked before arming
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",
     *DRAG,
 )  # fmt: skip
-EVENTS_MAX = 512  # five seconds of packets; older ones are useless
+EVENTS_MAX = 512  # maximum number of waiting events, five seconds of packets
 BLOCK_SILENT_S = 1.0  # time without a packet after which a log block is requested again, s
 ANSWER_MAX_S = 2.0  # time without any answer after which an attempt to connect is given up, s
 UNANSWERED_S = 0.5  # time-out of the first answer in a blind landing, s: cflib requests the answer only once
 CONNECT_MAX_S = 120.0  # time-out of one attempt, s; 1,235 requests, one in five lost, take 40 s
 RESEND_S = 0.05  # time-out before cflib repeats a request over UDP, s; cflib's default of 0.2 s suits a radio
 RETRY_S = 0.5  # time between two attempts, s
-REOPEN_S = 0.1  # time between two attempts in a blind landing, s: without set-points the motors stop at 2 s
-FLOWN_S = 0.5  # time after the last set-point when the vehicle no longer counts as flying, s
+REOPEN_S = 0.1  # time between two attempts in a blind landing, s; without set-points motors stop after 2 s
+FLOWN_S = 0.5  # time after the last set-point until the vehicle no longer counts as flying, s
 _ANSWERS = (CRTPPort.PARAM, CRTPPort.MEM, CRTPPort.LOGGING, CRTPPort.PLATFORM, CRTPPort.LINKCTRL)
 _LOG_DATA = (CRTPPort.LOGGING, 2)  # port and channel of log packets
 LOGS_MAX_S = 10.0  # time-out of the first packet of each log block, s
@@ -75,7 +75,7 @@ class _Tables(TocCache):  # type: ignore[misc]
 
 
 class LogBlocks:
-    """Keeps the log blocks requested: call ``step`` often. The blocks do not wait for each other.
+    """Requests each log block until it arrives: call ``step`` often. Blocks do not wait for each other.
 
     The firmware deletes its log blocks when it has received nothing for a second (crtp.c, log.c); cflib does
     not check that blocks arrive. cflib requests a long block in two packets and does not check that the
@@ -83,7 +83,7 @@ class LogBlocks:
     """
 
     def __init__(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
-        """Send no request yet. cflib's thread calls ``put``."""
+        """``put``: receives the events; cflib's thread calls it."""
         self._crazyflie, self._put = crazyflie, put
         known = crazyflie.log.toc.get_element_by_complete_name
         self._blocks: list[Block] = []
@@ -125,7 +125,7 @@ class LogBlocks:
 
     @property
     def waits_for(self) -> str | None:
-        """Name of a required block that has not arrived yet; None: all have arrived."""
+        """Return the name of a required block that has not arrived yet; None: all have arrived."""
         return next((b.name for b in self._blocks if b.needed and self._heard_s[b.name] == -math.inf), None)
 
 
@@ -192,7 +192,7 @@ class CrazyflieLink:
             self._events.append(arrived)
         try:
             os.write(self._write_fd, b"\x00")
-        except (BlockingIOError, OSError):  # a full pipe is readable already; a closed pipe has no reader
+        except (BlockingIOError, OSError):  # a full pipe is already readable; a closed pipe has no reader
             return
 
     def _run(self) -> None:
@@ -201,7 +201,7 @@ class CrazyflieLink:
             crazyflie._toc_cache = self._tables
             try:
                 reason = self._connection(crazyflie)
-            except Exception as error:  # cflib raises bare exceptions, for USB and tables of contents alike
+            except Exception as error:  # cflib raises plain Exception
                 reason = f"{type(error).__name__}: {error}"
             finally:
                 self._close(crazyflie)
@@ -222,7 +222,7 @@ class CrazyflieLink:
 
         self._listen(crazyflie, put)
         crazyflie.open_link(self._uri)
-        if self._flies and self._protocol is not None:  # set-points need a format before the firmware answers
+        if self._flies and self._protocol is not None:  # set-points need a known packet format
             crazyflie.platform._protocolVersion = self._protocol
         reason = self._wait_connected(crazyflie)
         if reason is not None:
@@ -273,7 +273,7 @@ class CrazyflieLink:
             self._flown_s = time.monotonic()
         elif packet is Order.STOP:
             self._flown_s = -math.inf
-        # until the protocol version is known, cflib would send an outdated packet format
+        # before the protocol version is known, cflib would send an outdated packet format
         if crazyflie.link is not None and crazyflie.platform.get_protocol_version() >= 0:
             _transmit(crazyflie, packet)
         return None
@@ -315,7 +315,7 @@ class CrazyflieLink:
 
     def _listen(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
         def resend(_uri: str) -> None:
-            # The UDP driver never repeats a request: one lost answer would block the connection for ever.
+            # The UDP driver never repeats a request: one lost answer would block the connection permanently.
             if crazyflie.link is not None and crazyflie.link.get_name() == "udp":
                 crazyflie.link.needs_resending = True
                 crazyflie.send_packet = partial(crazyflie.send_packet, timeout=RESEND_S)
@@ -349,7 +349,7 @@ class CrazyflieLink:
 
 
 def _close_quietly(crazyflie: Any) -> None:
-    with suppress(Exception):  # closing a broken link raises an error again
+    with suppress(Exception):  # closing a broken link raises its error again
         crazyflie.close_link()
 
 

@@ -1,4 +1,4 @@
-"""Presents a Crazyflie to MAVLink clients as a PX4 vehicle: accepts messages and returns messages.
+"""Presents a Crazyflie to MAVLink clients as a PX4 vehicle: receives messages and returns messages.
 
 Pure: no socket, no clock, no thread. Telemetry is made only from new states, so an old state is never sent as
 a new one. Without a state of the Crazyflie no heartbeat is sent, only status texts.
@@ -45,7 +45,7 @@ _M = dialect
 _NOTHING: frozenset[int] = frozenset()
 # The position is sent only as long as its estimate is good, as in PX4.
 _NEED_POSITION = frozenset({_M.MAVLINK_MSG_ID_LOCAL_POSITION_NED})
-_GAP_S = 0.05  # age of the state, s (five packets), above which only messages without state values are sent
+_GAP_S = 0.05  # age of the state, s (five packets), above which no message with state values is sent
 _OF_STATE = _NEED_POSITION | {_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION}
 
 
@@ -163,7 +163,7 @@ class Node(Server[Vehicle]):
         return super().on_command(message, sender, now_s)
 
     def _new_home(self, now_s: float) -> list[Message]:
-        """Send the home position before the armed heartbeat: clients add their take-off height to it."""
+        """Send the home position before the armed heartbeat: clients add the take-off height to home."""
         changed, self._shown_armed = self.vehicle.armed != self._shown_armed, self.vehicle.armed
         snapshot = self.snapshot(now_s) if changed else None
         return [_home_position(snapshot)] if snapshot is not None else []
@@ -173,7 +173,7 @@ class Node(Server[Vehicle]):
         return state is None or now_s - state.at_s > _GAP_S
 
     def _tell_readiness(self, now_s: float) -> None:
-        """Report the reason against arming when more than its numbers change."""
+        """Report the reason against arming whenever its text, apart from numbers, changes."""
         found = self.vehicle.problems(now_s)
         text = f"Not ready: {found[0]}" if found else "Ready to arm"
         kind = re.sub(r"[-+.\d]+", "", text)
@@ -191,7 +191,7 @@ class Node(Server[Vehicle]):
 
     def _on_state(self, packet: LogPacket, at_s: float) -> None:
         timed = self.clock.take(packet.time_ms, at_s)
-        if timed is None or self.vehicle.link.protocol is None:  # out of order, or the link is not set up yet
+        if timed is None or self.vehicle.link.protocol is None:  # old packet, or the link is not set up
             return
         boot_ms, late_s = timed
         if late_s > LATE_MAX_S:

@@ -13,7 +13,7 @@ from flightstack.core.types import Vec3
 
 
 class Velocity(NamedTuple):
-    """A velocity set-point: one packet that is sent immediately or dropped."""
+    """A velocity set-point; its packet is sent immediately or dropped."""
 
     velocity_enu_m_s: Vec3
     yaw_rate_rad_s: float  # yaw rate, counter-clockwise
@@ -42,7 +42,7 @@ class SetParam(NamedTuple):
 Packet = Velocity | Pose | Order | SetParam
 
 ORDERS_MAX = 64
-VELOCITY_AGE_MAX_S = 0.1  # maximum age of a velocity, s; without one the firmware's watchdog acts
+VELOCITY_AGE_MAX_S = 0.1  # maximum age of a velocity, s; without a velocity the firmware's watchdog acts
 _URGENT = frozenset({Order.EMERGENCY_STOP, Order.STOP, Order.DISARM})
 
 

@@ -12,7 +12,7 @@ from bridge.frames import wrap_angle, yaw_from_quaternion
 from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.types import ZERO, Vec3
 
-GAIN_1_S = 1.5  # position gain, 1/s; a third of the firmware's velocity loop's, so no overshoot
+GAIN_1_S = 1.5  # position gain, 1/s; a third of the velocity loop's gain avoids overshoot
 SPEED_XY_M_S = 0.3  # largest horizontal speed, m/s
 CLIMB_M_S = 0.4  # maximum climb rate, m/s
 DESCENT_M_S = 0.25  # descent rate, m/s
@@ -26,13 +26,13 @@ UNPLACED_M_S = 0.4
 STOPPED_SHARE = 0.3  # fraction of the descent rate; a slower vehicle stands on something
 LANDING_MIN_S = 1.0  # time of a landing before a stop counts, s: a climb must end first
 STOPPED_TIME_S = 0.4  # time that the stop must last, s; longer than the descent takes to begin
-SINKING_M_S = -0.1  # limit of a descent command, m/s; a set-point between it and 0 may be a control error
+SINKING_M_S = -0.1  # least descent command, m/s; between this value and 0 a command may be a control error
 YAW_GAIN_1_S = 2.0  # yaw gain, 1/s; CRTP velocity set-points have a yaw rate but no yaw
 YAW_RATE_MAX_RAD_S = 1.5  # largest yaw rate, rad/s
 
 
 def yaw_rate(wanted_rad: float, state: CrazyflieState) -> float:
-    """Return the yaw rate, counter-clockwise, that turns to a heading and holds it."""
+    """Return the yaw rate, counter-clockwise, that turns to a heading and then holds the heading."""
     error_rad = wrap_angle(wanted_rad - yaw_from_quaternion(state.quaternion))
     return min(max(YAW_GAIN_1_S * error_rad, -YAW_RATE_MAX_RAD_S), YAW_RATE_MAX_RAD_S)
 
@@ -44,7 +44,7 @@ class Stopped:
         self._since_s = math.inf
 
     def lasts_s(self, wanted_z_m_s: float, state: CrazyflieState | None, now_s: float) -> float:
-        """Return the time since it stopped following, s; -inf if it follows. Call with every set-point."""
+        """Return the time since the descent stopped, s; -inf: no stop. Call with every set-point."""
         sinks = state is None or state.velocity_enu_m_s[2] < STOPPED_SHARE * wanted_z_m_s
         if wanted_z_m_s > SINKING_M_S or sinks:
             self._since_s = math.inf
@@ -86,9 +86,9 @@ class Pilot:
     ) -> tuple[Velocity | None, Done | None]:
         """Return the velocity to send, and the result if the mode is finished.
 
-        ``mode`` is any but OFFBOARD. If ``state`` is None (no fresh one), the vehicle stops in the air or
-        continues to descend. ``standing``: it has not moved yet. ``placed``: its position is known; without
-        it a landing descends vertically.
+        ``mode`` is any mode except OFFBOARD. If ``state`` is None (too old), the vehicle stops in the air or
+        continues to descend. ``standing``: whether the vehicle has not moved yet. ``placed``: whether its
+        position is known; with an unknown position a landing descends vertically.
         """
         if state is None:
             if mode is FlightMode.LAND:

@@ -28,7 +28,7 @@ from flightstack.common.text import pip_install
 from flightstack.core.types import Vec3
 
 if TYPE_CHECKING:
-    from bridge.crazyflie.link import CrazyflieLink  # imported here because it needs cflib
+    from bridge.crazyflie.link import CrazyflieLink  # not at the top of the file, because it needs cflib
     from bridge.mocap.process import MocapSource
 
 INITIAL = "kalman.initial"
@@ -40,7 +40,7 @@ _URI = re.compile(
     r"|(udp|tcp)://[^:/\s]+:\d{1,5})$"
 )
 TICK_S = 0.01  # longest sleep, s
-POSE_TICK_S = 0.002  # longest sleep with motion capture, whose samples cannot wake the loop, s
+POSE_TICK_S = 0.002  # longest sleep with motion capture, s; its samples cannot wake the loop
 SHUT_DOWN_MAX_S = 20.0  # time limit of the landing when the bridge ends in flight, s
 
 
@@ -93,7 +93,7 @@ class Loop:
         if passed is None or vehicle.link.protocol is None:
             return
         pose = Pose(passed.pose.position_m, passed.pose.orientation_wxyz)
-        key = (id(vehicle.link), passed.resets)  # a new connection has a new ``Link``
+        key = (id(vehicle.link), passed.resets)  # each connection has its own ``Link``
         starts = self._begun != key and vehicle.link.params.get(ESTIMATOR) == KALMAN
         if starts and not vehicle.armed:
             self._begun = key
@@ -106,9 +106,9 @@ class Loop:
         self._link.send(pose)
 
     def run(self, stop: Stop, duration_s: float | None) -> int:
-        """Loop until a signal; in flight the first signal lands, the second ends. Return the exit status.
+        """Loop until a signal; in flight the first signal lands, the second ends. Returns the exit status.
 
-        An exception ends the loop likewise: without set-points the firmware would stop the motors.
+        An exception also lands the vehicle: without set-points the firmware would stop the motors.
         """
         vehicle, status = self._node.vehicle, 0
         ending_s: float | None = None
@@ -142,7 +142,7 @@ class Loop:
 
 
 def check_uri(uri: str) -> None:
-    """Reject a URI that cflib would try to open for ever."""
+    """Reject a URI that cflib would try to open without end."""
     if not _URI.match(uri):
         raise ValueError(
             f"Crazyflie URI {uri!r} is not understood: allowed is radio://DONGLE/CHANNEL/RATE or "

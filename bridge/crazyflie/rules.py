@@ -21,15 +21,15 @@ from flightstack.core.types import Vec3
 
 SILENT_S = 0.5  # time without a state until this silence is reported, s; the flight stack's limit is 0.2 s
 LOST_S = 1.0  # time without a state after which no heartbeat is sent, s
-RECONNECT_S = 3.0  # time without a state until the link is reopened, s; the firmware has stopped by then
+RECONNECT_S = 3.0  # time without a state until the link is reopened, s; the firmware stops earlier
 BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # longest blind landing: 1.0 s plus 1.2 times height / descent rate
-POSE_AGE_MAX_S = 0.5  # maximum age of an external pose, s; the position is not good then, at any variance
-REARM_S = 0.4  # maximum time disarmed, s: firmware that arms itself disarms for 0.12 s every 30 s
+POSE_AGE_MAX_S = 0.5  # maximum age of an external pose, s; with an older pose the position is invalid
+REARM_S = 0.4  # longest ignored disarmed time, s: firmware that arms itself disarms for 0.12 s every 30 s
 CLIENT_SILENT_S = 3.0  # time without a heartbeat of any client after which the vehicle lands, s
 STREAM_S = 1.0  # time without set-points after which control is free, s; PX4's COM_OF_LOSS_T
 LEVEL_OUT_S = 0.5  # time without set-points until the firmware levels the vehicle, s (supervisor.c)
 OWN_PERIOD_S = 0.02  # time between two set-points of the bridge's own modes, s
-STANDING_S = 1.0  # time without following a descent command after which the vehicle counts as standing, s
+STANDING_S = 1.0  # time of a descent command without descent after which the vehicle counts as standing, s
 SPEED_MAX_M_S = 1.0  # maximum speed of a forwarded set-point, m/s
 HEIGHT_RANGE_M = (0.1, 3.0)  # allowed take-off height above home, m
 IDLE_S = 10.0  # time armed on the ground after which the vehicle is disarmed, s; PX4's COM_DISARM_PRFLT
@@ -42,7 +42,7 @@ TAKEOFF_M = 0.5  # default take-off height above home, m
 class Rules:
     speed_max_m_s: float = SPEED_MAX_M_S
     land_on_silence: bool = False  # land when set-points stop; False: the firmware's watchdog reacts
-    mocap: bool = False  # poses come from an external system
+    mocap: bool = False  # whether poses come from an external system
     drag_1_s: Vec3 | None = None  # rotor drag for the firmware's filter, body axes; None: unchanged
     restore: bool = False  # restore the firmware's parameters when the bridge ends
 

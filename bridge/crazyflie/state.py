@@ -124,7 +124,7 @@ class Block(NamedTuple):
     name: str
     period_ms: int
     variables: tuple[str, ...]
-    needed: bool = True  # the firmware must have all of its variables
+    needed: bool = True  # whether the firmware must have all of these variables
 
 
 _MOTORS = tuple(f"motor.m{number}" for number in (1, 2, 3, 4))
@@ -139,10 +139,10 @@ OUTSIDE = Block("outside", 100, ("acc.x", "acc.y", "acc.z", "locSrvZ.tick"), nee
 BLOCKS = (STATE, HEALTH, OUTSIDE)
 FETCHED_AS: Mapping[str, str] = dict.fromkeys(_MOTORS, "uint16_t")  # older firmware: 32 bits
 _PWM_MAX = 65535.0
-LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later one is ignored
+LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later packet is ignored
 _WRAP_MS = 1 << 24
-_REBOOT_MS = 1000  # limit of a step back, ms: more is a restart, less a packet out of order
-_AHEAD_S = 0.03  # limit: a packet may be faster than the fastest one by this and by the drift
+_REBOOT_MS = 1000  # step back above which the firmware has restarted, ms; below it a packet is out of order
+_AHEAD_S = 0.03  # a packet may be faster than the fastest packet by this time plus the drift, s
 _DRIFT = 0.1  # maximum drift of a simulated firmware's clock; the clock of CrazySim ran at 0.97
 _SPAN_S, _SPAN_PACKETS = 0.25, 10  # minimum length of a span, s and packets; longer than a delayed burst
 _MAGNITUDE = (1 << 9) - 1  # largest magnitude of an element; the sign is a separate bit (quatcompress.h)
@@ -165,7 +165,7 @@ class BootClock:
         """Start again on a new connection; the last time remains stored to detect a restart."""
         self._shortest_s = [math.inf, math.inf]  # smallest arrival minus firmware time, of two spans
         self._span_s, self._in_span = -math.inf, 0
-        self._odd_ms: int | None = None  # time that fits neither the clock nor a restart
+        self._odd_ms: int | None = None  # firmware time that fits neither the clock nor a restart
 
     @property
     def running(self) -> bool:
@@ -199,7 +199,7 @@ class BootClock:
         tolerance_ms = _REBOOT_MS + _DRIFT * elapsed_ms
         restarted = time_ms <= elapsed_ms + _REBOOT_MS and abs(step_ms - elapsed_ms) > tolerance_ms
         way_s = at_s - (last_ms + step_ms) / 1000.0
-        known = self._shortest_s[0] < math.inf  # before, a queue from the start may drain
+        known = self._shortest_s[0] < math.inf  # the first packets may come from a full queue
         ahead = known and way_s < min(self._shortest_s) - _AHEAD_S - _DRIFT * elapsed_ms / 1000.0
         if not restarted and not ahead and -_REBOOT_MS < step_ms <= elapsed_ms + tolerance_ms:
             return last_ms + step_ms if step_ms > 0 else None
@@ -247,7 +247,7 @@ def decode_outside(v: Mapping[str, Any], at_s: float) -> Outside:
 
 
 def decompress_quaternion(packed: int) -> Quat:
-    """Decode 32 bits into a unit quaternion w, x, y, z: index of the largest element, then three of ten bits.
+    """Decode 32 bits into a unit quaternion w, x, y, z: index of the largest element, then the three others.
 
     The largest is positive and follows from the norm; the wire order is x, y, z, w (quatcompress.h).
     """

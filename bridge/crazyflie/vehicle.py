@@ -46,11 +46,11 @@ class Vehicle(Condition, Commander):
         self.settings = Settings(rules.drag_1_s, restore=rules.restore)
         self._packets: list[Packet] = []
         self._pilot = Pilot()
-        self._moved = False  # a velocity was sent since arming
+        self._moved = False  # whether a velocity was sent since arming
         self._kill_s = -math.inf
         self._silence_said = False
         self._connected_s = 0.0
-        self._armed_state: CrazyflieState | None = None  # newest state that reports armed
+        self._armed_state: CrazyflieState | None = None  # newest state in which the vehicle is armed
         # time of the newest state with a known position, and the longest landing without a position, s
         self._placed_s, self._sink_s = -math.inf, 0.0
         self._stopped = Stopped()
@@ -94,7 +94,7 @@ class Vehicle(Condition, Commander):
         self._kill_s = -math.inf
         self.texts.say(INFO, f"Crazyflie connected, CRTP {event.protocol}")
         packets, warning = self.settings.connected(event.params)
-        self._packets += packets  # the firmware's echoes arrive as ``ParamValue``
+        self._packets += packets  # the firmware confirms each write by a ``ParamValue``
         if warning is not None:
             self.texts.say(WARNING, warning)
 
@@ -135,7 +135,7 @@ class Vehicle(Condition, Commander):
             self._sink_s = limits.BLIND_SPARE_S + limits.BLIND_SHARE * max(0.0, height_m) / DESCENT_M_S
         if restarted:
             self._stop("it restarted", now_s)
-            if before is not None:  # the restart has reset the parameters
+            if before is not None:  # write the parameters again, which the restart has reset
                 self._packets += [Order.STOP, Order.RECONNECT]
                 self.lost(Lost("it restarted"), now_s)
                 return
@@ -239,7 +239,7 @@ class Vehicle(Condition, Commander):
     def _ended(self) -> None:
         self._moved = self.failsafe = False
         self._owner = None
-        self.mode = FlightMode.HOLD  # in OFFBOARD the next client could not get control of the vehicle
+        self.mode = FlightMode.HOLD  # in OFFBOARD no other client could get control
 
     # Commands of clients; each returns the reason if it refuses
 
@@ -278,7 +278,7 @@ class Vehicle(Condition, Commander):
         return None
 
     def end(self, now_s: float) -> None:
-        """Land because the bridge ends; afterwards it cannot be armed, nor leave the landing."""
+        """Land because the bridge ends; from now on refuse arming and other modes."""
         self._ends = True
         self.land(now_s)
 
@@ -304,7 +304,7 @@ class Vehicle(Condition, Commander):
         if yaw_rad is not None:
             yaw_rate_rad_s = yaw_rate(yaw_rad, state) if state is not None else 0.0
         self._command(Velocity(velocity_enu_m_s, yaw_rate_rad_s))
-        # a client may disarm after it has landed
+        # a client may disarm after the landing
         if self._stopped.lasts_s(velocity_enu_m_s[2], state, now_s) > limits.STANDING_S:
             self._moved = False
 

@@ -36,10 +36,10 @@ class Refusal(Enum):
 class Limits:
     frame_id: str | None = None  # required frame of the poses; None: any frame is accepted
     late_max_s: float = 0.1  # maximum delay relative to the fastest recent sample, s
-    # time that the poses must agree after their sender's clock has jumped, s; no pose is good until then
+    # time for which poses must agree after a jump of their sender's clock before one is used, s
     clock_proof_s: float = 0.3
     gap_max_s: float = 0.2  # maximum age of the last good pose, s; the vehicle state has the same limit
-    rate_min_hz: float = 20.0  # lowest good rate, Hz; a lower rate is reported; PX4 needs 30 to 50 Hz
+    rate_min_hz: float = 20.0  # rate below which a warning is sent, Hz; PX4 needs 30 to 50 Hz
     rate_max_hz: float = 100.0  # largest forwarded rate, Hz
     speed_max_m_s: float = 5.0  # maximum speed of the body, m/s; the allowances below for noise are added
     jump_m: float = 0.05
@@ -61,7 +61,7 @@ class Sample(NamedTuple):
 class Passed(NamedTuple):
     pose: Pose
     measured_s: float  # time of measurement on the local clock, s: arrival minus delay
-    resets: int  # number of times that the series of poses has restarted
+    resets: int  # number of restarts of the series of poses
 
 
 class Step(NamedTuple):
@@ -164,7 +164,7 @@ class PoseChecks:
         return passed._replace(resets=self._resets)
 
     def _due(self, at_s: float) -> bool:
-        if at_s - self._sent_s < 0.75 / self.limits.rate_max_hz:  # the rate is too high, beyond jitter
+        if at_s - self._sent_s < 0.75 / self.limits.rate_max_hz:  # the rate is too high; 0.75 allows jitter
             self.thinned += 1
             return False
         self._sent_s = at_s
@@ -192,7 +192,7 @@ class PoseChecks:
 
 
 def _apart(a: Passed, b: Passed) -> float:
-    """Return the distance of two poses: metres plus radians."""
+    """Return the distance of two poses: distance in m plus angle in rad."""
     turned_rad = angle_between(a.pose.orientation_wxyz, b.pose.orientation_wxyz)
     return math.dist(a.pose.position_m, b.pose.position_m) + turned_rad
 

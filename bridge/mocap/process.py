@@ -47,7 +47,7 @@ class MocapSource:
         checks: PoseChecks,
         offset_flu_m: Vec3 = ZERO,
     ) -> None:
-        """``offset_flu_m``: from the markers' centre to the vehicle's. Raises ValueError: the key is bad."""
+        """``offset_flu_m``: vector from the markers' centre to the vehicle's. Raises ValueError: bad key."""
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)
         self._spec, self._offset_flu_m, self.checks = spec, offset_flu_m, checks
         self.problem: str | None = "mocap: no pose yet"  # reason why there is no good pose, or None

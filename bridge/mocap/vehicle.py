@@ -25,7 +25,7 @@ RATE_MAX_HZ = 50.0  # maximum rate of poses for PX4 and ArduPilot, Hz
 SILENT_S = 3.0  # time without a heartbeat after which the vehicle counts as absent, s
 _HEARTBEAT_S = 1.0
 _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s
-_UNKNOWN = (math.nan, *([0.0] * 20))  # covariance whose first entry NaN means unknown (MAVLink)
+_UNKNOWN = (math.nan, *([0.0] * 20))  # unknown covariance: its first entry is NaN (MAVLink)
 
 
 def _covariance(covariance: tuple[float, ...]) -> list[float]:

@@ -18,7 +18,7 @@ from flightstack.core.types import ZERO, Vec3
 
 NO_COVARIANCE: tuple[float, ...] = (0.0,) * 36  # ROS convention: all zeros means unknown
 _UNIT_TOLERANCE = 0.01  # tolerance of the squared norm, as in odometry.py
-_LARGEST_M = 1e9  # limit, m; a larger number is damaged data, not a measurement
+_LARGEST_M = 1e9  # largest valid value, m; a larger value is damaged data
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _POSE = "geometry_msgs/msg/PoseStamped"
 _POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -118,7 +118,7 @@ def decode_odometry(payload: bytes) -> Odometry:
 
 
 def decode_pose(payload: bytes) -> Pose:
-    """Decode a ``geometry_msgs/msg/PoseStamped``. Raises OdometryError: it is cut short or no pose."""
+    """Decode a ``geometry_msgs/msg/PoseStamped``. Raises OdometryError: cut short, or not a pose."""
     (stamp_ns, frame_id), (position_m, turn) = _decoded(_unpacker(_POSE), payload)
     return _checked(stamp_ns, frame_id, position_m, turn)
 

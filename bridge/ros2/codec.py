@@ -109,8 +109,8 @@ def codec(
 ) -> tuple[Pack, Unpack]:
     """Return the functions that encode the value of a message as CDR, and decode it.
 
-    The encoder raises a struct.error for a number outside the range of its field. The decoder raises a
-    ValueError for a payload that is cut short, too long, or of another encoding or frame. With ``frame_id``
+    The encoder raises struct.error if a number is outside the range of its field. The decoder raises
+    ValueError if a payload is cut short, too long, or has a wrong encoding or frame. With ``frame_id``
     None each message has its own frame. ``fields`` returns the fields of a type. Payloads of foreign programs
     may have bytes after the message, and strings without a NUL at the end.
     """
@@ -152,10 +152,10 @@ class _Compiler:
         self.pack: list[str] = []
         self.unpack: list[str] = []
         self.constants: dict[str, Any] = {}
-        self.large = False  # the message has sequences of numbers, which a bytearray appends faster
+        self.large = False  # whether the message has sequences of numbers, which a bytearray appends faster
         self._frame = None if frame_id is None else frame_id.encode() + b"\x00"
         self._indent = "    "
-        self._at: int | None = 0  # bytes from the start of the payload; None: known only at run time
+        self._at: int | None = 0  # offset from the start of the payload, bytes; None: known only at run time
         # Current run of numbers: codes, encoded expressions, decoded names, and the statements that follow.
         self._codes, self._given, self._taken = ["4s"], ["CDR"], ["cdr"]
         self._after = ["if cdr != CDR: refuse('encoding', cdr, CDR)"]
@@ -221,7 +221,7 @@ class _Compiler:
         return fields
 
     def _numbers(self, kind: str) -> list[str]:
-        """Return the codes of a number, or of a message of equal numbers; empty for any other type."""
+        """Return the struct codes of a number or of a message of equal numbers; empty for other types."""
         if kind in CODES:
             return [CODES[kind]]
         if kind == "string":
@@ -258,7 +258,7 @@ class _Compiler:
         if numbers:
             self.large, size = True, struct.calcsize("<" + numbers[0])
             self._run("I", f"len({v}) // {size * len(numbers)}", [f"{v}___count"])
-            self._grow(f"bytes((4 - len(out)) % {size}) + {v} if {v} else b''")  # no padding without elements
+            self._grow(f"bytes((4 - len(out)) % {size}) + {v} if {v} else b''")  # no padding if it is empty
             self._line(self.unpack, f"at += (4 - at) % {size} if {v}___count else 0")
             self._line(self.unpack, f"{v} = bytes_at(data, at, {v}___count * {size * len(numbers)})")
             self._line(self.unpack, f"at += len({v})")

@@ -1,6 +1,6 @@
-"""ROS 2 on Zenoh: its network, the names of rmw_zenoh and the DDS bridge, and this process as a node.
+"""ROS 2 on Zenoh: its network, the names of rmw_zenoh and the DDS bridge, and nodes of this process.
 
-In rmw_zenoh a node and each publisher is a liveliness token; a sample is CDR with an attachment.
+In rmw_zenoh each node and each publisher has a liveliness token; a sample is CDR with an attachment.
 
 Layouts: rmw_zenoh docs/design.md and detail/liveliness_utils.cpp (Jazzy from 0.2.4, Kilted, Lyrical);
 zenoh-plugin-ros2dds ros2_utils.rs. Name rules: rmw validate_full_topic_name.c.
@@ -81,7 +81,7 @@ def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
 
 
 def any_type_key(domain: int, topic: str) -> str:
-    """Return the key expression of a topic with any type, to detect a topic with a wrong type."""
+    """Return the key expression that matches a topic of any type, to detect a wrong type."""
     return f"{check_domain(domain)}{check_topic(topic)}/*/*"
 
 
@@ -106,7 +106,7 @@ def bridge_key(topic: str) -> str:
 
 
 def node_token(node: Node) -> str:
-    """Return the liveliness token of a node, for ``ros2 node list``. Raises ValueError: a name is bad."""
+    """Return the liveliness token of a node, for ``ros2 node list``. Raises ValueError: bad name."""
     return "/".join([*_begin(node, 0, "NN"), node.name])
 
 
@@ -179,7 +179,7 @@ class Ros2Node:
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
         """Announce a topic and declare its publisher.
 
-        With another type hash ROS 2 nodes receive no samples.
+        If the type hash is wrong, ROS 2 nodes receive no samples.
         """
         number = 1 + len(self._publishers)  # the node itself has number 0
         token = publisher_token(self._node, number, check_topic(topic), type_name, type_hash, QOS_KEEP_10)
@@ -207,7 +207,7 @@ class Ros2Publisher:
 
     @property
     def matched(self) -> bool:
-        """Whether there is a subscriber; samples sent without one are lost."""
+        """Whether there is a subscriber; samples sent without a subscriber are lost."""
         return zenoh_link.is_matched(self._publisher)
 
     def put(self, payload: bytes, source_time_ns: int, attachment: bytes | None = None) -> None:

@@ -1,6 +1,6 @@
 """Target odometry on Zenoh: ``nav_msgs/msg/Odometry`` in CDR with the attachment of rmw_zenoh.
 
-It also has the decoded samples and their noise.
+It also defines the decoded samples and estimates their noise.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from flightstack.core.types import TargetSample, Vec3
 ENCODING = "application/cdr;nav_msgs/msg/Odometry"
 # tolerance of the squared norm, as in tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
 _UNIT_TOLERANCE = 0.01
-_LARGEST = 1e9  # limit in m, m/s and rad/s: larger numbers are damaged data
+_LARGEST = 1e9  # largest valid value in m, m/s and rad/s; larger values are damaged data
 WARN_FACTOR = 1.5  # ratio of reported to configured noise above which a warning is sent
 _UNUSED_M2 = 1e3  # largest used variance; diff_drive_controller and others write 1e6 for unmeasured values
 
@@ -33,7 +33,7 @@ class RawSample(NamedTuple):
     attachment: bytes | None = None
     sequence: int | None = None  # sequence number of the attachment; None: no attachment
     source_time_ns: int | None = None  # Unix time of the attachment; None: no attachment
-    odometry: Odometry | None = None  # odometry that was converted here; None: the payload was received
+    odometry: Odometry | None = None  # odometry that this process made; None: the payload was received
 
 
 class SampleSource(Protocol):
@@ -44,7 +44,7 @@ class SampleSource(Protocol):
 def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
     """Convert a received sample, with velocities in the world frame; ``arrival_s`` is on the stack's clock.
 
-    Raises OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
+    Raises OdometryError: malformed, a value not finite or above 1e9, or no unit quaternion.
     """
     o = raw.odometry or decode_odometry(raw.payload)
     w, x, y, z = o.orientation_wxyz
@@ -74,7 +74,7 @@ def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
 
 
 def sigma_of(variance_x: float, variance_y: float) -> float | None:
-    """Return the larger standard deviation of x and y; None: not reported."""
+    """Return the larger standard deviation of x and y; None: the sender reports none."""
     known = 0.0 < variance_x < _UNUSED_M2 and 0.0 < variance_y < _UNUSED_M2  # False for NaN
     return math.sqrt(max(variance_x, variance_y)) if known else None
 
@@ -82,7 +82,7 @@ def sigma_of(variance_x: float, variance_y: float) -> float | None:
 def excess_noise(
     pose_covariance: Sequence[float], twist_covariance: Sequence[float], link: TargetLink
 ) -> str:
-    """Return a warning if the sender reports more noise than the configuration has; else empty."""
+    """Return a warning if the sender reports more noise than the configuration; else an empty text."""
     found: list[str] = []
     for covariance, configured, name, unit in (
         (pose_covariance, link.position_noise_m, "position_noise_m", "m"),

@@ -32,8 +32,8 @@ from flightstack.core.types import ZERO, Vec3
 
 TEXTS_MAX = 32  # maximum number of different warnings per flight; the counters continue
 OFFSET_MAX_M = 5.0  # largest offset of the landing spot per axis, m; a larger one has a wrong unit
-LOOK_EVERY = 100  # samples between two checks of frames and covariances
-CAPACITY = 1024  # samples between two polls
+LOOK_EVERY = 100  # number of samples between two checks of frames and covariances
+CAPACITY = 1024  # maximum number of samples between two polls
 
 
 class Dialect(Enum):
@@ -117,9 +117,9 @@ class TargetSpec:
 SETTLED_M_S = 0.05  # largest standard deviation of a usable velocity; a quarter of the Burger's
 UNKNOWN_M_S = 100.0  # standard deviation of a velocity that was not measured, far above robot speeds
 GATE_SIGMAS = 6.0  # distance from the expected pose that makes an outlier: 1 in 10^8 by chance
-# outliers, or poses behind the newest stamp, in a row after which the estimate restarts with them
+# consecutive outliers, or poses older than the newest stamp, after which the estimate restarts with them
 OUTLIERS_MAX = 5
-UNSETTLED_MAX = 50  # poses without a velocity after which a warning is sent
+UNSETTLED_MAX = 50  # number of poses without a velocity after which a warning is sent
 
 
 class PoseTrack:
@@ -135,10 +135,10 @@ class PoseTrack:
         self._noise_m, self._child = link.position_noise_m, child_frame_id
         self._last: Pose | None = None  # last accepted pose
         self._outliers = 0
-        self._behind, self._behind_ns = 0, 0  # poses in a row behind the newest stamp; the last one's stamp
+        self._behind, self._behind_ns = 0, 0  # poses older than the newest stamp; their last stamp
         self._unsettled = 0  # poses since the last restart
         self.problem = ""  # reason why poses are withheld, or ""
-        self.withheld = 0  # number of poses without odometry: unsettled, outliers, repeated or out of order
+        self.withheld = 0  # poses that gave no odometry: unsettled, outliers, repeated or out of order
 
     def take(self, pose: Pose) -> Odometry | None:
         """Return the odometry of a pose; None if the velocity is unknown."""
@@ -158,7 +158,7 @@ class PoseTrack:
             return None
         if not 0.0 < step_s <= RESTART_S:
             if last is not None and -RESTART_S <= step_s < 0.0 and not self._continues(pose.stamp_ns):
-                return None  # out of order; a greater step back is a restart of the sender's clock
+                return None  # out of order; a larger step back is a restart of the sender's clock
             self._estimator.memory.time_s = math.nan
             last = None
         self._outliers, self._behind, self._last = 0, 0, pose
@@ -190,7 +190,7 @@ class PoseTrack:
         )
 
     def _continues(self, stamp_ns: int) -> bool:
-        """Whether several poses in order are behind the newest stamp: that stamp was wrong."""
+        """Whether several poses in order are older than the newest stamp, which was therefore wrong."""
         self._behind = self._behind + 1 if self._behind and stamp_ns > self._behind_ns else 1
         self._behind_ns = stamp_ns
         return self._behind >= OUTLIERS_MAX
@@ -202,9 +202,9 @@ class PoseTrack:
 
 
 class TargetSource:
-    """Receives the target's motion; the owner polls it, there are no callbacks.
+    """Receives the target's motion; the owner polls, because there are no callbacks.
 
-    ``session``: owned by the caller; ``frame_id``: frame of the poses; ``child_frame_id``: frame of the
+    ``session``: session of the caller; ``frame_id``: frame of the poses; ``child_frame_id``: frame of the
     target, also if it sends only poses; ``link``: noise of poses, to estimate their
     velocity; ``lossless``: block the sender when full instead of dropping the oldest (lockstep). Raises
     ValueError: the key is not allowed.
@@ -227,7 +227,7 @@ class TargetSource:
         self._track = PoseTrack(link, child_frame_id)
         self._texts: list[str] = []
         self._told: dict[str, None] = {}
-        self.refused = 0  # samples without odometry, except for poses before the velocity is known
+        self.refused = 0  # number of samples without odometry, except poses before the velocity is known
 
     def poll(self) -> list[RawSample]:
         """Return all samples that have arrived, oldest first, as odometry; never blocks."""
@@ -281,7 +281,7 @@ class TargetSource:
         return True
 
     def _odometry(self, payload: bytes) -> Odometry | None:
-        """Return the odometry made from a message; None: none, or the message itself is the odometry."""
+        """Return the odometry made from a message; None: no odometry, or the message itself is odometry."""
         if self._spec.type is not TargetType.ODOMETRY:
             return self._followed(POSE_DECODERS[self._spec.type](payload))
         # Rejected samples are returned, too: the controller counts them, and the log stores them unchanged.
@@ -340,7 +340,7 @@ class TargetSource:
 
 
 KEYS_MAX = 8  # maximum number of keys
-_CAPACITY = 64  # samples between two polls
+_CAPACITY = 64  # maximum number of samples between two polls
 # A chunk of the key contains the name: robot1/odom, 0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_...
 _LIKELY = (
     "**/$*odom$*/**", "**/$*Odometry$*/**", "**/$*pose$*/**", "**/$*Pose$*/**",
@@ -360,7 +360,7 @@ class KeySearch:
         self._found: dict[str, None] = {}
 
     def keys(self) -> tuple[str, ...]:
-        """Return the names found so far in order, of rmw_zenoh ``ros2:/TOPIC``. The first call finds none."""
+        """Return the sorted names found so far; for rmw_zenoh ``ros2:/TOPIC``. The first call finds none."""
         if not self._subscribers:
             self._subscribers = [
                 zenoh_link.remote_subscriber(self._session, key, _CAPACITY) for key in _LIKELY

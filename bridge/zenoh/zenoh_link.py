@@ -21,7 +21,7 @@ import zenoh
 from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.common.strict_toml import decoded
 
-Session = Any  # Any, so that the types of the zenoh package are not needed
+Session = Any  # not typed, because typing would need the zenoh package
 Publisher = Any
 Subscriber = Any
 Sample = Any
@@ -29,10 +29,10 @@ Sample = Any
 LOOPBACK = "tcp/127.0.0.1:0"  # any free port; only this machine can connect
 LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # default address of a router for clients and ROS 2 nodes
 _LEASE_MS = 2000  # time without messages before a peer is disconnected, then connected again
-# a process in lockstep may pause for longer without losing a message; a killed one disconnects immediately
+# a process in lockstep may pause longer without losing a message; a killed process disconnects immediately
 _LOCKSTEP_WAIT_MS = 60_000
-_ALIVE_TIMEOUT_S = 1.0  # time-out, s; the reply comes from tables of this process
-_CLIENT_WAIT_MS = 10_000  # wait for a router that has not started
+_ALIVE_TIMEOUT_S = 1.0  # time-out of a liveliness query, s; tables of this process answer it
+_CLIENT_WAIT_MS = 10_000  # longest wait for a router that has not started, ms
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 
@@ -48,7 +48,7 @@ _DEFAULTS: dict[str, Any] = {
     "connect/retry": _RETRY,
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
-    "scouting/delay": 0,  # without this value open() blocks for 500 ms if there is no peer
+    "scouting/delay": 0,  # with another value open() would block for 500 ms without a peer
     "transport/link/tx/lease": _LEASE_MS,
     # shared memory needs /dev/shm and has no benefit for this stack's small messages
     "transport/shared_memory/enabled": False,
@@ -189,11 +189,11 @@ def _endpoints_of_role(config: Any, kind: str) -> list[str]:
 
 
 def _reason(error: zenoh.ZError) -> str:
-    return str(error).partition(" at /")[0]  # the rest is a path in the build machine's source tree
+    return str(error).partition(" at /")[0]  # without the source path of the build machine
 
 
 def blocking_publisher(session: Session, key: str, encoding: str | None = None) -> Publisher:
-    """Declare a publisher that waits for room: at most 5 s, in lockstep 60 s; then Zenoh disconnects."""
+    """Declare a publisher that waits for room, at most 5 s or 60 s in lockstep; then Zenoh disconnects."""
     return _publisher(session, key, encoding, zenoh.CongestionControl.BLOCK)
 
 
@@ -215,12 +215,12 @@ def remote_subscriber(session: Session, key: str, capacity: int = 256) -> Subscr
 
 
 def fifo_subscriber(session: Session, key: str, capacity: int = 1024) -> Subscriber:
-    """Declare a subscriber without losses: when it is full, it blocks the sender (lockstep)."""
+    """Declare a subscriber without losses: a full subscriber blocks the sender (lockstep)."""
     return session.declare_subscriber(_key(key), zenoh.handlers.FifoChannel(capacity))
 
 
 def liveliness_token(session: Session, key: str) -> Any:
-    """Declare a token that connected sessions see as long as this one is open. Raises ValueError: bad key."""
+    """Declare a token, visible to connected sessions until this session ends. Raises ValueError: bad key."""
     return session.liveliness().declare_token(_key(key))
 
 
@@ -237,12 +237,12 @@ def drain(subscriber: Subscriber) -> list[Sample]:
 
 
 def is_matched(publisher: Publisher) -> bool:
-    """Whether there is a subscriber; samples sent without one are lost."""
+    """Whether there is a subscriber; samples sent without a subscriber are lost."""
     return bool(publisher.matching_status.matching)  # the status object itself is always true
 
 
 def transports(session: Session) -> int:
-    """Return the number of open connections; 0 long after opening means rejected or unreachable."""
+    """Return the number of open connections; if it remains 0, the peer rejects or is unreachable."""
     return len(session.info.transports())
 
 
@@ -290,7 +290,7 @@ LOOK_EVERY_S = 1.0
 class ConnectionAlarm:
     """Monitors the connection of one session; poll it in every tick.
 
-    ``whom``: endpoints to which the session connects; without any there is no alarm.
+    ``whom``: endpoints to which the session connects; if empty, there is no alarm.
     """
 
     def __init__(self, session: Session, whom: Sequence[str], role: Role = Role.PEER) -> None:
@@ -344,7 +344,7 @@ def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
 
 
 def parse_attachment(data: bytes | None) -> tuple[int, int] | None:
-    """Return sequence number and source time (Unix, ns); None if absent or of another form."""
+    """Return sequence number and source time (Unix, ns); None: no attachment, or malformed."""
     if data is None or len(data) != _ATTACHMENT.size:
         return None
     sequence, source_time_ns, length, _ = _ATTACHMENT.unpack(data)

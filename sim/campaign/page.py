@@ -1,4 +1,4 @@
-"""The page of a campaign: distributions, map of h, worst seeds; one HTML file that needs no network."""
+"""Writes the page of a campaign: distributions, map of h and worst seeds in one HTML file without links."""
 
 from __future__ import annotations
 

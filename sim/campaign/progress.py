@@ -18,9 +18,9 @@ _REFRESH_S = 0.1  # shortest wall time between two updates of the bar
 
 
 class Bar:
-    """Progress of a number of results; it shows nothing if the output is not a terminal.
+    """Progress bar for a known number of results; it shows nothing if the output is not a terminal.
 
-    It updates with each result and needs no thread, because a process with threads cannot fork its workers.
+    It changes with each result, without a thread: a process with threads cannot fork its workers.
     """
 
     def __init__(self, console: Console, title: str, total: int | None) -> None:
@@ -47,7 +47,7 @@ class Bar:
     def done(self, *kinds: str) -> None:
         """Count one result, under each of these kinds.
 
-        Raises CalledOffError: a signal came before, and a library dropped its exception.
+        Raises CalledOffError: a signal arrived earlier, and a library suppressed its exception.
         """
         hangup.begun()
         self._counts.update(kinds)

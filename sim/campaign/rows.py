@@ -1,6 +1,6 @@
-"""One row for each landing of a campaign (vehicle or team), and their file with durable appends.
+"""One row for each landing of a campaign (vehicle or team), and the file to which rows are appended.
 
-Floats are written so that they are read back bit for bit; an empty field means "not known", never zero.
+Floats keep every bit in the file; an empty field means "not known", never zero.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ class Row:
     started_safe: bool | None = None  # ``Verdict.started_safe``
     h_min_m: float | None = None  # lowest true h
     h_min_outside_pad_m: float | None = None  # lowest true h where d > pad radius
-    h_min_d_m: float | None = None  # horizontal distance d at the tick of this value
-    h_min_e_z_m: float | None = None  # height e_z at the tick of this value
+    h_min_d_m: float | None = None  # horizontal distance d at the tick of ``h_min_m``
+    h_min_e_z_m: float | None = None  # height e_z at the tick of ``h_min_m``
     touchdown_error_m: float | None = None  # horizontal distance d at first contact
-    touchdown_speed_vertical_m_s: float | None = None  # relative to the pad, positive downwards
-    touchdown_speed_horizontal_m_s: float | None = None  # relative to the pad
+    touchdown_speed_vertical_m_s: float | None = None  # speed relative to the pad, positive downwards
+    touchdown_speed_horizontal_m_s: float | None = None  # speed relative to the pad
     time_to_land_s: float | None = None  # time from the start of the landing to first contact, if landed
     retries: int | None = None  # number of returns to the approach
     # duration of each phase, s
@@ -76,14 +76,14 @@ class Row:
     simulated_s: float | None = None  # duration of the run, simulated time
     wall_s: float | None = None  # wall time; the only value that the seed does not determine
     cells: str = ""  # map of h: "i j mm" for each visited cell of (d, e_z), with the lowest h in it
-    outcomes: str = ""  # outcomes of a team's members, cf1 first; empty, as all below, for one vehicle
-    collisions: int | None = None  # pairs of vehicles that collided
+    outcomes: str = ""  # outcomes of a team's members, cf1 first; empty for one vehicle, like the next fields
+    collisions: int | None = None  # number of pairs of vehicles that collided
     # number of times that two vehicles in flight entered the ellipsoid around each other
     ellipsoid_violations: int | None = None
-    ellipsoid_min: float | None = None  # smallest ellipsoid norm between two in flight; below 1: inside
+    ellipsoid_min: float | None = None  # smallest ellipsoid norm between two flying vehicles; below 1: inside
     distance_min_m: float | None = None  # smallest distance of two vehicles
     wait_max_s: float | None = None  # longest time that a vehicle waited for its right of way
-    # keys with which the scenario exceeds its configuration's proof; for vehicles and teams
+    # keys with which the scenario exceeds its configuration's proof, also for single vehicles
     outside_envelope: str = ""
 
     @property
@@ -92,7 +92,7 @@ class Row:
         return self.outcome == Outcome.LANDED
 
     def untimed(self) -> Row:
-        """Return the row without its wall time: equal for equal seeds."""
+        """Return the row without its wall time; such rows are equal for equal seeds."""
         return replace(self, wall_s=None)
 
 
@@ -136,7 +136,7 @@ def judge_team(flown: TeamLanding) -> FleetVerdict:
 
 
 def row_of(flown: TeamLanding) -> Row:
-    """Return the row of a team: sums of retries and phase durations; other values are the worst member's.
+    """Return the row of a team: sums of retries and phase durations, and the worst member's other values.
 
     The row of a single vehicle has no team values.
     """
@@ -188,7 +188,7 @@ def _visited(rows: Iterable[Row]) -> Iterator[tuple[int, int, int]]:
 
 
 def _all(values: Iterable[bool | None]) -> bool | None:
-    """Return whether all are true; None if one is unknown and none is false."""
+    """Return whether all values are true; None if a value is unknown and no value is false."""
     found = set(values)
     return False if False in found else None if None in found else True
 
@@ -207,7 +207,7 @@ def error_row(seed: int, reason: str) -> Row:
 
 
 def failed_rows(rows: Iterable[Row]) -> str:
-    """Return the first row in which code of the user failed, and the number of such rows; empty: none."""
+    """Return a text with the first failure of user code and the number of such rows; empty: no failure."""
     found = [(row.seed, text) for row in rows if (text := failed_code(row.reason))]
     return f"seed {found[0][0]}: {found[0][1]}; {len(found)} landings ended so" if found else ""
 
@@ -257,7 +257,7 @@ def _value(name: str, text: str) -> Any:
     if name == "outcome" and text not in _OUTCOMES:
         raise ValueError(f"the outcome is {text!r}")
     if kind == "str":
-        return sys.intern(text)  # a million landings have few different reasons
+        return sys.intern(text)  # one object for equal texts: a million landings have few different reasons
     if text == "":
         return None
     if kind == "bool":
@@ -269,7 +269,7 @@ def _value(name: str, text: str) -> Any:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Read a file of rows; skip a truncated last line; of several rows of a seed return the last.
+    """Read a file of rows, without a truncated last line; if a seed has several rows, return the last.
 
     Raises RowsError: the file has another format, or a damaged line.
     """
@@ -304,7 +304,7 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
 
 
 class RowsFile:
-    """Appends rows; they survive any crash after ``add`` has returned."""
+    """Appends rows to a file; after ``add`` has returned, its rows survive any crash."""
 
     def __init__(self, path: Path) -> None:
         """Open the file, and remove a truncated last line."""

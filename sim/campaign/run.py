@@ -1,8 +1,8 @@
 """Many seeded landings of one scenario: rows, a summary with confidence bounds, a page.
 
-A campaign is a folder. Rows are appended to it as they arrive, so it can be interrupted, killed or extended
-at any time: the same call continues. A file next to the rows identifies scenario, seeds and code; a folder
-with another identity is rejected.
+A campaign is a folder. Each row is appended on arrival, so a campaign can be interrupted, killed or extended
+at any time: the same call continues it. A file next to the rows identifies scenario, seeds and code; a folder
+with a different identity is rejected.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Plan:
     """Definition of a campaign."""
 
     scenario_name: str  # name or file as given; used in printed commands
-    scenario: TeamScenario  # scenario with the filter to fly
+    scenario: TeamScenario  # scenario, with the safety filter to fly
     runs: int  # number of landings
     first_seed: int  # first of consecutive seeds
 
@@ -79,7 +79,7 @@ class Plan:
 
     @property
     def duration_max_s(self) -> float:
-        """Longest landing, simulated time; a team counts the sum over its vehicles."""
+        """Longest simulated time of a landing, s; for a team the sum over its vehicles."""
         return sum(each.duration_max_s for each in self.scenario.member)
 
 
@@ -102,7 +102,7 @@ class Flown:
 
     rows: list[Row]  # all rows of the folder, ordered by seed
     missing: int  # number of landings without a row
-    summary: dict[str, Any] | None  # None without rows
+    summary: dict[str, Any] | None  # summary of the rows; None: no rows
 
 
 def _known_rows(wanted: Plan, now: dict[str, Any], folder: Path) -> list[Row]:
@@ -162,8 +162,8 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
                         if interrupts:
                             break
         except KeyboardInterrupt:
-            pass  # reported as the number of missing rows
-        if todo:  # read the file again: the interrupt may have come between file and list
+            pass  # the result reports the number of missing rows
+        if todo:  # read the file again: an interrupt may have lost a row of the list
             rows.clear()
             rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)
         write_rows(folder / ROWS, rows)
@@ -185,7 +185,7 @@ def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> I
         with Cluster(cluster, wanted.scenario_toml) as there:
             yield from there.fly(todo)
         return
-    warm_up(wanted.scenario)  # compiled once for all workers
+    warm_up(wanted.scenario)  # compile once for all workers
     with Workers(wanted.scenario_toml, workers, wanted.duration_max_s) as here:
         yield from here.fly(todo)
 

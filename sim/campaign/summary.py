@@ -1,7 +1,7 @@
 """Summary of a campaign: counts, confidence bounds, quantiles, worst seeds.
 
-An unknown result counts as a failure: a row with outcome "error" is an undeclared miss, and a violation that
-cannot be excluded is a violation.
+An unknown result counts as a failure: a row with outcome "error" is an undeclared miss, and an unknown
+violation is a violation.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def upper_bound(events: int, runs: int, confidence: float = CONFIDENCE) -> float
 
 
 def quantile(rows: Sequence[Row], column: str, share: float) -> float | None:
-    """Return a quantile of a column over the landings with outcome landed; None if there are none."""
+    """Return a quantile of a column over the landings with outcome landed; None: no such landing."""
     known = [v for row in rows if row.landed and (v := getattr(row, column)) is not None]
     return float(np.quantile(known, share)) if known else None
 
@@ -74,8 +74,8 @@ def summary(
     """Return the object that ``--json`` prints.
 
     ``rows``: one or more; ``command``: command that repeats one seed, with ``{seed}``; ``wall_s``: wall time
-    of this call; ``flown_s``: simulated time of this call; ``judged_apart``: the verdict's barrier and the
-    flown one, if they differ.
+    of this call; ``flown_s``: simulated time of this call; ``judged_apart``: text on the verdict barrier and
+    the flown barrier, if they differ.
     """
     counts = count(rows)
     lowest = [row.h_min_outside_pad_m for row in rows if row.h_min_outside_pad_m is not None]
@@ -100,7 +100,7 @@ def summary(
 
 
 def _of_teams(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return the values that only teams have; empty for single vehicles."""
+    """Return the values that only teams have; for single vehicles the result is empty."""
     teams = [row for row in rows if row.outcomes]
     if not teams:
         return {}
@@ -171,7 +171,7 @@ _LINES: tuple[tuple[str, str, str, str, float], ...] = (
 
 
 def apart(told: dict[str, Any]) -> list[str]:
-    """Return the lines about landings outside the proven envelope or with another verdict barrier."""
+    """Return the lines on landings outside the proven envelope, or judged with a different barrier."""
     outside = told["outside_envelope"] and f"outside the proven envelope: {told['outside_envelope']}"
     return [line for line in (outside, told["judged_apart"]) if line]
 

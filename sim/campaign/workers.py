@@ -1,6 +1,6 @@
 """Worker processes of a campaign, and the function that flies one landing and returns its row.
 
-On a Dask cluster the scheduler sends seeds to workers, and again if a worker dies; they call ``fly_seed_as``.
+On a Dask cluster the scheduler sends each seed to a worker, which runs ``fly_seed_as``.
 On this machine, processes receive seeds and return rows.
 
 Each worker has its own pipe, because a killed worker could leave a shared queue locked. Workers are forked
@@ -44,8 +44,8 @@ from sim.vehicle.declared import outside
 
 _ALONE = threading.Lock()  # serialises landings: threads of a cluster's worker would only wait for each other
 _PACKAGES = ("flightstack", "bridge", "sim", "logs")
-DEATHS_MAX = 2  # maximum deaths of workers with the same seed
-STARTS_MAX = 3  # maximum consecutive workers that end before they are ready
+DEATHS_MAX = 2  # number of workers that may die with one seed
+STARTS_MAX = 3  # maximum number of consecutive workers that end before they are ready
 SLOWEST = 0.05  # landings slower than this fraction of real time are aborted
 START_S = 1800.0  # time-out of a worker's start, including compilation on a slow computer
 _LOOK_S = 1.0  # wall time between two checks of the time-outs
@@ -62,7 +62,7 @@ def loaded(scenario_toml: str) -> TeamScenario:
 
 @lru_cache(maxsize=4)
 def prepared(scenario_toml: str) -> TeamScenario:
-    """Return the scenario of a text, compile all code, and freeze present objects (garbage collection)."""
+    """Return the scenario of a text; compile all code and exclude present objects from garbage collection."""
     scenario = loaded(scenario_toml)
     quiet_garbage_collector()
     return scenario
@@ -80,7 +80,7 @@ def fly_seed(scenario_toml: str, seed: int) -> Row:
             own = next(filter(None, (failed_in(each.onboard.filter, error) for each in scenario.member)), "")
             return error_row(seed, own or f"{type(error).__name__}: {error}")
         finally:
-            gc.collect()  # never during a landing
+            gc.collect()  # collect between landings, never during a landing
 
 
 def fly_seed_as(code: str, scenario_toml: str, seed: int) -> Row:
@@ -108,7 +108,7 @@ class WorkersError(LaunchError):
 
 
 class _Worker:
-    """One worker process and its pipe; ``seed``: the seed that it flies, None before it is ready."""
+    """One worker process and its pipe; ``seed``: current seed, None before the worker is ready."""
 
     def __init__(self, scenario_toml: str, others: Sequence[Connection], given: bytes) -> None:
         forks = may_fork()
@@ -130,7 +130,7 @@ class _Worker:
 
     def give(self, seed: int) -> None:
         self.seed, self.since_s = seed, time.monotonic()
-        with contextlib.suppress(OSError):  # it has just died; its pipe will show this
+        with contextlib.suppress(OSError):  # the worker has just died; ``_heard`` detects this at its pipe
             self.pipe.send(seed)
 
     def end(self) -> None:
@@ -144,7 +144,7 @@ class _Worker:
 
 @contextlib.contextmanager
 def _without_main() -> Iterator[None]:
-    """Start processes without running the main script again, so that the script need not guard its calls."""
+    """Start processes that do not run the main script again, so that the script needs no guard."""
     main = sys.modules["__main__"]
     file, main.__spec__, spec = vars(main).pop("__file__", None), None, main.__spec__
     try:
@@ -228,7 +228,7 @@ class Workers:
         return sum(worker.seed is not None for worker in self._workers)
 
     def _heard(self, worker: _Worker, waiting: deque[int]) -> Row | None:
-        """Receive from a worker, or handle its death; no other process holds its end of the pipe."""
+        """Receive from a worker, or handle its death, which closes the pipe: only the worker has that end."""
         try:
             row: Row | None = worker.pipe.recv()
         except (EOFError, OSError):
@@ -265,7 +265,7 @@ class Workers:
 
 
 CONNECT_S = 10.0  # time-out for the scheduler and the first worker, wall time
-AHEAD = 4  # seeds submitted per thread of the cluster; further seeds wait in this process
+AHEAD = 4  # number of submitted seeds per thread of the cluster; further seeds wait in this process
 
 
 class ClusterError(LaunchError):
@@ -308,7 +308,7 @@ class Cluster:
         ours = self._code
         try:
             theirs = self._client.run(code_fingerprint)
-        except Exception as error:  # any exception of a worker means that its code differs
+        except Exception as error:  # every exception of a worker means a different code version
             raise ClusterError(
                 f"--cluster {address}: a worker cannot fly ({error}); install the same version there"
             ) from error
@@ -323,7 +323,7 @@ class Cluster:
         self._client.close()
 
     def fly(self, seeds: Iterable[int]) -> Iterator[Row]:
-        """Yield the rows of these seeds as they arrive, in any order; the number in flight is bounded."""
+        """Yield the rows of these seeds as they arrive, in any order; few seeds are submitted at a time."""
         from distributed import as_completed
 
         waiting = iter(seeds)

@@ -1,4 +1,4 @@
-"""Faults of the MAVLink connection in both directions, and of the contents of messages."""
+"""Faults of the MAVLink connection in both directions, and faults of message contents."""
 
 from __future__ import annotations
 
@@ -135,9 +135,9 @@ class Way(Enum):
 class Fate(NamedTuple):
     """Effect of all active faults on one message."""
 
-    due_ns: tuple[int, ...]  # arrival times; none if lost, two if duplicated
-    damaged: bool = False  # the checksum is wrong
-    stall: Running | None = None  # the message waits for the end of this fault
+    due_ns: tuple[int, ...]  # arrival times, ns; none if lost, two if duplicated
+    damaged: bool = False  # whether the checksum is wrong
+    stall: Running | None = None  # fault for whose end the message waits, or None
 
 
 # for each kind of fault: affected direction and messages (None: all)
@@ -148,7 +148,7 @@ CONCERNS: dict[What, tuple[Way, frozenset[int] | None]] = {
     What.SETPOINTS: (Way.IN, frozenset({dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED})),
     What.CLOCK: (Way.OUT, None),
 }
-# These commands must arrive, because they end faults.
+# Link faults do not affect these commands, because they end faults.
 _COMMANDS = frozenset(
     {
         dialect.MAVLINK_MSG_ID_COMMAND_LONG,
@@ -158,7 +158,7 @@ _COMMANDS = frozenset(
 )
 
 
-HELD_BACK_NS = 30_000_000  # delay of a reordered message, three ticks at 100 Hz
+HELD_BACK_NS = 30_000_000  # delay of a reordered message, ns: three ticks at 100 Hz
 
 Due = list[int]  # arrival times of a message, ns; none if lost, two if duplicated
 
@@ -204,7 +204,7 @@ class LinkFaults:
         return any(CONCERNS[one.running.fault.what][0] is way for one in self._running)
 
     def fate(self, way: Way, message: Message, now_ns: int) -> Fate:
-        """Apply all faults to one message, possibly in place; called once for each message, in order."""
+        """Apply all faults to one message, which may be changed; call it once for each message, in order."""
         id_: int = message.get_msgId()
         if id_ in _COMMANDS and message.command == dialect.MAV_CMD_INJECT_FAILURE:
             return Fate((now_ns,))

@@ -18,14 +18,14 @@ from sim.scenarios.fault_spec import Kind
 
 S = TypeVar("S")
 
-HELD_MAX = 8192  # maximum delayed samples; 5 s at 500 Hz are 2500
+HELD_MAX = 8192  # maximum number of delayed samples; 5 s at 500 Hz are 2500
 ESTIMATE_PERIOD_NS = NS // 100  # period of a Crazyflie's log stream of the state estimate
 
 Lost = Callable[[int], bool]  # function that returns whether a sample at this time (ns) is lost
 
 
 def _in_bursts(running: Running) -> Lost:
-    fault, burst, change_ns = running.fault, True, running.start_ns  # it starts without loss
+    fault, burst, change_ns = running.fault, True, running.start_ns  # a burst fault starts without loss
 
     def lost(now_ns: int) -> bool:
         nonlocal burst, change_ns
@@ -54,7 +54,7 @@ LOST: Mapping[Kind, Callable[[Running], Lost]] = {
 
 
 class Shape(NamedTuple, Generic[S]):
-    """Operations on one kind of sample that faults use."""
+    """Operations of faults on one kind of sample."""
 
     move: Callable[[S, Vec3, float], S]  # moves a sample by offset (ENU, m) and yaw (rad)
     freeze: Callable[[S, S], S]  # returns the first sample with the time stamp of the second

@@ -1,6 +1,6 @@
 """The faults of a scenario, ``[[fault]]``: what fails, how, and when.
 
-One table holds all faults with their values, units and ranges. These modules implement them:
+One table has all faults with values, units and ranges. These modules implement the faults:
 ``sim.faults.vehicle_faults`` (motors, battery), ``sim.faults.samples`` (motion capture, vehicle state, target
 odometry), ``sim.faults.link`` (all MAVLink messages) and ``sim.robot.target_motion`` (the robot).
 """
@@ -71,8 +71,8 @@ class Cell:
     effect: str
     value: Number | None = None
     period: Number | None = None  # meaning and range of ``period_s``
-    offset: bool = False  # whether it has ``offset_m`` and ``yaw_rad``
-    healable: bool = True  # whether it can end
+    offset: bool = False  # whether the fault has ``offset_m`` and ``yaw_rad``
+    healable: bool = True  # whether the fault can end
 
 
 _REST = Number("time from the start of one pause to the next", "s", 0.02, 60.0, 1.0)
@@ -195,10 +195,9 @@ ALLOWED_AFTER: dict[bool, tuple[After, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault of a scenario; its component and kind determine which numbers can be given.
+    """One fault of a scenario; its component and kind determine which values it can have.
 
-    Raises ConfigError: a combination that does not exist, or a number that is missing, not allowed or out of
-    range.
+    Raises ConfigError: the combination does not exist, or a value is missing, not allowed or out of range.
     """
 
     what: What
@@ -251,7 +250,7 @@ class Fault:
 
     @property
     def amount(self) -> float:
-        """``value``, or its default; 0 if it has none."""
+        """``value``, or its default; 0 without a default."""
         return _or_default(self.value, self.cell.value)
 
     @property
@@ -272,7 +271,7 @@ class Fault:
 
     @property
     def text(self) -> str:
-        """Component, kind and numbers as text."""
+        """Component, kind and values as text."""
         parts = [self.name]
         if self.cell.value is not None:
             parts.append(f"{self.amount:g} {self.cell.value.unit}".removesuffix(" 1"))

@@ -29,7 +29,7 @@ _TABLES = {"Fault": "see [faults](faults.md)"}  # arrays of tables with their ow
 class Key(NamedTuple):
     """A key of a scenario."""
 
-    table: str  # empty: a top-level key
+    table: str  # table of the key; empty: top level
     name: str
     unit: str
     default: str  # default in TOML; empty: the key is required
@@ -38,7 +38,7 @@ class Key(NamedTuple):
 
 
 def keys(cls: type[Any] = Scenario, table: str = "") -> Iterator[Key]:
-    """Yield the keys of a dataclass and of the tables below it, in the order of their declaration."""
+    """Yield the keys of a dataclass and of its nested tables, in the order of declaration."""
     kinds = {each.name: each.type for each in type_info(cls).fields}  # type: ignore[arg-type, attr-defined]
     below: list[tuple[type[Any], str]] = []
     for each in fields(cls):
@@ -89,7 +89,7 @@ _HEAD = "| key | unit | default | allowed | meaning |\n|---|---|---|---|---|"
 
 
 def commented(name: str, base: str = "lab") -> str:
-    """Return a scenario based on ``base`` with every key as a comment with the base's value.
+    """Return the text of a scenario with base ``base``; each other key is a comment with the base's value.
 
     Raises ConfigError: the base does not exist, or the name is not a valid identifier.
     """

@@ -127,7 +127,7 @@ class OdometryLink:
 
 @dataclass(frozen=True, slots=True)
 class StateError:
-    """Error of a measured state as in recorded flights: mainly a varying delay, and correlated errors.
+    """Error of a measured state, as in recorded flights: a varying delay, and correlated errors.
 
     Defaults: ``tests.benchmarks.vehicle.state_error_fit`` on 43 flights of a Crazyflie 2.1 in a Vicon room
     (NanoBench, arXiv 2603.09908), see docs/how_it_works/own_state.md. Values are standard deviations unless
@@ -174,11 +174,11 @@ class TargetLink(OdometryLink):
 
 @dataclass(frozen=True, slots=True)
 class VehicleSpec:
-    """The simulated vehicle: its file, velocity loop, plant spreads, motion capture of its estimator.
+    """The simulated vehicle: file of parameters, velocity loop, random spreads, and motion capture.
 
-    With ``own`` the on-board estimate has the errors of recorded flights; ``mocap`` then gives only rate and
-    losses, its noise and delay are unused. With ``known_drag_1_s`` the estimator has the firmware's form in
-    flight: it uses only body z of the accelerometer, and these ``kalman.dragB_*``.
+    With ``own`` the on-board estimate has the errors of recorded flights; ``mocap`` gives only its rate and
+    losses. With ``known_drag_1_s`` the estimator has the firmware's form in flight: it uses only body z of
+    the accelerometer, and these values of ``kalman.dragB_*``.
     """
 
     airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or path of a file
@@ -228,7 +228,7 @@ class Judge:
 class Scenario:
     """A scenario with all its parts."""
 
-    name: str  # name of the scenario; a file with `base` may leave it out and has its own file name then
+    name: str  # name of the scenario; with `base` its default is the name of the file
     description: str  # purpose of the scenario, one sentence
     onboard: FlightConfig
     # time limit of a flight, after which it aborts
@@ -269,7 +269,7 @@ class Scenario:
         return Barrier(self.judge.alpha_1_m, self.judge.beta_m)
 
     def with_filter(self, name: str) -> Scenario:
-        """Return the same scenario flown with another safety filter.
+        """Return this scenario with the safety filter ``name``.
 
         Raises ConfigError: no such filter, or the filter rejects the configuration.
         """
@@ -277,7 +277,7 @@ class Scenario:
 
 
 def one_pad(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a scenario's table with its pad radius in the configuration, unless the latter sets one."""
+    """Return a scenario's table; a configuration without a pad radius gets the radius of the scenario."""
     match table:
         case {"target": {"pad_radius_m": radius_m}, "onboard": dict()}:
             return over({"onboard": {"touchdown": {"pad_radius_m": radius_m}}}, table)
@@ -290,7 +290,7 @@ class _Files(Files[Scenario]):
         return one_pad(super().table(path))
 
     def over_base(self, path: Path, table: dict[str, Any], above: tuple[Path, ...] = ()) -> dict[str, Any]:
-        """Merge as ``Files.over_base`` does; a file without ``name`` has its own, not that of its base."""
+        """Merge as ``Files.over_base`` does; without ``name`` the result has the file's name."""
         own = {"name": path.stem} if "base" in table and "name" not in table else {}
         return {**super().over_base(path, table, above), **own}
 
@@ -309,7 +309,7 @@ def load(name_or_file: str | Path) -> Scenario:
 
 
 def in_place(scenario: Scenario, beside: Path) -> Scenario:
-    """Return the same scenario with its filter imported and the full paths of its tapes.
+    """Return this scenario with an imported filter and the full paths of its error tapes.
 
     ``scenario``: as read; ``beside``: folder of its file, where tapes may be.
     """
@@ -324,7 +324,7 @@ def in_place(scenario: Scenario, beside: Path) -> Scenario:
 
 
 def _placed(error: StateError | None, folder: Path) -> StateError | None:
-    """Return the same error with the full path of its tape, if the tape is in this folder."""
+    """Return this error with the full path of its tape, if the tape is in ``folder``."""
     if error is None or error.tape is None or not (folder / error.tape).is_dir():
         return error
     return replace(error, tape=str((folder / error.tape).resolve()))

@@ -1,8 +1,8 @@
 """Scenarios: lists of vehicles in one room, each with its robot, or all with one robot.
 
-The tables of a scenario's file are for all vehicles, tables ``[[member]]`` for one vehicle: every key can be
-set for all or for one. A file without ``[[member]]`` is a list of one. ``sim/scenarios/teams`` has the files
-of the package with several vehicles.
+The tables of a scenario's file apply to all vehicles, a table ``[[member]]`` to one vehicle: every key can be
+set for all or for one. A file without ``[[member]]`` has one vehicle. ``sim/scenarios/teams`` has the
+package's files with several vehicles.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from sim.scenarios import scenario as scenarios
 from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
 
 _PARALLEL = 1e-9  # sine of the angle below which two lines count as parallel
-MEMBERS_MAX = 250  # each member has its own MAVLink system id
+MEMBERS_MAX = 250  # maximum number of members, because each has a MAVLink system id
 _OF_THE_TEAM = ("name", "description", "exchange", "assignment", "one_target")  # keys that only a team has
 
 
@@ -59,7 +59,7 @@ class Assignment(Enum):
     """Assignment of vehicles to robots."""
 
     FIXED = "fixed"  # each vehicle lands on the robot of its own table
-    START = "start"  # smallest sum of the horizontal distances from the start positions
+    START = "start"  # the assignment with the smallest sum of horizontal distances from the starts
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,16 +113,16 @@ class TeamScenario:
 
     @classmethod
     def of(cls, scenario: Scenario) -> TeamScenario:
-        """Return the scenario of one vehicle as a list of one."""
+        """Return the scenario of one vehicle as a team with one member."""
         return cls(scenario.name, scenario.description, (scenario,))
 
     def namespaces(self, first: str = "cf1") -> dict[int, str]:
-        """Return the namespaces of the vehicles by number, with that of the first one."""
+        """Return the namespaces of the vehicles by number; ``first``: namespace of the first vehicle."""
         return {1: first} | {number: member_name(number) for number in range(2, len(self.member) + 1)}
 
     @property
     def rate_hz(self) -> int:
-        """Ticks per second, the same for all members."""
+        """Number of ticks per second, equal for all members."""
         return self.member[0].onboard.loop.rate_hz
 
     @property
@@ -131,7 +131,7 @@ class TeamScenario:
         return any(each.onboard.fleet is not None for each in self.member)
 
     def with_filter(self, name: str) -> TeamScenario:
-        """Return the same team, all members with another safety filter.
+        """Return this team with the safety filter ``name`` for all members.
 
         Raises ConfigError: no such filter, or the filter rejects the configuration.
         """
@@ -148,7 +148,7 @@ class TeamScenario:
         return found
 
     def pads_apart_m(self) -> float:
-        """Return the smallest possible distance of two pads on points or lines; 0 where paths may meet."""
+        """Return the smallest possible distance of two pads, m; 0 if their paths may meet."""
         lines = [_line(each.target) for each in self.member]
         return min((_apart_m(*two) for two in combinations(lines, 2)), default=math.inf)
 
@@ -157,7 +157,7 @@ class TeamScenario:
         return seed_of(seed, 1) if self.one_target else None
 
     def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
-        """Yield scenario and seed of each member; a member that no other approaches flies as in these alone.
+        """Yield scenario and seed of each member; alone, it flies as with these if no other comes near.
 
         A room has one mean wind; its direction is drawn from the team's seed if a member gives none. Gusts
         differ for each member. A single vehicle has the seed of the run.
@@ -174,7 +174,7 @@ class TeamScenario:
     def one(self, seed: int, number: int | None) -> tuple[Scenario, int]:
         """Return scenario and seed of one vehicle.
 
-        ``seed``: seed of the team; ``number``: number of the vehicle; None: the only one.
+        ``seed``: seed of the team; ``number``: number of the vehicle; None: the only vehicle.
         Raises ConfigError, with found and allowed value.
         """
         members = list(self.singles(seed))
@@ -189,7 +189,7 @@ _FILES = Files(TeamScenario, "sim.scenarios.teams", "team")
 
 
 def names() -> list[str]:
-    """Return the names of the package's scenarios; those of several vehicles are last."""
+    """Return the names of the package's scenarios; scenarios with several vehicles are last."""
     return [*scenarios.names(), *_FILES.names()]
 
 
@@ -254,9 +254,9 @@ def _in_common(tables: list[dict[str, Any]]) -> tuple[dict[str, Any], list[dict[
 
 
 def assigned(team: TeamScenario) -> TeamScenario:
-    """Return the same team with its robots assigned, and assignment FIXED.
+    """Return this team with assigned robots, and with ``assignment`` FIXED.
 
-    Each vehicle keeps its start; the robot and odometry tables of another member become its own.
+    Each vehicle keeps its start and gets the robot and odometry tables of the assigned member.
 
     Raises ConfigError: a start or a pad has no known position, because it is drawn from the seed.
     """
@@ -286,12 +286,12 @@ def _pad_m(target: TargetSpec, where: str) -> Vec3:
     return (x - behind_m * c, y - behind_m * s, target.pad_height_m)
 
 
-# point on the floor and direction of the line on which a pad moves; direction (0, 0): it does not move
+# line on which a pad moves: point on the floor, and direction; direction (0, 0): the pad does not move
 _Line = tuple[tuple[float, float], tuple[float, float]]
 
 
 def _line(target: TargetSpec) -> _Line | None:
-    """Return the line on which a robot's pad moves; None: it may be anywhere."""
+    """Return the line on which a robot's pad moves; None: the pad may be anywhere."""
     stands = target.path is PathKind.STILL or target.speed_m_s == 0.0 == target.turn_rate_rad_s
     behind = bool(target.pad_behind_axle_m)
     if (target.random_heading and (behind or not stands)) or (target.turn_rate_rad_s and not stands):
@@ -349,7 +349,7 @@ def _team(path: Path, table: dict[str, Any]) -> TeamScenario:
 
 
 def _configured(path: Path, shared: dict[str, Any], own: dict[str, Any], number: int) -> dict[str, Any]:
-    """Return the tables that a member shares; its ``config`` replaces the shared onboard configuration.
+    """Return the shared tables for a member; its ``config`` replaces the shared onboard configuration.
 
     The team's values of [fleet], the tick rate and the start of landings remain.
     """

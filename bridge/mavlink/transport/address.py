@@ -9,7 +9,7 @@ from ipaddress import IPv4Address
 
 Peer = tuple[str, int]
 
-DEFAULT_BAUD = 921_600  # default speed of a serial line, bit/s, as of PX4's TELEM2
+DEFAULT_BAUD = 921_600  # default speed of a serial line, bit/s; equal to PX4's TELEM2
 _BAUDS = range(1_200, 12_000_001)  # allowed speeds, bit/s
 _URL = re.compile(r"^(udpin|udpout|tcp):(?://)?([^:/\s]+):(\d{1,5})$")
 _IPV6 = re.compile(r"^\w+:(//)?(\[|[^/]*::)")
@@ -49,7 +49,7 @@ def parse_url(url: str) -> tuple[str, str, int]:
 
 
 def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
-    """Parse a URL as ``parse_url`` does, for UDP only; ``who`` is the subject of the error text."""
+    """Parse a URL of UDP as ``parse_url`` does; ``who`` is the subject of the error text."""
     kind, host, port = parse_url(url)
     if kind not in ("udpin", "udpout"):
         raise ValueError(
@@ -59,13 +59,13 @@ def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
 
 
 def baud_of(url: str) -> int | None:
-    """Return the bit/s of a serial line; None for other links. Raises ValueError: not an allowed form."""
+    """Return the speed of a serial line, bit/s; None for other links. Raises ValueError: bad URL."""
     kind, _, number = parse_url(url)
     return number if kind == "serial" else None
 
 
 def parse_peer(text: str) -> Peer:
-    """Return the address of a peer ``HOST:PORT``. Raises ValueError: another form, or no IPv4 address."""
+    """Return the address of a peer ``HOST:PORT``. Raises ValueError: not this form, or no IPv4 address."""
     match = _PEER.match(text)
     if "[" in text or "::" in text:
         raise ValueError(f"MAVLink peer {text!r} has an IPv6 address; MAVLink links here use IPv4 alone")
@@ -75,7 +75,7 @@ def parse_peer(text: str) -> Peer:
 
 
 def resolve(what: str, host: str, port: int, help_text: str = _URL_HELP) -> Peer:
-    """Return the IPv4 address of a host. Raises ValueError with ``what`` and ``help_text``: none found."""
+    """Return the IPv4 address of a host. Raises ValueError: no address; text: ``what``, ``help_text``."""
     try:
         info = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:
@@ -110,7 +110,7 @@ def check_policy(
         raise ValueError("a signing key and --allow-unsigned exclude each other: give one of them")
     if always and not listens:
         raise ValueError(f"MAVLink URL {url!r} has one address and no other peers: use udpin")
-    if kind == "serial":  # the other end of a cable has physical access
+    if kind == "serial":  # the peer of a cable has physical access anyway
         return None
     if is_local(address):
         for host, port in [peer for peer in always if not is_local(peer)]:
@@ -153,7 +153,7 @@ class PeerTable:
         return tuple(dict.fromkeys((*self._configured, *alive)))
 
     def heard(self, peer: Peer, *, heartbeat: bool) -> bool:
-        """Record a valid frame; False: the table has no room for the new peer of this heartbeat."""
+        """Record a valid frame; return False if the table has no room for the sender of a heartbeat."""
         now_s = time.monotonic()
         if peer not in self._beating:
             if not heartbeat:

@@ -21,14 +21,14 @@ from bridge.mavlink.transport.transport import Chunk, EndpointCounters
 RETRY_S = 0.5  # time between two tries to open a lost connection, s
 _READ_BYTES = 4096  # maximum size of a read
 _NOTICES_MAX = 32  # maximum number of texts that wait for ``take_notices``
-OUTGOING_MAX = 4096  # buffered bytes of TCP; a serial line has fewer
+OUTGOING_MAX = 4096  # maximum number of buffered bytes of TCP; less for a serial line
 _FRAME_MAX = 280  # length of the longest frame, bytes; every queue must hold one
 _BITS_PER_BYTE = 10  # bits per byte on a serial line: a start bit, eight data bits, a stop bit (8N1)
-_QUEUE_S = 0.1  # buffered frames on a serial line, s: an older set-point is useless
-_KERNEL_QUEUE_S = 0.05  # bytes in the kernel's buffer, s
+_QUEUE_S = 0.1  # duration of the buffered frames on a serial line, s: an older set-point is useless
+_KERNEL_QUEUE_S = 0.05  # duration of the bytes in the kernel's buffer, s
 _CONNECT_MAX_S = 2.0  # time without reply after which a TCP connection attempt is given up, s
 _UNANSWERED_MAX_MS = 2000  # time without acknowledgement after which a TCP connection counts as lost, ms
-_SEND_BUFFER = 4096  # bytes of the kernel's buffer for TCP, few to limit the latency
+_SEND_BUFFER = 4096  # size of the kernel's buffer for TCP, bytes; small to limit the latency
 
 
 class ByteStream:
@@ -64,7 +64,7 @@ class ByteStream:
         self._nothing, self._never = socket.socketpair()  # a descriptor that is never readable
 
     def open_now(self) -> None:
-        """Open for the first time. Raises OSError: it cannot be opened."""
+        """Open the connection for the first time. Raises OSError: this is not possible."""
         self._channel = self._connect()
         self._look()
 
@@ -192,7 +192,7 @@ class ByteStream:
         self._say(f"{self._name} {what} ({error.strerror or error}): tried again every {RETRY_S:g} s")
 
     def _write(self) -> None:
-        """Write pending bytes as long as there is room; the rest of a started frame is first."""
+        """Write pending bytes as long as there is room; first the rest of a partly sent frame."""
         channel = self._channel
         if channel is None:
             return
@@ -233,7 +233,7 @@ def open_stream(kind: str, address: Peer, counters: EndpointCounters) -> ByteStr
 
 
 def _bytes_in(time_s: float, baud: int) -> int:
-    """Return the bytes that a serial line transmits in a time; at least one frame."""
+    """Return the number of bytes that a serial line transmits in a time; at least one frame."""
     return max(_FRAME_MAX, round(baud / _BITS_PER_BYTE * time_s))
 
 
@@ -262,12 +262,12 @@ class _SerialChannel:
 
     def read(self, size: int) -> bytes | None:
         # Reading an empty line waits for a kernel worker (n_tty_read), up to 0.3 s on a busy machine.
-        waiting: int = self._port.in_waiting  # OSError: the device is gone
+        waiting: int = self._port.in_waiting  # raises OSError if the device is gone
         return bytes(self._port.read(min(waiting, size))) if waiting else None
 
     def write(self, data: bytes) -> int:
         # Only a small part of the kernel's buffer is used, because the full buffer holds seconds of frames.
-        # pyserial's write would wait for a full buffer for ever.
+        # With a full buffer, pyserial's write would wait without limit.
         room = self._queue_max - self._port.out_waiting
         return os.write(self._port.fileno(), data[:room]) if room > 0 else 0
 

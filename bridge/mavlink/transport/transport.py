@@ -38,7 +38,7 @@ class EndpointCounters(FrameCounters):
     # These counters need a key:
     stale_answered: int = 0  # heartbeats sent to peers whose signing clock is behind
     unsigned: int = 0  # frames without a signature
-    bad_signature: int = 0  # frames signed with another key, forged or changed
+    bad_signature: int = 0  # frames that are forged, changed, or signed with another key
     replayed: int = 0  # frames not later than the last frame of the same stream
     stale: int = 0  # frames of a new stream a minute or more behind the local clock
     ahead: int = 0  # frames more than an hour ahead of the local clock
@@ -55,8 +55,8 @@ class EndpointCounters(FrameCounters):
 
 
 _RECEIVED_MAX = 4096  # largest datagram, bytes; longer than an Ethernet frame
-_DATAGRAM_MAX = 1400  # limit, bytes; below an Ethernet frame and PX4's buffer of 1600 (mavlink_receiver.cpp)
-_SOCKET_BUFFER = 1 << 20  # requested size, bytes; the kernel may grant less
+_DATAGRAM_MAX = 1400  # longest sent datagram, bytes; PX4's buffer has 1600 (mavlink_receiver.cpp)
+_SOCKET_BUFFER = 1 << 20  # requested size of the buffer, bytes; the kernel may grant less
 
 
 class DatagramTransport:
@@ -86,7 +86,7 @@ class DatagramTransport:
 
     def receive(self) -> Chunk | None:
         """Return one datagram; None: no datagram. An oversized one is counted and returned empty."""
-        if not self._readable.poll(0):  # a third of the cost of an empty recvfrom
+        if not self._readable.poll(0):  # costs a third of an empty recvfrom
             return None
         try:
             datagram, peer = self._socket.recvfrom(_RECEIVED_MAX + 1)
@@ -112,7 +112,7 @@ class DatagramTransport:
         return self._socket.fileno()
 
     def take_notices(self) -> list[str]:
-        """Return no notice: UDP has no connection that could be lost."""
+        """Return no notice, because UDP has no connection that could be lost."""
         return []
 
     def close(self) -> None:
@@ -123,7 +123,7 @@ class DatagramTransport:
             try:
                 self._counters.bytes_out += self._socket.sendto(datagram, peer)
             except ConnectionRefusedError:
-                continue  # the error belongs to an earlier datagram without a receiver; send this one again
+                continue  # the error belongs to an earlier datagram; send this datagram again
             except OSError:  # full buffer or no route: a newer frame follows in the next tick
                 self._counters.send_errors += 1
             return
