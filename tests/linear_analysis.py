@@ -1,16 +1,16 @@
 """Linear models of the simulated vehicle's loops, and poles of a measured response.
 
-Small motions about hover: the continuous plant under a held command, exactly over 2 ms, closed by the
-firmware's difference equations; where motion capture corrects the estimate every 10 ms, the poles are those
-of one such period. Written from the equations, with the numbers of ``crazyflie20.toml`` and the gains of the
-firmware port.
+The models describe small motions about hover. The plant is integrated exactly over 2 ms with a constant
+command; the firmware's difference equations close the loop. If motion capture corrects the estimate every
+10 ms, the poles are those of this period. The parameters are those of ``crazyflie20.toml``, and the gains
+are those of the firmware port.
 
     roll:       phi' = p,  J p' = M,  tau M' = M_c - M
     horizontal: x' = v,    m v' = m g theta - d v,  theta as roll
     vertical:   z' = v,    m v' = T - d v,          tau T' = T_c - T
     yaw:        psi' = r,  J r' = q W + I_p W',     tau W' = W_c - W
 
-with W the speed by which the rotor pairs differ.
+W is the difference of the speeds of the rotor pairs.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def slow_lag_s() -> float:
 
 
 def held(a: F64, b: F64) -> tuple[F64, F64]:
-    """Exact step of x' = a x + b u over 2 ms with u held."""
+    """Return the exact step of x' = a x + b u over 2 ms with constant u."""
     n = len(a)
     big = np.zeros((n + 1, n + 1))
     big[:n, :n], big[:n, n] = a, b
@@ -71,11 +71,11 @@ class Loop:
 
     @property
     def period_s(self) -> float:
-        """Time covered by the matrix of ``poles``."""
+        """Time step of the matrix whose poles ``poles`` returns, s."""
         return DT if self.correct is None else MOCAP_PERIOD_S
 
     def poles(self) -> C128:
-        """Return the poles in 1/s, slowest decay first, without those that decay within a period."""
+        """Return the poles in 1/s, slowest decay first; poles that decay within a period are left out."""
         matrix = self.step
         if self.correct is not None:
             matrix = np.linalg.matrix_power(self.step, STEPS_PER_SAMPLE) @ self.correct
@@ -101,7 +101,7 @@ class Builder:
     def __init__(self, names: str) -> None:
         self.index = {name: i for i, name in enumerate(names.split())}
         self.n = len(self.index)
-        self.matrix = np.eye(self.n + 1)  # the last column is the set-point
+        self.matrix = np.eye(self.n + 1)  # the last column belongs to the set-point
 
     def row(self, **terms: float) -> F64:
         """Return a linear form of current states and ``u`` (set-point) in the states at the step's start."""
@@ -128,7 +128,7 @@ class Builder:
 
 
 def gyro(b: Builder) -> None:
-    """Filtered rate, and the attitude integrated from it."""
+    """Add the filtered turn rate, and the attitude integrated from this rate."""
     b.set("before", b.row(rate=1.0))
     b.set("rate", b.row(rate=1.0 - GYRO_GAIN, p=GYRO_GAIN))
     b.set("angle", b.row(angle=1.0, rate=DT))

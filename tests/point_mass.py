@@ -1,4 +1,4 @@
-"""Point-mass vehicle and robot on a circle around the pure controller, for tests of decisions."""
+"""Connects the controller to a point-mass vehicle and to a robot on a circle, for tests of decisions."""
 
 import math
 from dataclasses import dataclass, field

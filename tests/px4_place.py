@@ -14,14 +14,14 @@ ROOT = Path(__file__).parents[1]
 
 
 def px4_place() -> Path | None:
-    """Return program or folder; None if there is none and none is named.
+    """Return PX4's program or its folder; None if no place is named and none is found.
 
-    A named place without PX4 is an error where it is used; the test is not skipped.
+    A named place without PX4 causes an error at its use, so that no test is skipped by mistake.
     """
     named = os.environ.get(PX4_PLACE)
     if named:
         return Path(named)
-    beside = [up / "shared" / "px4" for up in ROOT.parents]  # a worktree may be one folder deeper
+    beside = [up / "shared" / "px4" for up in ROOT.parents]  # a folder at any level above the checkout
     return next((place for place in beside if (place / "px4").is_file()), None)
 
 

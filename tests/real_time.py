@@ -1,8 +1,8 @@
-"""Flights in real time on a machine that pauses: a failure during which it paused is repeated.
+"""Repeats a failed test in real time if the machine paused during the test.
 
 A virtual machine whose host gives its processors to others stands still for tenths of a second; then states
 are too old, and the stack rightly aborts. A thread on each processor measures how late it wakes. A failure
-without such a pause counts immediately. All other tests give way to those in real time.
+without such a pause counts immediately. All other tests run with a lower priority.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from flightstack.common.forked import hand_on_niceness
 from flightstack.common.pacing import keep_memory
 
 REPEATS = 4
-PAUSE_S = 0.1  # half of the age limit of a vehicle state (checks.own_age_max_s)
+PAUSE_S = 0.1  # a longer delay is a pause, s: half of the age limit of a vehicle state (checks.own_age_max_s)
 CALM_S = 2.0  # time between two attempts, s
 GIVES_WAY = 15  # niceness of a worker and its children, from its first test that is not in real time
 _SLEEP_S = 0.01
@@ -71,11 +71,11 @@ def repeated_after_a_pause() -> pytest.MarkDecorator:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Measure pauses during a test in real time; lower the priority of other tests."""
     if in_real_time(item):
-        keep_memory()  # relays of the tests belong to the flight
+        keep_memory()  # relays run in this process and must not wait for memory
         PAUSES.begin()
     elif "PYTEST_XDIST_WORKER" in os.environ and os.getpriority(os.PRIO_PROCESS, 0) < GIVES_WAY:
         # in its own session: Linux applies the niceness to sessions first (sched(7), autogroup)
         os.setpriority(os.PRIO_PROCESS, 0, GIVES_WAY)
-        with contextlib.suppress(OSError):  # it may already lead a session
+        with contextlib.suppress(OSError):  # the process may already lead a session
             os.setsid()
         hand_on_niceness(os.getpid())

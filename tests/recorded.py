@@ -1,4 +1,4 @@
-"""Recorded flights for tests: a short piece in the repository, and all flights where they are installed."""
+"""Recorded flights for tests: a part of one flight in the repository, and all flights if installed."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ VARIABLE = "FLIGHTSTACK_FLIGHTS"
 
 
 def folder() -> Path | None:
-    """Return the folder of recorded flights: the named one, else one next to the checkout."""
+    """Return the folder of recorded flights: named by the environment, or else next to the checkout."""
     named = os.environ.get(VARIABLE)
     places = [Path(named)] if named else [above / "shared" / "flights" for above in ROOT.parents[:3]]
     return next((place for place in places if any(place.glob("*.parquet"))), None)
 
 
 def flights(*names: str) -> list[Path]:
-    """Return these flights, or all; skip the test if they are not found."""
+    """Return the named flights, or all flights; skip the test if they are not found."""
     found = folder()
     if found is None:
         pytest.skip(f"no recorded flights here; {VARIABLE} names their folder")

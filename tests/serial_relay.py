@@ -26,7 +26,7 @@ from flightstack.common.pacing import ask_for_priority
 from tests.processes.ports import free_port
 
 _TURN_S = 0.002  # period of the thread; 12 bytes at 57,600 baud
-_PIECE = 256  # bytes per read
+_PIECE = 256  # maximum bytes per read
 _NONE = bytes(4)  # FIONREAD's result without bytes
 
 
@@ -45,7 +45,7 @@ class PtyEnd:
         os.set_blocking(self._master, False)
         self._link.unlink(missing_ok=True)
         self._link.symlink_to(os.ttyname(slave))
-        self._slave = slave  # kept open, because a master without a slave reports a read error
+        self._slave = slave  # remains open, because a master without a slave reports a read error
 
     def pull(self) -> None:
         self._link.unlink(missing_ok=True)
@@ -135,7 +135,7 @@ class Line:
 
     def __init__(self, baud: int | None) -> None:
         self._rate = baud / 10 if baud else None
-        self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes; 0.05 s or 0.1 s
+        self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes; the buffer holds 0.05 s
         self._buffer = bytearray()
         self._credit = 0.0
 
@@ -169,7 +169,7 @@ class Line:
             self._credit += self._rate * elapsed_s
             count = min(int(self._credit), len(self._buffer))
             self._credit -= count
-            if count == len(self._buffer):  # an idle line accumulates no credit
+            if count == len(self._buffer):  # an idle line does not save bit rate for later
                 self._credit = min(self._credit, self._rate * 0.02)
         out = bytes(self._buffer[:count])
         del self._buffer[:count]
@@ -217,7 +217,7 @@ class Relay:
         self.near.close()
 
     def _run(self) -> None:
-        ask_for_priority()  # this thread's line must not depend on the machine's load
+        ask_for_priority()  # the speed of the line must not depend on the machine's load
         then_s, noise, rest = time.monotonic(), 0.0, b""
         parser = mav.MAVLink(None)
         parser.robust_parsing = True
@@ -244,4 +244,4 @@ class Relay:
             carried = self.out_line.carry(written, self.out_line.put, elapsed_s)
             for message in parser.parse_buffer(carried) or ():
                 with contextlib.suppress(ConnectionRefusedError, BlockingIOError):
-                    self._udp.send(bytes(message.get_msgbuf()))  # a datagram holds whole frames
+                    self._udp.send(bytes(message.get_msgbuf()))  # a datagram contains whole frames

@@ -1,6 +1,6 @@
-"""A synthetic landing as rows of the log: a lagging point above a turning pad, with the exact projection.
+"""A synthetic landing as rows of the log: a point with lag above a turning pad, and the exact projection.
 
-Tests change the rows and write them as a real log; nothing here judges the flight.
+Tests change the rows and write them as a real log; this module does not judge the flight.
 """
 
 import functools
@@ -27,7 +27,7 @@ OMEGA_1_S = 0.7
 LAG_S = 0.25
 PAD_Z_M = 0.2
 FEET_M = 0.0144
-GROUND_S = 1.0  # wait on the ground
+GROUND_S = 1.0  # duration of the wait on the ground
 START_E_M = (1.4, -0.8, 0.6)
 BARRIER = Barrier(1.0, 1.5)
 NAN3 = (math.nan,) * 3

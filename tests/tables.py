@@ -28,7 +28,7 @@ _ABOUT = (
 
 
 def crc_extra(definition: Definition) -> int:
-    """Return the checksum of names and types (MAVLink serialization guide, CRC_EXTRA)."""
+    """Return CRC_EXTRA, the checksum of a message's field names and types (MAVLink serialization guide)."""
     text = f"{definition.name} ".encode()
     for field in definition.on_the_wire:
         if not field.extension:
@@ -70,7 +70,7 @@ def events_table(metadata: Path, source: str = _SOURCE) -> str:
     """Return the whole file: message and argument types of each event, and texts of each enumeration.
 
     ``metadata``: all_events.json, or the same file compressed by xz; ``source``: release and licence of that
-    file, for the result.
+    file, which the result contains.
     """
     raw = metadata.read_bytes()
     read: dict[str, Any] = json.loads(lzma.decompress(raw) if metadata.suffix == ".xz" else raw)
@@ -93,7 +93,7 @@ def _lines(entries: dict[Any, Any]) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Write one table; exit status 2 for other arguments."""
+    """Write one table; invalid arguments end with status 2."""
     match arguments:
         case ["messages"]:
             MESSAGES.write_text(messages_table(), encoding="ascii")

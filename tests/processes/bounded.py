@@ -13,14 +13,14 @@ from typing import IO, TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tests.processes.started import Started
 
-PATIENCE_S = 60.0  # an overloaded machine starts a process late
-AT_ONCE_S = 10.0  # without an expected wait; ending a process took up to 3.2 s next to the other tests
+PATIENCE_S = 60.0  # time-out of the start of a process on an overloaded machine, s
+AT_ONCE_S = 10.0  # time-out of an immediate action, s; the end of a process took up to 3.2 s
 
 
 def line_of(stream: IO[Any], within_s: float = PATIENCE_S) -> str:
-    """Next line that a process writes, as ``readline``: empty at the end of the output.
+    """Return the next line that a process writes, as ``readline`` does; empty at the end of the output.
 
-    Byte by byte and past the stream's buffer, so that nothing is lost for ``communicate``.
+    The bytes are read one by one without the stream's buffer, so that ``communicate`` gets all later bytes.
 
     Raises AssertionError: no whole line came in time.
     """
@@ -36,9 +36,9 @@ def line_of(stream: IO[Any], within_s: float = PATIENCE_S) -> str:
 
 
 def lines_of(stream: IO[Any], within_s: float) -> Iterator[str]:
-    """Lines that a process writes, to its end.
+    """Yield the lines that a process writes, until its end.
 
-    Raises AssertionError: it neither wrote a line nor ended when so many seconds were over since the call.
+    Raises AssertionError: the process has not ended within this time since the call.
     """
     until_s = time.monotonic() + within_s
     while line := line_of(stream, until_s - time.monotonic()):
@@ -48,7 +48,7 @@ def lines_of(stream: IO[Any], within_s: float) -> Iterator[str]:
 def killed(child: subprocess.Popen[Any] | Started, within_s: float = PATIENCE_S) -> str:
     """Kill a process unless it has ended; return its unread output.
 
-    A child of it may hold its pipes open, and reading them would not end: they are closed then.
+    If a child of the process holds the pipes open, reading would not end; therefore they are closed.
     """
     child.kill()
     said = None

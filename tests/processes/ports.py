@@ -1,4 +1,4 @@
-"""Loopback ports for servers that start later; no other process can take them until then."""
+"""Loopback ports for servers that start later; until the start no other process can take them."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import socket
 
 from flightstack.common.processes import Port
 
-_KEPT: list[Port | socket.socket] = []  # kept until this worker ends, because a server may restart
+_KEPT: list[Port | socket.socket] = []  # reserved until this worker ends, because a server may restart
 
 
 def free_port(*, udp: bool = False) -> int:
     """Return a port for a TCP or UDP server."""
     port = Port()
     _KEPT.append(port)
-    if udp:  # the number of TCP is reserved instead
+    if udp:  # a TCP port with this number is reserved instead
         _KEPT[-1] = socket.create_server(("127.0.0.1", port.number))
         port.close()
     return port.number

@@ -1,6 +1,6 @@
-"""Processes of tests that go on from one that has loaded everything: what a new program does, but loading.
+"""Starts processes of tests by a fork of a process that has loaded all modules, which saves the loading.
 
-People load: so do ``Flying``, what the docs' commands start, and all that is started with ``subprocess``.
+``Flying``, the commands of the docs and ``subprocess`` start new programs, as users do.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Started:
         return self._process.exitcode
 
     def poll(self) -> int | None:
-        """Return the exit status if it has ended, else None."""
+        """Return the exit status if the process has ended, else None."""
         return self._process.exitcode
 
     def wait(self, timeout: float | None = None) -> int:
@@ -78,9 +78,9 @@ class Started:
             os.kill(self.pid, number)
 
     def communicate(self, timeout: float) -> tuple[Any, Any]:
-        """Read its output to the end, and wait for its end.
+        """Read the output to its end, and wait for the end of the process.
 
-        Raises subprocess.TimeoutExpired: it runs longer than so many seconds.
+        Raises subprocess.TimeoutExpired: the process runs longer than the given time.
         """
         until_s, said = time.monotonic() + timeout, {self.stdout: b"", self.stderr: b""}
         with selectors.DefaultSelector() as selector:
@@ -123,12 +123,12 @@ def _begin(
     run: Callable[..., object], given: Sequence[Any], about: tuple[Path, dict[str, str], int],
     output: Connection, errors: Connection,
 ) -> None:  # fmt: skip
-    """Become an independent process."""
+    """Turn the forked child into an independent process, and run the function."""
     folder, environment, nice = about
     os.setpriority(os.PRIO_PROCESS, 0, nice)
     leave_parent(output.fileno(), errors.fileno())
     os.chdir(folder)
-    sys.path.insert(0, str(folder))  # as in ``python -m``
+    sys.path.insert(0, str(folder))  # ``python -m`` also adds this folder
     os.environ.clear()
     os.environ.update(environment)
     run(*given)

@@ -2,7 +2,7 @@
 
     python -m tests.reference.generate harness.so
 
-``README.md`` describes the library's build. This is not a test: the tests read its output.
+``README.md`` describes the library's build. The tests read the output of this program.
 """
 
 import ctypes
@@ -27,7 +27,7 @@ def floats(array):
 
 
 def quaternions(euler_deg):
-    """Roll, pitch, yaw (ZYX) in degrees to w, x, y, z."""
+    """Convert roll, pitch and yaw (ZYX), degrees, into quaternions w, x, y, z."""
     half = np.radians(euler_deg) / 2.0
     (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(half), -1, 0), np.moveaxis(np.sin(half), -1, 0)
     return np.stack(
@@ -50,7 +50,7 @@ def walk(rng, shape, start, step):
 
 
 def mellinger(lib, rng):
-    """Return cases of the attitude loop: smooth and wild, any attitude, forces of the paper loop's range."""
+    """Return cases of the attitude loop: slow and fast motions, any attitude, forces in the paper's range."""
     shape = (400, 10, 3)
     wild = np.arange(400)[:, None, None] % 2 == 1
     euler = np.where(
@@ -78,7 +78,7 @@ def mellinger(lib, rng):
 
 
 def pid(lib, rng):
-    """Return cases of the PIDs: short ones level out and step in yaw, long ones wind the integrals up."""
+    """Return cases of the PID loops; short ones level out and turn in yaw, long ones saturate integrals."""
     sets = {}
     for name, count, length, tilt, drift in (("short", 240, 15, 8.0, 0.3), ("long", 8, 400, 25.0, 0.02)):
         shape = (count, length, 3)
@@ -90,10 +90,10 @@ def pid(lib, rng):
             rng.integers(-20, 21, (count, 1, 1)) + np.where(np.arange(count) % 8 == 7, 150, 0)[:, None, None]
         )
         yaw = np.repeat(np.round(euler[:, :1, 2:]) + off, length, axis=1)
-        yaw[::2, 2 * length // 3 :] += 25.0  # not while levelling out: no new set-point comes then
+        yaw[::2, 2 * length // 3 :] += 25.0  # only without levelling out, during which no set-point arrives
         yaw, euler[..., 2] = ((angle + 180.0) % 360.0 - 180.0 for angle in (yaw, euler[..., 2]))
         level = np.zeros((count, length, 1))
-        level[::3, 5:10] = 1.0  # multiples of the position loop's period, as with the supervisor's 40 ms
+        level[::3, 5:10] = 1.0  # multiples of the position loop's period, like the supervisor's 40 ms
         rows = np.concatenate([euler, gyro, velocity, wanted, yaw, level], axis=-1).astype(np.float32)
         out = np.zeros((count, length, 4), np.float32)
         for i in range(count):
@@ -127,7 +127,7 @@ ACCELERATIONS_G = ((0.0, 0.0, 1.0), (0.3, -0.2, 0.45), (0.0, 0.1, -0.6), (0.02, 
 
 
 def supervisor(lib, rng):
-    """Supervisor at 25 Hz: spells of motors, set-point age and acceleration; requests where they make sense.
+    """Return cases of the supervisor at 25 Hz: motors, set-point age, acceleration and requests in phases.
 
     Columns: action before the update, motors running, set-point age in ms, index of the acceleration.
     """

@@ -22,8 +22,8 @@ from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import pose_stamped
 
 OFFBOARD, HOLD = 0x00060000, 0x03040000
-HOVERS_M = 0.3  # height above the start, in a take-off to 0.5 m
-ASKS_EVERY_S = 1.5  # period of a pilot's requests; heartbeats, which show the result, come once a second
+HOVERS_M = 0.3  # height above the start at which the vehicle hovers, in a take-off to 0.5 m
+ASKS_EVERY_S = 1.5  # period of a pilot's requests, s; heartbeats, which show the result, arrive once a second
 
 
 class Verb(Background):
@@ -56,7 +56,7 @@ def member_behind_the_bridge(
 ) -> Iterator[SimPlant]:
     """Run a Crazyflie with simulated physics as a member of a fleet: the firmware model, and its bridge.
 
-    ``number``: its system id; ``robots``: Zenoh endpoint of the robots; its deck follows its own robot.
+    ``number``: system id; ``robots``: Zenoh endpoint of the robots, one of which moves the deck.
     """
     session = zenoh_link.open_session([], [robots])
     try:

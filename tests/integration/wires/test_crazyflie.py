@@ -87,7 +87,7 @@ def test_connects_over_a_radio_that_loses_every_tenth_packet_of_the_real_tables(
 
 
 def stays_unlocked(server):
-    """Wait until the supervisor would lock without set-points; arming must still be possible."""
+    """Wait for the time after which the supervisor locks without set-points; it must remain unlocked."""
     ended_s = server.now_s
     wait_for(lambda: server.now_s > ended_s + TIMEOUT_S + 2 * PERIOD_S, "the end of the watchdog's time")
     wait_for(lambda: server.firmware.supervisor.state in (State.CHECKS_PASSED, State.READY), "readiness")
@@ -127,13 +127,13 @@ def test_what_nobody_takes_is_bounded(tmp_path):
             wait_for(lambda: link.events_lost > 50, "more events than there is room for")
             events = [event for _, event in link.poll()]
             assert len(events) <= EVENTS_MAX
-            assert Connected not in {type(event) for event in events}  # the oldest event was dropped first
+            assert Connected not in {type(event) for event in events}  # the oldest event is dropped first
             times_ms = [
                 event.time_ms for event in events if isinstance(event, LogPacket) and event.block == "state"
             ]
             assert times_ms == sorted(times_ms)
             assert link.poll() == [] or len(link.poll()) < 5
-            assert any(tmp_path.iterdir())  # the tables are cached
+            assert any(tmp_path.iterdir())  # the link has stored the tables in its cache
         finally:
             link.close()
 

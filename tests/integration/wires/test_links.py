@@ -95,7 +95,7 @@ def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, 
         ("metadata fleet", "signing_key"): (str(key_file), ABSENT),
     }
     rest = [d for d in different if not d.topic.startswith("metadata")]
-    assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # the same metadata for ROS 2
+    assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # the ROS 2 metadata are equal
     for each in rest:
         assert each.a.replace(f"signing_key = {key_file}\\n", "") == each.b
 
@@ -123,7 +123,7 @@ def land_over(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="s
     """Fly scenario ``large`` in real time; return exit status, output and relay.
 
     ``make_near``: creates the relay's end at the onboard process; ``cut_s``: (time, duration) of a pulled
-    cable, s of flight; the others are those of ``Relay``.
+    cable, s of flight; further arguments are passed to ``Relay``.
     """
     with ExitStack() as stack:
         room = stack.enter_context(simulated(folder, "large"))

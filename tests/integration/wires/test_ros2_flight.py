@@ -50,7 +50,7 @@ class Node:
             self.messages[key.topic].append(decode(key.type_name, sample.payload.to_bytes()))
 
     def has_all_of_the_flight(self):
-        """On a busy machine the robot may publish its position late."""
+        """Return whether the robot's data of the flight have arrived; on a busy machine they are late."""
         self.poll()
         own, target = self.messages["/cf1/odom"], self.messages["/cf1/target/odom"]
         return seconds(target[-1]) >= seconds(own[-1])
@@ -82,7 +82,7 @@ class Parts:
             self.line(name, "ready")
 
     def line(self, name, words):
-        """Read a process's output up to a line with these words."""
+        """Read the output of a process up to a line that contains these words; return the line."""
         child, deadline_s = self.running[name], time.monotonic() + WALL_MAX_S
         while time.monotonic() < deadline_s:
             line = line_of(child.stdout, WALL_MAX_S)
@@ -137,7 +137,7 @@ def check(node):
     commands_ = node.messages["/cf1/cmd/velocity"]
     assert {one.header.frame_id for one in commands_} == {"map"}
     assert max(abs(one.twist.linear.z) for one in commands_) > 0.05
-    own = node.messages["/cf1/odom"][-1]  # the robot drives on and publishes while onboard ends
+    own = node.messages["/cf1/odom"][-1]  # the robot publishes until the onboard process has ended
     target = min(node.messages["/cf1/target/odom"], key=lambda one: abs(seconds(one) - seconds(own)))
     assert (target.header.frame_id, target.child_frame_id) == ("map", "target")
     assert abs(seconds(target) - seconds(own)) < 0.1

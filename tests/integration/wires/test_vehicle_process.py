@@ -125,7 +125,7 @@ def test_an_answer_from_before_the_end_is_acted_on_however_late_the_vehicle_gets
         for _ in range(21):
             assert companion.step()
         os.kill(child.pid, signal.SIGCONT)
-        assert companion.step()  # else logs of the same flight would differ by one true state
+        assert companion.step()  # otherwise logs of equal flights would differ by one true state
         assert child.wait(5.0) == 0
 
 
@@ -229,7 +229,7 @@ def test_the_robots_poses_wait_for_no_other_program_but_in_lockstep(lockstep: bo
         assert ready.startswith("ready udpin:")
         if lockstep:
             assert not prompt_threads(child.pid)
-        else:  # its thread requests the priority after it has printed ready
+        else:  # the thread requests the priority after the process has printed ready
             wait_for(lambda: len(prompt_threads(child.pid) - {child.pid}) > 0, "priority of its threads")
             wait_for(lambda: child.pid in prompt_threads(child.pid), "priority of the world")
         terminate(child)

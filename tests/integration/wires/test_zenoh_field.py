@@ -91,7 +91,7 @@ def who_hears(sessions, sender, key):
     mark = zenoh_link.dropping_publisher(sessions["robot"], TARGET)
     heard = {name: zenoh_link.ring_subscriber(session, "cf1/**") for name, session in sessions.items()}
     others = [name for name in sessions if name not in (sender, "robot")]
-    found, marked = set(), set()  # of this sample only: earlier ones may still be in transit
+    found, marked = set(), set()  # clients that this sample reached
 
     def passed():
         # This valid sample follows the tested one, so its arrival is the time to check.
@@ -105,7 +105,7 @@ def who_hears(sessions, sender, key):
         return marked.issuperset(others)
 
     until(passed, "what the robot sends")
-    for _ in range(20):  # the same time again for the slower path
+    for _ in range(20):  # waits once more, because one path is slower
         passed()
         time.sleep(0.005)
     for one in (publisher, mark, *heard.values()):
@@ -145,7 +145,7 @@ def test_who_is_not_known_does_not_get_in(at_home, kind, name, secret):
         with pytest.raises(ZenohLinkError, match="does it accept us"):
             zenoh_link.open_session(connect=[endpoint], config_file=client_file(kind, name, secret))
         known = zenoh_link.open_session(connect=[endpoint], config_file=client_file(kind, "robot"))
-        known.close()  # a client with the right certificate connects
+        known.close()  # a client with a valid certificate connects
 
 
 def test_without_a_certificate_nobody_gets_in(at_home):
@@ -206,7 +206,7 @@ def test_a_router_that_is_killed_and_comes_back(at_home):
             child.wait(PATIENCE_S)
             for session in (robot, companion):
                 until(lambda s=session: zenoh_link.transports(s) == 0, "the end of the connection")
-            zenoh_link.drain(heard)  # samples in transit
+            zenoh_link.drain(heard)  # discards samples in transit
         assert not flows()
         with router_process(endpoint) as (child, _):
             back_s = time.monotonic()

@@ -22,7 +22,7 @@ def test_no_estimate_clears_health_and_refuses_arming_and_take_off() -> None:
     assert rig.command(400, 1.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED
     assert rig.command(22) == mav.MAV_RESULT_TEMPORARILY_REJECTED
     assert rig.texts() == ["Arming refused: no position estimate", "Take-off refused: no position estimate"]
-    assert rig.command(400, 1.0, 21196.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED  # forced
+    assert rig.command(400, 1.0, 21196.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED  # forced arming
     assert not rig.vehicle.armed
 
 
@@ -140,7 +140,7 @@ def test_offboard_hands_on_each_set_point_once_in_enu() -> None:
     rig.run(0.05)
     assert rig.vehicle.setpoints == before + 1
     assert rig.vehicle.setpoint == pytest.approx((0.2, 0.1, 0.3))
-    assert rig.vehicle.yaw_rad == pytest.approx(math.pi / 2)  # nose to the north
+    assert rig.vehicle.yaw_rad == pytest.approx(math.pi / 2)  # the nose points north
 
 
 def test_yaw_rate_is_integrated_and_no_yaw_holds_the_heading() -> None:
@@ -151,7 +151,7 @@ def test_yaw_rate_is_integrated_and_no_yaw_holds_the_heading() -> None:
     for _ in range(100):
         rig.handle(setpoint(mask=1479, rate=0.5))
         rig.run(0.01)
-    assert rig.vehicle.yaw_rad == pytest.approx(-0.5, abs=0.01)  # clockwise in NED
+    assert rig.vehicle.yaw_rad == pytest.approx(-0.5, abs=0.01)  # NED: a positive yaw rate turns clockwise
 
 
 def test_stream_that_comes_back_does_not_take_over_by_itself() -> None:

@@ -19,7 +19,7 @@ from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle, Rig, set_
 from tests.unit.mavlink.server.served import NAN, OFFBOARD, as_int
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
-NEAR = tuple(v / 1e7 for v in degrees_e7(1.0, 2.0))  # latitude, longitude
+NEAR = tuple(v / 1e7 for v in degrees_e7(1.0, 2.0))  # latitude, longitude, degrees
 NAN7 = (NAN,) * 7
 # Parameters to test for each command; every command of the table must be here.
 
@@ -38,7 +38,7 @@ def test_home_moves_with_all_that_counts_from_it() -> None:
     rig.run(0.5)
     assert rig.command(179, 0.0, NAN, NAN, NAN, *NEAR, 0.25) == ACCEPTED
     rig.run(0.02)
-    home = rig.seen(mav.MAVLINK_MSG_ID_HOME_POSITION)[-1]  # sent immediately
+    home = rig.seen(mav.MAVLINK_MSG_ID_HOME_POSITION)[-1]  # the vehicle sends its home immediately
     assert (home.x, home.y, home.z) == pytest.approx((2.0, 1.0, -0.25), abs=0.01)
     assert home.altitude == pytest.approx(250, abs=1)
     rig.run(0.5)
@@ -56,7 +56,7 @@ def test_a_pause_stops_and_a_place_to_fly_to_is_refused() -> None:
     rig.run(0.6)
     rig.command(176, *OFFBOARD)
     assert rig.handle(as_int(192, (-1.0, 1.0, 0.0, NAN, *NEAR, 0.8)))[0].result == UNSUPPORTED
-    assert rig.command(192, -1.0, 1.0, 0.0) == ACCEPTED  # QGroundControl's pause
+    assert rig.command(192, -1.0, 1.0, 0.0) == ACCEPTED  # QGroundControl sends this command to pause
     rig.run(3.0)
     assert math.hypot(*rig.vehicle.state.velocity_enu_m_s[:2]) < 0.02
     assert rig.mode is FlightMode.HOLD

@@ -1,4 +1,4 @@
-"""Counts, bounds and limits of a campaign; unknown results count as failures."""
+"""Tests counts, bounds and limits of a campaign; unknown results count as failures."""
 
 import codecs
 import math
@@ -59,7 +59,7 @@ def test_every_row_is_counted_once():
     counts = count(rows)
     assert (counts.landed, counts.crashes, counts.declared_aborts, counts.undeclared_misses) == (2, 1, 1, 2)
     assert counts.runs == 6
-    assert counts.violations == 1  # of the row with outcome error: a violation cannot be excluded
+    assert counts.violations == 1  # the row with outcome error counts, because a violation is possible
 
 
 def test_summary_has_the_promised_keys_and_numbers():
@@ -200,14 +200,14 @@ def test_cells_keep_the_lowest_h_of_each():
     level = math.floor((0.02 - E_Z_LOW_M) / CELL_M)
     assert lowest_m[level, 0] == pytest.approx(-0.050)
     assert visits[level, 0] == 2
-    assert lowest_m[0, 1] == pytest.approx(0.3)  # values below the map are in its lowest cells
+    assert lowest_m[0, 1] == pytest.approx(0.3)  # the lowest cells contain values below the map
     assert lowest_m[-1, -1] == pytest.approx(1.0)
     assert visits.sum() == 4
     assert np.isnan(lowest_m[5, 5])
 
 
 RUNS = 4
-AT_ROW = 2  # row of the interrupt
+AT_ROW = 2  # row at which the campaign is interrupted
 
 
 def landed(seed):

@@ -31,7 +31,7 @@ def answered(one, given):
 
 
 def both(given):
-    """Return the results of a program by plain Python and by compiled code, without wall times."""
+    """Return the results of a program, without wall times: from plain Python, and from compiled code."""
     if is_off():
         pytest.skip("nothing is compiled")
     return PROGRAM.solve(*given)._replace(solve_s=0.0), answered(Objects(PROGRAM).handle, given)

@@ -36,7 +36,7 @@ STEPS = 300
 
 
 def flight(loop, kind, error=False):
-    """Return all numbers of a short gusty flight with a landing or take-off."""
+    """Return all values of a short flight in gusts with a landing or a take-off."""
     mocap = OdometryLink(100.0, 0.005, 0.0, 0.005, 0.02, loss=0.02)
     spec = VehicleSpec(
         velocity_loop=VelocityLoop(loop),
@@ -71,7 +71,7 @@ def flat(value):
 
 
 def drives():
-    """Return all numbers of the robots of all scenarios, with their measurements."""
+    """Return all states and measurements of the robots of all scenarios."""
     out = []
     captured = replace(scenario.load("field"), odometry=TargetLink(50.0, error=StateError()))
     for each in (*map(scenario.load, scenario.names()), captured):
@@ -96,7 +96,7 @@ FLIGHTS, DRIVES = "[flight(*case) for case in CASES]", "drives()"
 
 
 def in_a_process(what=FLIGHTS, **environment):
-    """Return the results of a fresh interpreter, which must be equal."""
+    """Return the results of a new interpreter, which must equal those of this process."""
     here = "from tests.unit.compiled.test_jit import CASES, drives, flight"
     needless = "import sys; assert not {'coverage', 'glfw'} & sys.modules.keys()"
     code = f"import json; {here}; print(json.dumps({what})); {needless}"
@@ -179,7 +179,7 @@ print(jit.jitted(add)(np.zeros(1)))
 
 
 def test_a_full_disk_and_damaged_machine_code_only_cost_time(tmp_path):
-    """As after a loss of power: files that are empty, cut or of other bytes."""
+    """After a loss of power files may be empty, truncated or damaged."""
     file = tmp_path / "adds.py"
     file.write_text(ADDS)
 
@@ -202,4 +202,4 @@ def test_a_full_disk_and_damaged_machine_code_only_cost_time(tmp_path):
         for content in (b"", damaged.read_bytes()[:-20], b"\xff" * 500):
             damaged.write_bytes(content)
             assert added() == ("1.0\n", "")
-            assert index.read_bytes() != content  # stored anew
+            assert index.read_bytes() != content  # the machine code is stored again

@@ -68,8 +68,8 @@ def test_a_stream_of_refused_samples_is_told_by_doublings():
 
 BAD = (math.nan, math.inf, -math.inf)
 GOOD = OwnState(1.0, 2.0, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.7)
-TIMES = ("started_s", "own_ok_s", "offset_s", "time_s")  # infinite or NaN until they are known
-UNSET = "ground_z_m"  # unknown if it never stood on the ground
+TIMES = ("started_s", "own_ok_s", "offset_s", "time_s")  # times that are infinite or NaN until they are known
+UNSET = "ground_z_m"  # unknown if the vehicle never stood on the ground
 
 
 def spoiled(own, field, axis, bad):
@@ -110,7 +110,7 @@ def test_one_number_is_enough(field, axis, bad):
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 @pytest.mark.parametrize(("field", "axis"), [("velocity_enu_m_s", 2), ("position_enu_m", 0), ("yaw_rad", 0)])
 def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, field, axis, bad):
-    """After the age limit it holds as after any loss of the vehicle state, and then lands."""
+    """After the age limit the vehicle holds, as after any loss of its state, and then lands."""
     world = World(config(kind, limits=SLOW), solid_pad=True)
     world.run(0.5)
     learned = world.controller.state.tracking.disturbance_m_s

@@ -95,14 +95,14 @@ CHECKS = CONFIG.checks
 @pytest.mark.parametrize(
     ("own", "status", "target", "starts_s"),
     [
-        (*WELL, 1.0),  # the second heartbeat
+        (*WELL, 1.0),  # the landing starts at the second heartbeat
         (WELL[0], every(0.1), WELL[2], CHECKS.recovery_time_s),
         (WELL[0], every(0.1), every(0.02, first_s=3.0), 3.0 + CHECKS.recovery_time_s),
-        (every(CHECKS.own_age_max_s + 0.05), every(0.1), WELL[2], None),  # 4 Hz
-        (WELL[0], every(0.1), every(CHECKS.target_age_max_s + 0.08), None),  # 3 Hz
+        (every(CHECKS.own_age_max_s + 0.05), every(0.1), WELL[2], None),  # 4 Hz is too slow
+        (WELL[0], every(0.1), every(CHECKS.target_age_max_s + 0.08), None),  # 3 Hz is too slow
         (WELL[0], every(CHECKS.status_age_max_s + 2.0), WELL[2], None),
-        (WELL[0], every(0.1), [0.0], None),  # all others rejected, as with a constant time stamp
-        (WELL[0], every(0.1), [t for t in every(0.02) if t % 0.5 < 0.1], None),  # in bursts
+        (WELL[0], every(0.1), [0.0], None),  # all later samples are rejected, as with a constant time stamp
+        (WELL[0], every(0.1), [t for t in every(0.02) if t % 0.5 < 0.1], None),  # samples in bursts
     ],
 )
 def test_it_takes_off_after_inputs_that_were_good_without_a_gap(own, status, target, starts_s):
@@ -116,7 +116,7 @@ def test_it_takes_off_after_inputs_that_were_good_without_a_gap(own, status, tar
             break
     assert began == (
         [] if starts_s is None else [pytest.approx(starts_s, abs=0.06)]
-    )  # plus the target's delay
+    )  # the tolerance includes the target's delay
 
 
 def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():

@@ -268,7 +268,7 @@ def test_the_stop_needs_to_know_where_it_is():
 
 
 def test_the_solvers_tolerance_covers_what_it_may_leave():
-    """The rounding error may double."""
+    """The tolerance covers twice the rounding error of the solver."""
     assert SOLVER_TOLERANCE_M_S == 2.0 * RESIDUAL_MAX_M_S < 1e-5
 
 
@@ -307,4 +307,4 @@ def test_no_other_source_makes_an_approved_set_point_or_names_the_key():
     files = [f for room in ("flightstack", "bridge", "sim", "logs") for f in (root / room).rglob("*.py")]
     maker = re.compile(r"ApprovedSetpoint\(|gate import .*_KEY|gate\._KEY")
     found = {f.name: len(maker.findall(f.read_text())) for f in files if maker.search(f.read_text())}
-    assert found == {"gate.py": 2}  # a checked velocity, and the stop
+    assert found == {"gate.py": 2}  # a checked velocity, and the stop command

@@ -23,7 +23,7 @@ from flightstack.core.types import FilterStatus
 FILTER = SafetyFilter(0.7)
 BOX = (0.2, 0.2, 0.5)
 STILL = (0.0, 0.0, 0.0)
-FREE, LOW, HIGH = range(3)  # state of an axis
+FREE, LOW, HIGH = range(3)  # state of an axis: free, at the lower limit, at the upper limit
 SOLVED = ext_builtin.osqp_status_type.OSQP_SOLVED
 velocities = st.tuples(*(st.floats(-2.0, 2.0),) * 3)
 slopes = st.one_of(st.just(0.0), st.floats(-4.0, 4.0))
@@ -228,7 +228,7 @@ LOWER, UPPER, NOMINAL, GRADIENT = (-0.1, -0.2, -0.3), (0.4, 0.5, 0.6), (0.7, -0.
 
 
 def told(point, status=SOLVED, bound=-9.0, multiplier=0.25):
-    """Return the result for a point and a status of the solver, which does not run, and its numbers."""
+    """Return result and solver data for a given solution and status; the solver itself does not run."""
     judged = SafetyFilter(0.7)
     solver = judged.osqp
     solver._calls, solver._status.value, solver._count.value = [], int(status), 35

@@ -175,7 +175,7 @@ def test_a_firmware_that_restarts_in_the_air_is_noticed(flown, uptime_s):
 def test_one_that_restarts_within_a_blind_landing_is_flown_no_more():
     bench = Bench().hover()
     bench.lose()
-    bench.firmware._start()  # immediately
+    bench.firmware._start()  # the firmware restarts immediately
     bench.run(0.5)
     assert bench.vehicle.armed
     bench.connect()

@@ -155,14 +155,14 @@ def test_a_take_off_from_a_deck_that_drives_rises_above_its_place_on_the_deck_th
         if done is not None:
             break
         vx, vy, vz = velocity.velocity_enu_m_s
-        if rise_m < CLEAR_M:  # it slides only on a deck that is too fast
+        if rise_m < CLEAR_M:  # the vehicle slides only on a deck that is too fast
             assert (vx, vy) == pytest.approx((kept * deck_m_s[0], kept * deck_m_s[1]))
             vx, vy = deck_m_s if n * period_s < 0.5 else (vx, vy)  # the deck carries it until lift-off
             left = (x, y)
         x, y = x + period_s * vx, y + period_s * vy
         rise_m += period_s * vz if n * period_s >= 0.5 else 0.0
     assert rise_m == pytest.approx(0.5, abs=0.06)
-    beyond_m = math.hypot(x - left[0], y - left[1])  # it stops without flying back
+    beyond_m = math.hypot(x - left[0], y - left[1])  # the vehicle stops without flying back
     assert beyond_m == pytest.approx(min(speed_m_s, CARRIED_MAX_M_S) / GAIN_1_S, rel=0.3, abs=0.01)
 
 

@@ -20,7 +20,7 @@ from tests.unit.target.ros2_helpers import pose_stamped
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 S = 1_000_000_000
-EPOCH_S = 1.7e9  # the mocap computer has another clock
+EPOCH_S = 1.7e9  # clock offset of the motion capture computer, s
 UNIT = (
     st.tuples(*[st.floats(-1.0, 1.0)] * 4)
     .filter(lambda q: sum(e * e for e in q) > 0.01)
@@ -132,7 +132,7 @@ def test_what_was_lost_for_a_while_may_be_somewhere_else():
     checks = PoseChecks()
     stream(checks, 0.0, 1.0, armed=True)
     step = checks.step([sample(2.0, (3.0, 0.0, 0.0))], 2.004, armed=True)
-    assert len(step.passed) == 1  # 3 m in 1 s
+    assert len(step.passed) == 1  # a motion of 3 m in 1 s is possible
     assert checks.step([sample(9.0, (9.0, 0.0, 0.0))], 9.004, armed=True).passed == ()
 
 
@@ -225,7 +225,7 @@ def test_each_autopilot_gets_what_it_wants_once_it_is_heard(autopilot, kind):
         passed, problem = checks.step([sample(at_s)], at_s + 0.004, armed=False)
         return kinds(vehicle.step(passed, at_s + 0.004)), problem
 
-    assert step(0.0)[0] == ["HEARTBEAT"]  # it sends heartbeats, and no poses yet
+    assert step(0.0)[0] == ["HEARTBEAT"]  # the bridge sends heartbeats, but no poses yet
     vehicle.handle(heartbeat(autopilot), 0.005)
     sent = []
     for i in range(1, 200):
@@ -234,7 +234,7 @@ def test_each_autopilot_gets_what_it_wants_once_it_is_heard(autopilot, kind):
     assert problem is None
     assert sent.count(kind) == pytest.approx(100, abs=3)  # sent at 50 Hz; poses arrive at 100 Hz
     assert set(sent) <= {kind, "HEARTBEAT"}
-    assert kind not in step(6.0)[0]  # silent for 4 s
+    assert kind not in step(6.0)[0]  # the vehicle has been silent for 4 s
 
 
 def test_only_an_autopilot_that_needs_one_gets_an_origin_until_it_shows_it():

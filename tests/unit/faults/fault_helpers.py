@@ -1,4 +1,4 @@
-"""Faults of every cell of the table, and vehicles with faults, for the tests."""
+"""Test helpers: a fault of each cell of the fault table, and flights of vehicles with faults."""
 
 from sim.chance import stream
 from sim.faults.schedule import Running

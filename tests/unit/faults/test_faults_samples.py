@@ -75,7 +75,7 @@ def test_faults_of_the_target_wait_for_the_landing_and_are_told():
     seen = []
     for ms in range(0, 4000, 10):
         if ms >= 1000:
-            faults.landing_began(1000 * MS)  # repeated calls
+            faults.landing_began(1000 * MS)  # a repeated call has no effect
         seen += faults.deliver(ms * MS, [target(ms / 1000)])
     assert [str(t) for t in faults.take_texts()] == [
         "Fault: target odometry stuck",

@@ -130,13 +130,13 @@ def test_every_failure_takes_effect_and_ok_ends_it(unit, kind):
     assert began
     assert all(text.startswith("Fault: ") for text in began)
     assert sim.inject_failure(unit, kind, 1) is None
-    assert texts(sim) == []  # it is already active
+    assert texts(sim) == []  # the fault is already active
     hold(sim, 0.1)
     assert sim.inject_failure(unit, OK, 0) is None
     assert texts(sim) == [text.replace("Fault: ", "Fault over: ") for text in began]
     truths = hold(sim, 3.0)
     assert sim.state_text == "flying"
-    assert off_home(truths[-1]) < 0.3  # a motor off for 0.1 s costs height
+    assert off_home(truths[-1]) < 0.3  # the vehicle loses height if a motor is off for 0.1 s
 
 
 def test_motors_are_counted_from_one_and_zero_is_all():
@@ -183,7 +183,7 @@ def test_ok_heals_what_the_scenario_began_but_not_what_cannot_heal():
     assert sim.inject_failure(BATTERY, OK, 0) is None
     assert texts(sim) == []
     hold(sim, 6.0)
-    assert texts(sim) == []  # its scheduled end has no second effect
+    assert texts(sim) == []  # the scheduled end of the fault has no second effect
 
 
 def test_wire_failures_concern_both_directions():

@@ -11,7 +11,7 @@ FIELD = load("field")
 
 
 def at(x: float, y: float, offset=(-0.8, 0.3, 0.9), **target) -> Scenario:
-    """Return a member of ``field`` with its robot at this position, m; ``offset``: vehicle relative to it."""
+    """Return a member of ``field`` with its robot at this position, m; ``offset``: vehicle minus robot, m."""
     robot = replace(FIELD.target, position_m=(x, y), **target)
     return replace(FIELD, target=robot, start=replace(FIELD.start, offset_m=offset))
 

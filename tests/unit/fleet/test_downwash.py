@@ -1,4 +1,4 @@
-"""The jet of one vehicle at another: published numbers, momentum, symmetry, no effect far away."""
+"""Downwash of a vehicle on another one: published values, momentum, symmetry, no effect far away."""
 
 import math
 
@@ -54,7 +54,7 @@ def test_the_axis_and_the_half_width_are_the_published_ones(lengths):
 
 
 def test_the_jet_carries_the_momentum_of_the_thrust():
-    """The constants and their unit of length are consistent; a quarter of l would give 0.06."""
+    """The constants fit their unit of length l; with a quarter of l the result would be 0.06."""
     for down in (0.3, 1.0, 2.0):
         r = np.linspace(0.0, 3.0, 6001)
         u = np.array([jet_speed(down, each, HOVER_M_S, SIZE_M) for each in r])

@@ -54,13 +54,13 @@ def test_vehicles_that_begin_inside_each_other_are_refused():
 
 
 def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():
-    """The fifth vehicle came 11 mm below it when a sinking vehicle was assumed to continue inwards."""
+    """The fifth vehicle came 11 mm below it if a sinking vehicle was predicted to continue inwards."""
     landings = land_team(team.load("fleet_8"), 20866).landings
     assert min(each.verdict.h_min_outside_pad_m for each in landings) > 0.03
 
 
 ROOT = Path(__file__).parents[3]
-# a wrong position makes the third one wait for a minute at any moment: one moment is flown here
+# with a wrong position the third vehicle waits for a minute, so only one of these moments is flown
 CELLS = [(way, m) for way in Way for m in MOMENTS_S if way is not Way.LIES or m == "touchdown"]
 PAGE = (ROOT / "docs" / "reference" / "fault_grid.md").read_text()
 

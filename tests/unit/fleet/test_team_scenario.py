@@ -143,7 +143,7 @@ def begins(scenario):
 def test_robots_are_assigned_by_where_the_vehicles_begin(written):
     found = team.load(written(CROSSING))
     fixed = team.load(written(CROSSING.replace('"start"', '"fixed"')))
-    assert found.assignment is fixed.assignment is team.Assignment.FIXED  # no assignment remains to be done
+    assert found.assignment is fixed.assignment is team.Assignment.FIXED  # the assignment is complete
     for own, before, robot in zip(found.member, fixed.member, fixed.member[::-1], strict=True):
         assert own.target == robot.target
         assert own.odometry == robot.odometry

@@ -23,7 +23,7 @@ from tests.unit.target.ros2_helpers import until
 
 
 class Said(NamedTuple):
-    """Replaces a message; the exchange uses only its arrival time."""
+    """Replacement for a fleet message; the exchange uses only its arrival time."""
 
     text: str
     arrival_s: float = 0.0
@@ -54,7 +54,7 @@ def test_words_are_late_by_whole_ticks(delay_s, ticks):
     heard = [exchange(tick, [f"a{tick}", None]) for tick in range(20)]
     assert all(own == () for own, _ in heard)
     for tick, (_, other) in enumerate(heard):
-        wanted = tick + 1 - ticks  # messages received with the next tick
+        wanted = tick + 1 - ticks  # number of the message that arrives with the next tick
         assert other == (((f"a{wanted}", (tick + 1) / 100.0),) if wanted >= 0 else ())
 
 
@@ -87,7 +87,7 @@ def word(id_, now_s, claim_s=float("nan")):
 
 @pytest.fixture
 def ends():
-    """Both ends of three members' message links: at the vehicles and at the onboard processes."""
+    """Provide both ends of the message links of three members: vehicles and onboard processes."""
     endpoint = free_endpoint()
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
     until(lambda: zenoh_link.transports(ours) == 1)
@@ -141,7 +141,7 @@ def test_who_leaves_is_gone_with_the_tick_after_its_last_one(ends):
     process.close()
     until(lambda: vehicle._poll() or vehicle._last == 0)
     vehicle.tick = first.number
-    assert not vehicle.left  # its answer of this tick may still be in transit
+    assert not vehicle.left  # the reply of this tick may still be in transit
     assert vehicle.take(Silence(), Stop())
     vehicle.tick = second.number
     assert vehicle.left

@@ -19,7 +19,7 @@ from tests.unit.flights.test_recording import COLUMN_TABLE, RATE_HZ, flight, rea
 
 
 def wobbling(seconds=16.0, late_s=0.0):
-    """Return a flight that rolls and pitches; the gyro's log is ``late_s`` late, a number or an array."""
+    """Return a flight that rolls and pitches; ``late_s``: delay of the logged gyro rates."""
     columns = flight(seconds)
     t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
 
@@ -30,7 +30,7 @@ def wobbling(seconds=16.0, late_s=0.0):
     turned, logged = attitude(t), attitude(t - late_s)
     for name, values in zip(("qw", "qx", "qy", "qz"), turned.as_quat(scalar_first=True).T, strict=True):
         columns[name] = values
-    rates = np.gradient(logged.as_euler("xyz"), t, axis=0)  # small angles
+    rates = np.gradient(logged.as_euler("xyz"), t, axis=0)  # turn rates, rad/s; the angles are small
     for axis, values in zip("xyz", rates.T, strict=True):
         columns[f"imu_gyro_{axis}"] = values
     roll, pitch = turned.as_euler("ZYX").T[[2, 1]]

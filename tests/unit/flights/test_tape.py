@@ -58,7 +58,7 @@ def test_an_error_across_the_velocity_is_a_share_of_it():
     tape = tape_of(made(delay=lambda t: 0.0 * t, velocity_error=0.1, speed=0.8))
     piece = tape.pieces[0]
     found = piece.across * (piece.speed_m_s + 0.54)
-    left = found - 0.8 * piece.velocity_delay_s  # on this circle a delay is also an error across, 0.8 m/s2
+    left = found - 0.8 * piece.velocity_delay_s  # centripetal 0.8 m/s2: error by the delay
     assert left == pytest.approx(0.08, abs=0.01)
 
 
@@ -95,7 +95,7 @@ def test_cuts_are_joined_without_a_jump_at_any_rate(rate_hz):
     assert rows[:, DELAY].min() >= recorded.min()
     assert rows[:, DELAY].max() <= recorded.max()
     steps = np.abs(np.diff(rows[:, DELAY]))
-    assert steps.max() < (0.06 / 0.2 + 0.09) / rate_hz + 1e-3  # a join may change the delay by 60 ms
+    assert steps.max() < (0.06 / 0.2 + 0.09) / rate_hz + 1e-3  # joins change the delay by up to 60 ms
 
 
 @pytest.fixture

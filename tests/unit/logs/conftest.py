@@ -19,7 +19,7 @@ class FlownFleet:
 
 @pytest.fixture(scope="session")
 def fleet(tmp_path_factory):
-    """Three vehicles above three robots; two wait for the one before, a tenth of the messages is lost."""
+    """Three vehicles above three robots; two wait for the right of way; 10 % of the messages are lost."""
     log = tmp_path_factory.mktemp("fleet") / "flight.mcap"
     with pytest.MonkeyPatch.context() as patch:
         return FlownFleet(log, fly_fleet(log, near(), 1, patch))

@@ -60,7 +60,7 @@ def test_missed_deadlines_are_counted_and_not_made_up_for():
     pacer.wait()
     clock.now += 0.0351
     late = pacer.wait()
-    assert pacer.overruns == 2  # two more deadlines passed after the missed one
+    assert pacer.overruns == 2  # two further deadlines passed after the missed one
     assert late.lateness_s == pytest.approx(0.0251, abs=1e-6)
     following = pacer.wait()
     assert following.now_s == pytest.approx(0.04, abs=1e-6)
@@ -94,7 +94,7 @@ def test_a_follower_makes_every_tick_however_fast_the_simulator_is(file):
     ticks = []
     follower = threading.Thread(target=lambda: ticks.extend(pacer.wait() for _ in range(101)))
     follower.start()
-    run(clock, 250)  # one second
+    run(clock, 250)  # one second of simulated time
     follower.join(5.0)
     assert not follower.is_alive()
     assert pacer.overruns == 0
@@ -105,13 +105,13 @@ def test_a_follower_makes_every_tick_however_fast_the_simulator_is(file):
 def test_the_simulator_stops_where_a_follower_waits(file, monkeypatch):
     monkeypatch.setattr(pacing, "_FOLLOWER_MAX_S", 60.0)
     clock, followed = SimulationClock(file), FollowedClock(file, Follower.TARGET)
-    followed._cells[followed._place] = 2 * STEP_NS  # end of the follower's wait
+    followed._cells[followed._place] = 2 * STEP_NS  # the follower waits for this step
     simulator = threading.Thread(target=run, args=(clock, 10))
     simulator.start()
     simulator.join(0.2)
     assert simulator.is_alive()
     assert clock.unix_ns() - followed._cells[0] == 2 * STEP_NS
-    followed._cells[followed._place] = 20 * STEP_NS  # it has processed what was due
+    followed._cells[followed._place] = 20 * STEP_NS  # the follower has processed every due step
     simulator.join(5.0)
     assert not simulator.is_alive()
     assert clock.unix_ns() - followed._cells[0] == 10 * STEP_NS
@@ -122,7 +122,7 @@ def test_a_follower_that_was_killed_is_not_waited_for_again(file, monkeypatch):
     clock = SimulationClock(file)
     followed = FollowedClock(file, Follower.ONBOARD)
     run(clock, 1)
-    followed._cells[followed._place] = STEP_NS  # it waits until now and never continues
+    followed._cells[followed._place] = STEP_NS  # the follower waits until this step and never continues
     run(clock, 1000)
     assert clock.unix_ns() - followed._cells[0] == 1000 * STEP_NS
 
@@ -132,10 +132,10 @@ def test_time_goes_on_for_the_followers_of_a_simulator_that_was_killed(file, mon
     clock, followed = SimulationClock(file), FollowedClock(file, Follower.ONBOARD)
     clock.advance(STEP_NS, never)
     before_s = followed.monotonic()
-    followed.sleep(0.05)  # ends without a step
+    followed.sleep(0.05)  # the wait ends without a step of the simulator
     after_s = followed.monotonic()
     assert after_s >= before_s + 0.05
-    clock.advance(2 * STEP_NS, never)  # it was only slow; time never goes back
+    clock.advance(2 * STEP_NS, never)  # the simulator was only slow; time never goes back
     assert followed.monotonic() >= after_s
 
 
@@ -242,7 +242,7 @@ def test_a_clock_that_is_twice_as_fast_makes_twice_as_many_ticks_and_their_times
 
     first = pacer()
     ticks = [first.wait() for _ in range(101)]
-    assert wall.now == pytest.approx(100.5, abs=1e-6)  # a second of stack time in half a second
+    assert wall.now == pytest.approx(100.5, abs=1e-6)  # a second of stack time lasts half a second
     assert ticks[-1].now_s == pytest.approx(1.0, abs=1e-6)
     assert ticks[-1].period_s == pytest.approx(0.01, abs=1e-6)
     assert first.overruns == 0

@@ -1,6 +1,6 @@
-"""Every exit of a flight, in every phase: the vehicle is commanded to land, or no longer ours.
+"""After every exit of a flight, in every phase, the vehicle has a command to land or another controller.
 
-The table in docs/how_it_works/failures.md lists the same.
+The table in docs/how_it_works/failures.md lists these exits.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ EXIT_S = 0.05  # time after the start
 
 
 class Breaks(Enum):
-    """Failure in the tick of the exit, and from then on."""
+    """A failure that starts in the tick of the exit and remains."""
 
     CLOCK = "wait"
     TARGET = "samples"

@@ -156,7 +156,7 @@ def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard,
     assert "another process has the vehicle id 3" in found[-1].reason
     leaving = process._Leaving(onboard, nobody())
     out = SimpleNamespace(phase=Phase.APPROACH, finished=False)
-    assert leaving.ended(out, onboard.controller.memory, None, 1.0) is None  # in this case it is an event
+    assert leaving.ended(out, onboard.controller.memory, None, 1.0) is None  # this failure is only an event
 
 
 def test_a_lone_vehicle_has_no_wire(feed):
@@ -174,7 +174,7 @@ def test_a_fleet_is_refused_where_it_cannot_work():
         process.run(CONFIG, OnboardOptions(**WHERE))
 
 
-MS = 1_000_000  # ns
+MS = 1_000_000  # nanoseconds per millisecond
 delays = st.integers(0, 300 * MS)
 rounds = st.lists(st.tuples(delays, delays, st.integers(1, 2000 * MS)), min_size=1, max_size=30)
 
@@ -195,7 +195,7 @@ def test_the_bound_holds_for_all_delays_and_drifts(off_ns, drift, rounds):
         now += back + pause
         found = here.offset(now)
         if found is not None:
-            slack_ns = 2 + DRIFT * 2 * 300 * MS  # rounding; an echo is as old as its latency
+            slack_ns = 2 + DRIFT * 2 * 300 * MS  # rounding, and clock drift during the age of an echo
             assert abs(found.ns - (now - there_ns(now))) <= found.bound_ns + slack_ns
 
 

@@ -1,4 +1,4 @@
-"""Fleet messages over Zenoh are converted to the receiver's clock; bad ones are rejected and reported."""
+"""Fleet messages over Zenoh are converted to the receiver's clock; invalid ones are rejected and reported."""
 
 import time
 
@@ -77,7 +77,7 @@ def taken(side):
 
 
 def greet(a, b):
-    """Send in turn until both have forwarded a message of the other one."""
+    """Send in turn until both connections have forwarded a message of the other vehicle."""
     heard = set()
 
     def in_turn():
@@ -148,7 +148,7 @@ def test_of_two_processes_of_another_vehicle_the_first_is_heard(sides, stranger)
     sent(stranger, 7)
     assert taken(a) == []
     assert a.wire.texts() == ["fleet: two processes have the vehicle id 7: 1 messages rejected"]
-    a.now_s += 10.0  # longer than a silent vehicle may fly
+    a.now_s += 10.0  # longer than a silent vehicle may continue to fly
     sent(stranger, 7, echoes=(Echo(3, a.wire._process, AHEAD_NS + 9_000_000_000),))
     taken(a)
     texts = a.wire.texts()
@@ -185,7 +185,7 @@ def test_a_wrong_stamp_costs_one_word_and_a_clock_that_was_set_is_followed(sides
 
 
 def test_a_word_counts_when_its_teller_hears_this_one(sides, stranger):
-    """Otherwise its time on this clock is unknown."""
+    """Before that, the time of the message on the local clock is unknown."""
     a, _ = sides
     a.now_s += 10.0
     sent(stranger, 7, 11.0)

@@ -39,7 +39,7 @@ def started(monkeypatch):
 
     def fly_with(*words):
         done = CliRunner().invoke(main, ["fly", *map(str, words)])
-        assert done.exit_code == 2  # the child's reason for its failed start
+        assert done.exit_code == 2  # the reason comes from the child process, which could not start
         return seen[-1]
 
     return fly_with

@@ -1,4 +1,4 @@
-"""Identification finds the parameters of a synthetic vehicle, and rejects flights that do not show them."""
+"""Identification finds the parameters of a synthetic vehicle, and rejects flights without their effect."""
 
 import math
 
@@ -13,7 +13,7 @@ DT_S = 0.01
 def made_up(
     seed, *, gain=1.0, rate=5.2, damping=0.68, dead_s=0.0, seconds=20.0, size=0.4, wind=0.0, noisy=0.005
 ):
-    """Return step commands and the synthetic vehicle's response, by fine steps instead of the fit's model."""
+    """Return step commands and the response of the synthetic vehicle, without the model of the fit."""
     from scipy import signal  # a late import: it takes half a second
 
     rng = np.random.default_rng(seed)
@@ -101,7 +101,7 @@ def test_noise_rate_loss_and_delay_of_a_link_are_found():
 
 
 def test_its_standard_errors_are_true():
-    """In nearly all of 24 windy flights the true lag is within two errors, which are not too large."""
+    """In nearly all of 24 windy flights the true lag is within two standard errors, which are small."""
     lag = 2.0 * 0.68 / 5.2
     found = [identify([made_up(seed, wind=0.05)], DT_S, "x") for seed in range(24)]
     missed = [abs(one.lag_s - lag) / one.errors[4] for one in found]

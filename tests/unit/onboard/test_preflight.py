@@ -65,7 +65,7 @@ def test_the_simulators_own_parameters_are_safe_for_every_scenario(name):
 
 
 class Simulated:
-    """The simulated autopilot, a tick for each call of ``step``; replies of the types ``mute`` are lost."""
+    """The simulated autopilot; each call of ``step`` runs a tick; replies of the types ``mute`` are lost."""
 
     def __init__(self, *, mute=(), heartbeat=None, fake=None):
         self.autopilot, self.asked = Autopilot(fake or FakeVehicle(), RATE_HZ), []
@@ -114,7 +114,7 @@ def test_without_a_version_it_counts_as_the_real_one_whose_release_is_not_known(
     report = talk(Vehicle(mute=("AUTOPILOT_VERSION",)))
     assert (report.profile, report.version) == (PX4, None)
     assert "no AUTOPILOT_VERSION in reply to 2 requests within 1 s" in verdict(report)
-    assert "MAV_FWDEXTSP" in {f.name for f in report.blocking}  # the simulator lacks this parameter
+    assert "MAV_FWDEXTSP" in {f.name for f in report.blocking}  # the simulated vehicle lacks this parameter
     assert "refused: DOES_NOT_EXIST" in next(f.why for f in report.findings if f.name == "MAV_FWDEXTSP")
 
 
@@ -135,7 +135,7 @@ def test_a_profile_that_is_given_needs_no_version(monkeypatch):
     ],
 )
 def test_a_battery_too_low_to_land_is_refused_with_what_it_needs(volts, armed, table, refused):
-    """At rest: an armed vehicle shows its voltage under load, which the controller checks."""
+    """The check applies at rest; the controller checks the voltage under load of an armed vehicle."""
     reserve = {"hover_throttle": 0.78, "hover_voltage_v": 3.7, "lowest_voltage_v": 3.2, "sag_v": 0.4}
     section = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, **({"reserve": reserve} if table else {})}
     vehicle = Vehicle(fake=FakeVehicle(battery_v=volts, armed=armed))

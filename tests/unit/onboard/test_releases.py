@@ -49,7 +49,7 @@ def sides(rule):
 
 @RELEASES
 def test_each_side_of_every_rule_is_told_apart_in_every_release(autopilot, release):
-    """The numbers of the rules are those of docs/reference/autopilots.md."""
+    """The limits of the rules are also in docs/reference/autopilots.md."""
     safe = SAFE[autopilot, release]
     asked = table(autopilot).asked(autopilot, release)
     assert len(asked) > 15
@@ -80,7 +80,7 @@ def test_the_names_of_the_release_before_are_refused(autopilot, release):
     missing = {f.name for f in report.findings if f.value is None}
     assert missing >= {"4.7": {"WP_SPD", "ARMING_SKIPCHK"}, "1.18": {"MAN_OVERRIDE_SPD"}}[release]
     assert any("refused: DOES_NOT_EXIST" in f.why for f in report.findings)
-    assert report.safe is (autopilot == "px4")  # new names of PX4 are only notes
+    assert report.safe is (autopilot == "px4")  # unknown parameter names of PX4 are only notes
 
 
 def test_a_name_of_any_release_may_be_accepted():

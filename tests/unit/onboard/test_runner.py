@@ -1,4 +1,4 @@
-"""The sequence of a tick, and samples that it does not use."""
+"""The order of calls in a tick, and samples that a tick does not use."""
 
 import math
 from types import SimpleNamespace

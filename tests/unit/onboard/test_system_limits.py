@@ -83,7 +83,7 @@ def test_shipped_machine_code_is_used_where_it_cannot_be_written(
     refused |= {base / name for name in closed}
     if chosen:
         monkeypatch.setenv("NUMBA_CACHE_DIR", str(base / chosen))
-    for _ in range(2):  # the second time it exists
+    for _ in range(2):  # the second time the folder exists
         found = jit.cache_directory.__wrapped__()
         assert found == base / expected / "jit-0"
         if copied is not None:
@@ -128,7 +128,7 @@ def test_a_pipe_where_a_file_is_needed_is_refused_and_not_waited_for(tmp_path, w
 
 
 def test_files_are_utf_8_whatever_the_locale_is(tmp_path):
-    """A page and its path, too; a path may hold bytes of any encoding."""
+    """This includes a page and its path; a path may contain bytes of any encoding."""
     (tmp_path / "ä.toml").write_text("# größer\n", encoding="utf-8")
     locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PATH": os.environ["PATH"]}
     for verb in ("config", "scenarios"):

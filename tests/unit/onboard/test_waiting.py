@@ -203,4 +203,4 @@ def test_what_ends_a_wait_is_counted_down_with_its_setting():
     assert countdown(config, Phase.WAIT, 12.0) == "gives up within 48 s (checks.wait_time_max_s)"
     assert countdown(config, Phase.ABORT, 12.0) == "ends within 28 s (retreat.abort_time_max_s)"
     assert countdown(config, Phase.HOLD, 3.0) == "aborts within 0 s (checks.hold_time_s)"
-    assert countdown(config, Phase.APPROACH, 3.0) == ""  # left immediately
+    assert countdown(config, Phase.APPROACH, 3.0) == ""  # the controller leaves the phase immediately

@@ -32,11 +32,11 @@ def test_every_file_loads_and_can_hover_with_room(airframe):
     assert 0.3 < hover_n / params.rotor.thrust_max_n < 0.7
     load_v = params.battery.resistance_ohm * (params.battery.idle_current_a + params.battery.hover_current_a)
     empty_n = params.rotor.thrust_n(params.battery.speed_rpm(params.battery.empty_v - load_v))
-    assert empty_n > hover_n  # a vehicle with markers has almost no reserve then
+    assert empty_n > hover_n  # with an empty battery, a vehicle with markers has little reserve
 
 
 def room(seed=0, loop=VelocityLoop.PID, **spec):
-    """Return a hovering vehicle with the numbers of the recorded flights."""
+    """Return a hovering vehicle with the parameters of the recorded flights."""
     spec = VehicleSpec("crazyflie21_room", loop, **spec)
     return VehicleSim(replace(load_scenario("lab"), vehicle=spec, wind=Wind(), fault=()), seed)
 
@@ -49,7 +49,7 @@ def test_a_vehicle_that_is_asked_to_hover_has_the_charge_for_it():
     charges = [(a.battery_charge, b.battery_charge) for a, b in zip(drawn, able, strict=True)]
     assert all(b >= a for a, b in charges)
     assert all(replace(b, battery_charge=a.battery_charge) == a for a, b in zip(drawn, able, strict=True))
-    seed = max(range(40), key=lambda n: charges[n][1] - charges[n][0])  # the weakest
+    seed = max(range(40), key=lambda n: charges[n][1] - charges[n][0])  # seed with the weakest battery
     climbs = [
         velocities(room(seed, hover_reserve=reserve, **spread), (0.0, 0.0, 0.3), 1.5)[-1][2]
         for reserve in (0.0, 1.04)

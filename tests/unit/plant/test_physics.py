@@ -38,7 +38,7 @@ class FreePlant:
         self.rotors(0.0)
 
     def place(self, quaternion=(1.0, 0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0)):
-        """Move it ``HIGH_M`` above the origin."""
+        """Move the vehicle ``HIGH_M`` above the origin."""
         q = np.array(quaternion) / np.linalg.norm(quaternion)
         self.sim._world.set_vehicle((0.0, 0.0, HIGH_M), tuple(q.tolist()), velocity, rates)
 
@@ -57,7 +57,7 @@ class FreePlant:
 
     @property
     def state(self):
-        """Position, velocity, quaternion, rates, rotor speeds: 17 numbers."""
+        """Position, velocity, quaternion, body rates and rotor speeds: 17 values."""
         w = self.sim._world
         return np.array([*w.position, *w.velocity, *w.quaternion, *w.rates, *self.sim._rotors.rpm])
 
@@ -84,7 +84,7 @@ def test_angular_momentum_with_the_rotors_is_conserved_without_air():
     rng = np.random.default_rng(4)
     for _ in range(20):
         plant.run(50, rng.uniform(0.0, 24_000.0, 4))
-    # an error of first order in the step: the gyroscopic torque uses the rates before the step
+    # first-order error in the step, because the gyroscopic torque uses the rates before the step
     worst = np.abs(angular_momentum(plant) - before).max()
     assert worst < 2e-3 * np.linalg.norm(before)
     assert np.abs(plant.state[10:13] - (1.0, -0.7, 2.0)).max() > 1.0  # the body's rates changed
@@ -112,15 +112,15 @@ def random_flight(seed, slow, spread_rpm):
 def test_six_degrees_of_freedom_agree_with_the_independent_model(seed, slow):
     """Rates, attitude, velocity, position and speeds over 1.5 s of random commands.
 
-    The simulator takes a step's torque at its end and the thrust's direction at its begin: an error of half a
-    step times how fast these change. The tolerances are once or twice that, none of them fitted.
+    The simulator applies the torque of the end of a step, and the thrust direction of its start. The error is
+    half a step times their rate of change. The tolerances are one or two times this error and not fitted.
     """
     flown, reference = random_flight(seed, slow, 200.0)
     error = np.abs(flown - reference)
     rates = reference[:, 10:13]
     turning = np.abs(rates).max()
     angular_acceleration = np.abs(np.diff(rates, axis=0)).max(axis=0) / 0.02
-    assert turning > 0.5  # it has turned
+    assert turning > 0.5  # the vehicle has turned, so the bounds are tested
     assert (error[:, 10:13].max(axis=0) < STEP_S * angular_acceleration + 1e-4).all()
     assert 2.0 * error[:, 6:10].max() < STEP_S * turning + 1e-4  # rad
     assert error[:, 3:6].max() < 0.5 * STEP_S * turning * G * 1.5  # thrust, about m g, turned by half a step

@@ -105,7 +105,7 @@ def falls(t):
 
 
 def later(x, z):
-    """Apply the weight for a second, then another force, in units of the weight."""
+    """Apply the weight for a second, then a force, which is given as a multiple of the weight."""
     return lambda step: WEIGHT if step < 1000 else (x * MASS * G, 0.0, z * MASS * G)
 
 
@@ -127,7 +127,7 @@ def test_goes_its_way_as_soon_as_friction_or_weight_do_not_hold(velocity_of, for
 @pytest.mark.parametrize(
     ("place", "force", "torque"),
     [
-        ((0.075, 0.0), WEIGHT, NO_TORQUE),  # a foot may be beside the pad
+        ((0.075, 0.0), WEIGHT, NO_TORQUE),  # a foot may be beyond the edge of the pad
         ((0.0, 0.0), (0.0, 0.0, -0.4 * MASS * G), NO_TORQUE),  # thrust carries nearly half of the weight
         ((0.0, 0.0), WEIGHT, (0.3 * MASS * G * PARAMS.geometry.foot_offset_m, 0.0, 0.0)),
         ((0.0, 0.0), WEIGHT, (0.0, 0.0, 0.3 * FRICTION * MASS * G * PARAMS.geometry.foot_offset_m)),

@@ -46,7 +46,7 @@ def test_at_the_edge_only_the_rotors_over_the_pad_gain_and_far_away_none():
 
 def test_a_tilted_vehicle_feels_every_rotor_at_its_own_height():
     angle = math.radians(10.0)
-    axes = rotation_axes((math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0))  # nose down
+    axes = rotation_axes((math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0))  # attitude with the nose down
     front = 0.04 + ROTOR.above_com_m * math.cos(angle) - ROTOR.arm_m * math.sin(angle)
     rear = front + 2.0 * ROTOR.arm_m * math.sin(angle)
     closed = [1.0 / (1.0 - (ROTOR.radius_m / (4.0 * h)) ** 2) for h in (front, rear, rear, front)]

@@ -44,19 +44,19 @@ def test_what_is_touched_first():
     assert touched((0.25, 0.0, 0.197), velocity=(-2.0, 0.0, 0.4)) == ContactBit.PAD_EDGE.value
     # flight under the pad into the robot's body
     assert touched((0.3, 0.0, 0.1), velocity=(-2.0, 0.0, 0.5)) == ContactBit.ROBOT.value
-    # upside down
+    # upside-down fall onto the ground
     assert touched((1.0, 0.0, 0.05), (0.0, 1.0, 0.0, 0.0)) == ContactBit.GROUND | ContactBit.TUMBLED
 
 
 def test_propellers_count_as_body():
     tilt = math.radians(50.0)
-    q = (math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0)  # nose down: the front propellers touch first
+    q = (math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0)  # the front propellers touch first
     w = world()
     w.set_vehicle((1.0, 0.0, 0.06), q)
     while not (bits := w.step(WEIGHT, NO_TORQUE)):
         pass
     assert bits == ContactBit.GROUND.value
-    assert w.position[2] > 0.03  # the feet are still clear
+    assert w.position[2] > 0.03  # the feet do not touch the ground yet
 
 
 @pytest.mark.parametrize(("tilt_deg", "tumbled"), [(55.0, False), (65.0, True)])
@@ -131,7 +131,7 @@ def tumble_past(spec, aside_m, searching):
     w.set_deck((0.0, 0.0, spec.pad_height_m), 0.3, (0.2, 0.0, 0.0), 0.5)
     rows = []
     for k in range(1500):
-        lift = 0.0 if k < 700 else 0.5  # upward again
+        lift = 0.0 if k < 700 else 0.5  # thrust later moves the vehicle upwards
         bits = w.step((0.0, 0.0, lift - 0.3), (0.0, 0.0, 0.0))
         rows.append((bits, w.position, w.velocity, w.quaternion, w.rates, w.deck_position))
     return rows

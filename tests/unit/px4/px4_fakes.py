@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common as mav
 PATIENCE_S = 30.0
 AROUND_M = 6_371_000.0
 
-# for outputs 1 to 4: x forward, y right, and 1 for counter-clockwise
+# motors 1 to 4: x forward, y right, and the sense of rotation (1: counter-clockwise)
 QUAD_X = np.array([[1, 1, 1], [-1, -1, 1], [1, -1, -1], [-1, 1, -1]], dtype=float)
 
 

@@ -57,11 +57,11 @@ def test_equals_the_vehicle_of_the_simulator_bit_by_bit_when_it_gets_the_same_ro
 @pytest.mark.parametrize(
     ("more", "axis", "sign"),
     [
-        ((1, 2), 0, +1),  # both on the left: right side down
+        ((1, 2), 0, +1),  # both left motors: right side down
         ((0, 3), 0, -1),
-        ((0, 2), 1, -1),  # both in front: nose up, negative about the axis to the left
+        ((0, 2), 1, -1),  # both front motors: nose up, negative about the left axis
         ((1, 3), 1, +1),
-        ((0, 1), 2, -1),  # both counter-clockwise ones: the body turns clockwise
+        ((0, 1), 2, -1),  # both counter-clockwise motors: the body turns clockwise
         ((2, 3), 2, +1),
     ],
 )
@@ -85,7 +85,7 @@ def test_whatever_comes_the_speeds_are_numbers_within_bounds(controls):
 @pytest.mark.parametrize("off", [math.nan, math.inf, -math.inf, -0.5, 0.0, 0.05])
 def test_a_motor_without_a_sound_output_stands_still(off):
     assert rotor_speeds([off] * 4, True, ROTOR) == OFF
-    assert rotor_speeds([0.5, off, 0.5, 0.5], True, ROTOR)[2] == 0.0  # PX4's second is M3
+    assert rotor_speeds([0.5, off, 0.5, 0.5], True, ROTOR)[2] == 0.0  # PX4's second motor is M3
 
 
 @pytest.mark.parametrize(("name", "word"), [("fault_motor_dead", "fault"), ("field", "offset_m")])

@@ -1,10 +1,10 @@
-"""PX4's program as a child: which parameters are set. A script replaces PX4 and its console."""
+"""Tests which parameters are set in the child process of PX4. A script replaces PX4 and its console."""
 
 import pytest
 
 from sim.px4.program import Px4Model, Px4Program
 
-# Its parameters are files; a command with an unknown parameter fails.
+# Each parameter of the script is a file; a command with an unknown parameter fails.
 STAND_IN = """#!/bin/sh
 cd "$(dirname "$0")/.."
 case "$(basename "$0") $1" in

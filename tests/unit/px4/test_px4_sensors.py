@@ -96,7 +96,7 @@ def test_rates_to_the_right_and_nose_up_are_positive_in_frd():
 def test_barometer_shows_the_height(height):
     slow = [r.slow for r in many(body(position=(0.0, 0.0, height)), 2000) if r.slow is not None]
     assert mean([pressure_altitude_m(s.pressure_hpa)] for s in slow)[0] == pytest.approx(height, abs=0.02)
-    assert np.std([s.pressure_altitude_m for s in slow]) == pytest.approx(0.10, abs=0.02)  # 1.2 Pa
+    assert np.std([s.pressure_altitude_m for s in slow]) == pytest.approx(0.10, abs=0.02)  # m; 1.2 Pa
 
 
 @settings(max_examples=15, deadline=None)
@@ -114,7 +114,7 @@ def test_fix_shows_position_and_velocity(x, y, z, vx, vy, vz):
 
 
 def test_rates_of_the_sensors():
-    readings = many(body(), 250)  # a second
+    readings = many(body(), 250)  # readings of one second
     assert sum(r.slow is not None for r in readings) == 50
     assert sum(r.fix is not None for r in readings) == 10
     assert readings[0].slow is not None

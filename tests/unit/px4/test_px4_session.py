@@ -32,7 +32,7 @@ def server():
 
 @pytest.fixture
 def short(monkeypatch):
-    """Time-outs of a test."""
+    """Shorten the time-outs of a session for a test."""
     monkeypatch.setattr(px4_session, "HELLO_MAX_S", SHORT_S)
     monkeypatch.setattr(px4_session, "BOOT_MAX_S", SHORT_S)
     monkeypatch.setattr(px4_session, "NUDGE_S", 0.1)
@@ -60,7 +60,7 @@ class Pair:
         """Greet, and run the first answered step."""
         self.fake.hello()
         self.session.greet()
-        self.session._start_s += 10.0  # a longer wait for the first answer on a busy machine
+        self.session._start_s += 10.0  # a busy machine may answer the first step late
         self.answering([(0.0,) * 4])
 
     def answering(self, outputs, **options):
@@ -107,7 +107,7 @@ def test_a_pause_of_the_machine_in_flight_is_told_once_and_not_caught_up(pair):
         pair.answering([(0.7,) * 4], armed=session._armed)
         assert time.monotonic() - session._start_s - session.steps * STEP_S < 50.0
 
-    pause()  # harmless on the ground
+    pause()  # a pause on the ground is not reported
     for _ in range(2):
         pair.answering([(0.7,) * 4])
         pause()
@@ -140,7 +140,7 @@ def test_a_silent_px4_is_called_dead_with_the_time_and_hardly_anything_moves_mea
 def test_one_lost_answer_does_not_end_the_flight(pair, short):
     pair.begin()
     pair.session._silent_max_s = 5.0
-    pair.session.step()  # continues later, because PX4 may wait for a sensor
+    pair.session.step()  # repeats the sensors after a time, because PX4 may wait for them
     assert pair.session.nudges == 1
     pair.fake.sensor()
     pair.answering([(0.7,) * 4] * 10)
@@ -153,7 +153,7 @@ def test_an_old_answer_and_one_said_twice_let_nothing_go_on(pair):
 
     def px4():
         sensor = pair.fake.sensor()
-        pair.fake.answer(first, (0.9,) * 4)  # the answer to the first one again
+        pair.fake.answer(first, (0.9,) * 4)  # repeats the answer to the first sensor message
         pair.fake.answer(sensor.time_usec, (0.5,) * 4)
         pair.fake.answer(sensor.time_usec, (0.9,) * 4)
         pair.fake.answer(pair.fake.sensor().time_usec, (0.4,) * 4)

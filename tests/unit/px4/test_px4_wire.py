@@ -97,7 +97,7 @@ def test_hil_gps_in_the_units_of_the_message():
     assert (m.lat, m.lon, m.alt, m.vel, m.vn, m.ve, m.vd) == (473977420, 85455940, 1234, 50, 30, -40, -12)
     assert m.cog == round(math.degrees(math.atan2(-0.4, 0.3)) % 360.0 * 100.0)
     assert m.fix_type >= 3
-    assert m.satellites_visible >= 6  # EKF2_REQ_NSATS
+    assert m.satellites_visible >= 6  # default of EKF2_REQ_NSATS
     assert over_the_wire(hil_gps(9, Fix(0, 0, 0.0, (0.0, 0.01, 0.0)))).cog == 65535
 
 
@@ -120,9 +120,9 @@ def answer(time_us, lockstep=True):
 def test_answers_are_told_apart_by_px4_s_clock_whether_it_counts_from_the_first_sensor_or_not(zero_us):
     lockstep = Lockstep()
     for k in range(5):
-        lockstep.sent(FIRST_US + k * 4000)  # PX4 starts: no answers
+        lockstep.sent(FIRST_US + k * 4000)  # PX4 is still starting and sends no answers
     assert not lockstep.started
-    assert not lockstep.take(answer(FIRST_US + 3 * 4000 - zero_us))  # the answer to an earlier one
+    assert not lockstep.take(answer(FIRST_US + 3 * 4000 - zero_us))  # the answer to an earlier message
     assert lockstep.started
     assert lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))
     assert not lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))  # a repeated answer

@@ -89,7 +89,7 @@ def usual(**changes):
 
 
 def test_twist_is_turned_by_the_whole_quaternion():
-    # Nose north and up by 90 deg: forward is up, left is west.
+    # The robot heads north and pitches up by 90 deg: forward is up, left is west.
     q = (0.5, 0.5, -0.5, 0.5)
     sample = sample_of(RawSample(usual(orientation_wxyz=q, linear_m_s=(0.3, 0.1, 0.0))), 0.0)
     assert sample.velocity_enu_m_s == pytest.approx((-0.1, 0.0, 0.3))
@@ -150,7 +150,7 @@ def test_anything_else_is_no_attachment(data):
     ],
 )
 def test_what_a_sender_says_of_its_accuracy_is_in_the_sample(x, y, sigma):
-    """Encode with rosbags; other covariances have no meaning here."""
+    """The message is encoded with rosbags; entries of the covariance that are not used have any value."""
     covariance = np.random.default_rng(1).normal(size=36)
     covariance[0], covariance[7] = x, y
     for name, field in (

@@ -56,7 +56,7 @@ def test_the_velocity_of_a_clean_circle_is_right_and_turned_into_the_world():
     t_s, last = samples[-1]
     assert (last.frame_id, last.child_frame_id) == ("map", "base")
     assert last.source_time_s == pytest.approx(t_s)
-    assert last.position_enu_m == circle(t_s).position_m  # as measured
+    assert last.position_enu_m == circle(t_s).position_m  # the position is not changed
     assert last.yaw_rate_rad_s == pytest.approx(TURN_RAD_S, rel=0.01)
 
 
@@ -153,7 +153,7 @@ def test_one_stamp_from_the_future_does_not_silence_a_target(ahead_s):
     assert t_s < 3.0 + 0.3
     assert velocity_error_m_s(t_s, first) < 3.0 * SETTLED_M_S
     assert velocity_error_m_s(*last) < 0.02
-    # single poses out of order restart nothing
+    # single poses out of order do not restart the estimate
     for k in range(20):
         assert list(drive(track, 5.0 + 0.1 * k, 5.1 + 0.1 * k))
         assert track.take(circle(5.0 + 0.1 * k)) is None

@@ -30,7 +30,7 @@ class Robot:
 
     def __init__(self, session, key):
         self.publisher = declare_advanced_publisher(session, key)
-        self._probe = zenoh_link.dropping_publisher(session, key)  # this one reports subscribers
+        self._probe = zenoh_link.dropping_publisher(session, key)  # this publisher reports subscribers
         self.sequence = 0
 
     def put(self, payload, with_attachment=True):
@@ -88,7 +88,7 @@ def test_a_turtlebot_is_followed_by_its_topic():
         assert (raw.sequence, raw.source_time_ns, len(raw.attachment)) == (1, STAMP + 1, 33)
         assert (sample.frame_id, sample.child_frame_id) == (FRAME, CHILD)
         assert sample.position_enu_m == (1.0, 2.0, 0.0)
-        assert sample.velocity_enu_m_s == pytest.approx((0.0, 0.2, 0.0))  # from the child's frame
+        assert sample.velocity_enu_m_s == pytest.approx((0.0, 0.2, 0.0))  # rotated from the child frame
         assert sample.source_time_s == pytest.approx(STAMP / 1e9)
         assert listening.take_problems() == []
 
@@ -109,7 +109,7 @@ def test_another_type_or_hash_is_refused_with_its_name(name, type_hash, words):
         assert listening.refused == 1
         robot.put(ros.odometry(STAMP, FRAME, CHILD))
         until(lambda: listening.poll() == [] and listening.refused == 2)
-        assert listening.take_problems() == []  # reported only once
+        assert listening.take_problems() == []  # the problem is reported only once
 
 
 @pytest.mark.parametrize(

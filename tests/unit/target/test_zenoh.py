@@ -55,7 +55,7 @@ def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
         )
         publisher.put(payload, source_time_ns=1000 + i)
         payloads.append(payload)
-        if not lossless:  # a busy machine may drop some of a hundred messages
+        if not lossless:  # a busy machine may drop some of the hundred messages
             until(lambda: count() == len(payloads))
     until(lambda: count() == 100)
     assert [raw.payload for raw in received] == payloads
@@ -136,7 +136,7 @@ def test_likely_keys_are_found_and_others_are_not(sessions):
     assert set(until_found(search, [*publishers, own], len(LIKELY))) == set(LIKELY.values())
     search.stop()
     assert not any(zenoh_link.is_matched(one) for one in publishers[: len(OTHERS)])
-    assert search.keys() == ()  # restarted
+    assert search.keys() == ()  # the search starts again, and no key is found yet
 
 
 def setting(file, key, **arguments):

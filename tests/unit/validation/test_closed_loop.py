@@ -69,7 +69,7 @@ def test_the_simulators_own_flight_is_found_again(by_mellinger):
     assert found.controller == ("mellinger" if by_mellinger else "pid")
     assert found.thrust == pytest.approx(0.97, abs=0.01)
     a, b = found.recorded, found.simulated
-    assert a.horizontal_m > 0.2  # half a second behind at 0.6 m/s
+    assert a.horizontal_m > 0.2  # the vehicle is half a second behind at 0.6 m/s
     assert b.horizontal_m == pytest.approx(a.horizontal_m, rel=0.15)
     assert b.vertical_m == pytest.approx(a.vertical_m, abs=0.02)
     assert b.duty == pytest.approx(a.duty, rel=0.01)
@@ -88,7 +88,7 @@ def test_a_tired_battery_saturates_in_both():
 
 
 def test_a_plant_of_less_thrust_is_named():
-    """The airframe's thrust shows the error of the vehicle file."""
+    """The thrust identified from the flight shows that the vehicle file is wrong."""
     weak = replace(ROOM, body=replace(ROOM.body, mass_kg=1.1 * ROOM.body.mass_kg))
     assert fly(screen(recorded(AIRFRAME)), weak, 0).thrust == pytest.approx(1.1 * 0.97, abs=0.01)
 

@@ -101,7 +101,7 @@ def test_a_part_that_no_flight_covers_is_missed():
 
 
 def test_chance_explains_some_of_a_difference_and_not_more():
-    """Errors of flights differ by a factor of three, simulated ones are a third or six times larger."""
+    """Recorded errors differ by a factor of three; simulated errors are a third or six times larger."""
 
     def word(factor):
         sizes = np.geomspace(0.006, 0.018, 8)

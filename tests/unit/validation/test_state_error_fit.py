@@ -68,7 +68,7 @@ def test_simulated_estimates_are_like_those_that_the_same_model_made():
 
 
 def test_the_defaults_are_like_the_recorded_flights():
-    """A third of the flights; the table in docs/how_it_works/own_state.md has all."""
+    """Only a third of the flights are compared; docs/how_it_works/own_state.md has a table of all."""
     columns = read_columns()
     recorded = [load(path, columns) for path in flights()[::3]]
     found = [compare(flight, number) for number, flight in enumerate(recorded) if flight.usable]

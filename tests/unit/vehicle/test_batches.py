@@ -63,10 +63,10 @@ def test_a_landing_in_batches_is_the_same_to_the_last_bit(name, seed, filter_nam
     [(10, "robust"), (15, "paper"), (37, "robust"), (144, "paper"), (500, "robust")],
 )
 def test_at_every_rate_a_landing_in_batches_is_the_same(rate_hz, filter_name):
-    """Telemetry streams as fast as the ticks, and slower ones that must catch up."""
+    """The loop rates are below and above the rates of the telemetry streams."""
     room = load("room")
     config = replace(room.onboard, loop=replace(room.onboard.loop, rate_hz=rate_hz))
-    least = 0.3 if rate_hz > 20 else 0.0  # VFR_HUD, 10 Hz, is due at most of the ticks
+    least = 0.3 if rate_hz > 20 else 0.0  # at low rates VFR_HUD, 10 Hz, is due in most ticks
     assert_equal(replace(room, onboard=config).with_filter(filter_name), 5, least)
 
 
@@ -103,7 +103,7 @@ def test_it_is_compiled_before_the_first_landing():
     assert (batches is None) == is_off()
     if batches is not None:
         batches.warm_up()
-        assert batches.fly(0) == 0  # no message has been received yet
+        assert batches.fly(0) == 0  # no tick flies, because no message has been received
 
 
 class Slower(fs.Filter):
@@ -112,7 +112,7 @@ class Slower(fs.Filter):
 
 
 class Restless(fs.Filter):
-    """Changes other fields in flight, of which compiled code has a copy."""
+    """Changes its own fields in flight; compiled code has a copy of them."""
 
     def filter(self, nominal, at):
         if at.d_m < 0.3:

@@ -87,7 +87,7 @@ def test_mellinger_attitude_loop():
         assert got[on, 3] == pytest.approx(expected[on, 3], rel=2e-5, abs=1.0)
         assert not got[~on, 3].any()
     assert worst <= ONE_COUNT
-    assert off < 0.01 * d["out"][..., :3].size  # only by rounding
+    assert off < 0.01 * d["out"][..., :3].size  # few counts differ, by rounding
 
 
 def pid_port(rows):
@@ -148,7 +148,7 @@ def test_supervisor():
 
 
 def test_the_numbers_reach_every_clamp():
-    """A comparison that is always or never saturated would prove little."""
+    """The reference cases contain both saturated and unsaturated values of every clamp."""
     mellinger, pid = data("mellinger")["out"], data("pid")["short_out"]
     for moments, clamp in ((mellinger[..., :2], 32000.0), (pid[..., :3], 32767.0)):
         share = (np.abs(moments) >= clamp).mean(axis=(0, 1))

@@ -1,4 +1,4 @@
-"""Vehicle and target states with errors of recorded flights, and results that stay equal without them."""
+"""Tests states of vehicle and target with errors as in recorded flights, and results without errors."""
 
 from dataclasses import replace
 

@@ -95,7 +95,7 @@ class TestMellinger:
         y = np.cross(z, (1.0, 0.0, 0.0))
         y /= np.linalg.norm(y)
         x = np.cross(y, z)
-        e_r = (z[1] - y[2], x[2] - z[0], y[0] - x[1])  # vector of Rd' R - R' Rd at R = 1
+        e_r = (z[1] - y[2], x[2] - z[0], y[0] - x[1])  # attitude error: vector of Rd' R - R' Rd at R = 1
         expected = [
             np.clip(-gain * e, -32000.0, 32000.0) for gain, e in zip((7e4, 7e4, 6e4), e_r, strict=True)
         ]
@@ -110,7 +110,7 @@ class TestMellinger:
         assert moments == (0, 0, 0)
 
     def test_the_integral_of_the_height_is_bounded(self):
-        """A vehicle heavier than its nominal mass stays below its set-point, as the recorded ones did."""
+        """A vehicle heavier than its nominal mass stays below its set-point, as in recorded flights."""
         loop = MellingerLoop()
         for _ in range(5000):
             counts, _ = mellinger(loop, sensed_at(), Setpoint(position=(0.0, 0.0, 0.1)))

@@ -55,7 +55,7 @@ def robot_of(ends, log):
 
 
 def received(subscriber, number):
-    """Return all received data, once this much has arrived."""
+    """Return all received data as soon as this number of messages has arrived."""
     came = []
     until(lambda: came.extend(zenoh_link.drain(subscriber)) or len(came) >= number)
     return came
@@ -79,7 +79,7 @@ def test_it_drives_ahead_of_the_credit_by_a_fixed_number_of_ticks_and_waits_for_
 
 
 class Radio:
-    """Both ends of the ring buffer."""
+    """Sender and receiver of set-points at the ring buffer of the radio."""
 
     def __init__(self):
         self.record, self.present = new(InboxRecord), new(SetpointRecord)

@@ -42,7 +42,7 @@ def config(**sections):
 
 
 def rooms(**sections):
-    """Return the margin of each check by its name."""
+    """Return the remaining margin of each check, by the name of the check."""
     return {check.name: check.room for check in checks(config(**sections))}
 
 

@@ -118,7 +118,7 @@ def test_no_state_of_the_envelope_beats_the_feasibility_bound(number):
     for n, (d, angle, margin, target, _) in enumerate(states(number, x, 3000)):
         held = RobustBarrier(x.barrier, margin, x.shape.fade_radius_m)
         flat = (d * math.cos(angle), d * math.sin(angle))
-        e = (*flat, -held.h((*flat, 0.0)))  # h = 0
+        e = (*flat, -held.h((*flat, 0.0)))  # a position with h = 0
         h, gradient, dh_dt = held.evaluate(e, target)
         corner = best_corner(gradient, lower, box)
         rise = sum(g * u for g, u in zip(gradient, corner, strict=True)) + dh_dt
@@ -197,7 +197,7 @@ def test_the_voltage_that_the_reserve_check_names_is_the_lowest_that_it_proves()
     assert one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v}).proven
     assert not one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v - 0.02}).proven
     fresh = one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v})
-    # the check of the limit requires the same
+    # the check of the limit requires this value
     needed = config().robust.acceleration_max_m_s2[2] - rooms()["acceleration"]
     assert f"{needed:.3g} are needed" in fresh.worst
     assert "thrust reserve" not in rooms()

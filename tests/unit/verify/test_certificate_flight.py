@@ -121,7 +121,7 @@ def test_h_stays_above_what_is_promised_outside_the_pad(name):
     depth, _ = depth_m(settings, extremes(settings))
     lowest = min(fly(settings, seed) for seed in range(12))
     assert lowest >= -depth
-    assert lowest < extremes(settings).usual.margin_m.low  # it reached the boundary, so the claim was tested
+    assert lowest < extremes(settings).usual.margin_m.low  # a flight reached the boundary
 
 
 @pytest.mark.parametrize("acceleration", [0.0, 0.5, 1.5])
@@ -141,7 +141,7 @@ def test_no_descent_drifts_farther_than_promised(acceleration):
         e = [start * math.cos(turn), start * math.sin(turn)]
         slip = settings.robust.commit_speed_m_s
         heading = turn if rng.random() < 0.7 else rng.uniform(0.0, math.tau)
-        w = [slip * math.cos(heading), slip * math.sin(heading)]  # relative to the target
+        w = [slip * math.cos(heading), slip * math.sin(heading)]  # velocity relative to the target
         aside = rng.uniform(-0.5, 0.5) if seed % 3 else 0.0
         for _ in range(500):
             away = math.atan2(e[1], e[0]) + aside
@@ -150,7 +150,7 @@ def test_no_descent_drifts_farther_than_promised(acceleration):
             wrong_p = [-x.position_error_m * u for u in unit]
             a = [-x.target_acceleration_m_s2 * u for u in unit]
             for i in range(2):
-                wanted = wrong_v[i] - gain * (e[i] + wrong_p[i])  # relative to the target
+                wanted = wrong_v[i] - gain * (e[i] + wrong_p[i])  # command relative to the target
                 rate = a[i] - gain * w[i]  # rate of the commanded velocity, world frame
                 pulled = (wanted - w[i] + told * rate) / lag - a[i]
                 w[i] += pulled * dt

@@ -25,7 +25,7 @@ STORM = load("storm").onboard
 @given(st.floats(0.6, 1.0), st.floats(1.0, 1.6), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 @settings(max_examples=40, deadline=None)
 def test_no_vehicle_within_decays_slower_than_proven(low, high, stiff, damped):
-    """Rate and damping are tested separately near each other, where the rectangles are."""
+    """The factors of rate and damping differ by little, as within the rectangles of the proof."""
     proven, _ = decay_1_s(STORM, low, high)
     factor = low + stiff * (high - low)
     assert proven <= max(0.0, -np.linalg.eigvals(linear(STORM, factor)).real.max())
@@ -51,7 +51,7 @@ def test_a_loop_that_swings_by_itself_must_not_fly(wrong):
     assert any(text.startswith("velocity feedback:") for text in refused)
 
 
-FED = fed_back(  # the feedback's own limits are not reached
+FED = fed_back(  # configuration in which the feedback does not reach its own limits
     velocity_feedback={"acceleration_max_m_s2": 20.0}, velocity_loop={"disturbance_max_m_s": 3.0}
 )
 SLOWEST, QUICKEST = 1.0 / 1.3, 1.0 / 0.7
@@ -115,7 +115,7 @@ INF = math.inf
 
 
 def test_a_spike_that_a_grid_misses_is_found():
-    at, wide = 0.123456789, 1e-4  # a grid of a thousand points finds it with a chance of one in ten
+    at, wide = 0.123456789, 1e-4  # a grid of a thousand points finds this interval with a probability of 10 %
 
     def spike(x):
         return max(0.0, 1.0 - abs(x - at) / wide)

@@ -43,13 +43,13 @@ STILL = {
     "touchdown": {"target_speed_max_m_s": 0.0, "pad_radius_m": 0.13},
     "envelope": {"target_acceleration_max_m_s2": 0.0},
 }
-WAIT_S = 13.1  # wait of the last of three
+WAIT_S = 13.1  # wait of the last of three vehicles, s
 
 
 @pytest.mark.parametrize(
     ("name", "passes", "fails", "more"),
     [
-        # 0.25 / (1.3 * 0.27)
+        # limit: 0.25 / (1.3 * 0.27)
         ("fleet.rate_1_s", {"rate_1_s": 0.71}, {"rate_1_s": 0.714}, {"filter": "paper"}),
         ("shares", {"latency_max_s": 0.041}, {"latency_max_s": 0.039}, {"loop": {"rate_hz": 50}}),
         ("fleet.speed_max_m_s", {"speed_max_m_s": 1.733}, {"speed_max_m_s": 1.731}, {}),
@@ -190,7 +190,7 @@ def test_all_members_together():
     assert not unlike.proven
     assert "rate_1_s" in unlike.worst
     assert "members" in found(members[:2])["one table"].worst
-    # 2 * 0.05 / 0.8 m of h minus the margin, 0.045, are lost
+    # the lost h is 2 * 0.05 / 0.8 m minus the margin of 0.045 m
     assert found()["contact"].proven
     assert not found(touch=(0.206, 0.0, 0.0))["contact"].proven
     assert found(touch=(0.204, 0.0, 0.0))["contact"].proven

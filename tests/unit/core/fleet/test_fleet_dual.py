@@ -108,9 +108,9 @@ def test_where_a_silent_vehicle_is_taken_to_be_grows_by_its_drift_until_it_is_do
 @pytest.mark.parametrize(
     ("now_s", "away_m", "asked"),
     [
-        (1.5, 0.9, "no nearer"),  # inside the set of its possible positions
+        (1.5, 0.9, "no nearer"),  # inside the set of the silent vehicle's possible positions
         (1.5, 2.9, "outside"),
-        (9.0, 2.0, "lax"),  # its flight is over, and this vehicle is inside its set
+        (9.0, 2.0, "lax"),  # the silent flight is over, and this vehicle is inside the set
         (9.0, 9.0, "outside"),
     ],
 )
@@ -156,9 +156,9 @@ def way_of(own, members, heard, down=(), now_s=10.0):
         (1, (1, 2, 3), (2,), (), False),
         (3, (1, 2, 3), (), (), True),
         (1, (1, 2, 3), (), (), True),
-        (1, (1, 2), (), (), False),  # with equal shares the lowest id keeps its share
+        (1, (1, 2), (), (), False),  # of two equal parts, the part with the lowest id continues
         (2, (1, 2), (), (), True),
-        (2, (1, 2), (), (1,), False),  # it is down and may stop sending
+        (2, (1, 2), (), (1,), False),  # vehicle 1 has landed and may stop sending
         (3, (1, 2, 3, 4), (4,), (), True),
         (2, (1, 2, 3, 4), (1,), (), False),
         (3, (1, 2, 3), (1,), (1,), False),
@@ -183,7 +183,7 @@ def test_who_may_meet_a_silent_vehicle_holds_back_while_that_may_fly():
         (0.1, asked),
         (FLEET.age_max_s + 0.1, (0.0, HELD_BACK_M_S, -1.0)),
         (FLEET.silent_flight_s - 0.1, (0.0, HELD_BACK_M_S, -1.0)),
-        (FLEET.silent_flight_s + 0.1, asked),  # it is down
+        (FLEET.silent_flight_s + 0.1, asked),  # the silent vehicle has landed
     ):
         nominal, rows = member.beside(Phase.APPROACH, own, ZERO, asked, (1.0, 1.0, 1.0), now_s)
         assert len(rows.rows) == 1

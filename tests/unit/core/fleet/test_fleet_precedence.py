@@ -50,17 +50,17 @@ def claimed(**keys):
 @pytest.mark.parametrize(
     ("told", "may_land", "yields"),
     [
-        ({}, True, False),  # it has no claim
-        ({"stamp_s": 1.14}, False, False),  # it may not have received this claim
+        ({}, True, False),  # the other vehicle has no claim
+        ({"stamp_s": 1.14}, False, False),  # the other vehicle may not have received this claim
         ({"stamp_s": 1.17, "clock_bound_s": 0.03}, False, False),
         ({"claim_s": 1.1, "yields_to": (3,)}, True, False),
         ({"claim_s": 1.1}, False, False),  # the younger claim has not yielded yet
         ({"claim_s": 0.9}, False, True),
         ({"claim_s": 1.0}, False, False),  # equal claims: the lower id has precedence
-        ({"claim_s": 0.9, "yields_to": (3,)}, True, False),  # both yield: the lower id takes precedence back
+        ({"claim_s": 0.9, "yields_to": (3,)}, True, False),  # both yield: the lower id gets the precedence
         ({"claim_s": 1.1, "intent": Intent.LANDING}, False, True),
         ({"claim_s": 1.1, "intent": Intent.COMMITTED}, False, True),
-        ({"claim_s": 0.9, "pad_position_enu_m": (0.9, 0.0, 0.0)}, True, False),  # another, distant pad
+        ({"claim_s": 0.9, "pad_position_enu_m": (0.9, 0.0, 0.0)}, True, False),  # the other pad is far away
         ({"claim_s": 0.9, "pad_position_enu_m": (0.7, 0.0, 0.0)}, False, True),
         ({"claim_s": 0.9, "pad_position_enu_m": None}, False, True),
         ({"pad_position_enu_m": None}, True, False),
@@ -116,7 +116,7 @@ def test_pads_that_drive_towards_each_other_come_near_within_the_time():
     assert nearest_m(a, *b, 10.0) == pytest.approx(0.3)
     assert nearest_m(a, *b, 2.0) == pytest.approx(math.hypot(1.2, 0.3))
     assert nearest_m(b, *b, 10.0) == 0.0
-    assert nearest_m(a, (-1.0, 0.0, 0.0), ZERO, 10.0) == pytest.approx(1.0)  # it drives away
+    assert nearest_m(a, (-1.0, 0.0, 0.0), ZERO, 10.0) == pytest.approx(1.0)  # the target drives away
 
 
 @pytest.mark.parametrize(
@@ -199,12 +199,12 @@ def test_no_two_land_on_one_pad_together_and_each_lands(seed, number, lost, boun
         assert all(each.memory.phase is Phase.LANDED for each in all_)
 
 
-# 9 is silent: it starts no landing and gets no right of way
+# vehicle 9 is silent: it starts no landing and gets no right of way
 SETTINGS = settings_of(3, (3, 7, 9), takeoff={"start_offset_m": [2.0, 0.0, 1.0]})
 EAST, UP, DOWN = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 CLEAR = {"abort_way": AbortWay.FLY_CLEAR}
 PHASES = [
-    (Phase.WAIT, {}, (2.0, 0.0, 1.5), None),  # stands still
+    (Phase.WAIT, {}, (2.0, 0.0, 1.5), None),  # the vehicle stands still
     (Phase.TAKEOFF, {"climbed": True}, (0.0, 0.0, 1.2), EAST),
     (Phase.APPROACH, {}, (-2.0, 0.0, 1.2), EAST),
     (Phase.HOLD, {"started_s": 0.0}, (0.5, 0.0, 1.0), UP),
@@ -256,5 +256,5 @@ def test_a_neighbour_in_the_way_stops_each_phase_but_the_touchdown(phase, keys, 
         return
     # half of the rate, for h without the errors of two positions
     assert sum(a * w for a, w in zip(there, way, strict=True)) <= 0.02
-    assert flown(phase, keys, place, [beside(place, way, 2.9)]) == alone  # out of reach
-    assert math.dist(flown(phase, keys, place, [beside(place, way, 1.5)]), alone) < 1e-6  # in reach
+    assert flown(phase, keys, place, [beside(place, way, 2.9)]) == alone  # the other vehicle is out of reach
+    assert math.dist(flown(phase, keys, place, [beside(place, way, 1.5)]), alone) < 1e-6  # it is in reach

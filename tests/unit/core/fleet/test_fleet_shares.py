@@ -173,11 +173,11 @@ def test_a_place_that_jumps_makes_the_ellipsoid_larger_until_it_jumps_back():
         "the place of vehicle 7 jumps by 0.50 m: its ellipsoid is larger by 0.50 m now, since either place "
         "may be wrong"
     ]
-    assert h_m == pytest.approx(1.0 - A.radius_xy_m - A.margin_m)  # both positions are kept clear
-    assert take(0.04, 0.5) == ([], pytest.approx(h_m))  # permanently ...
+    assert h_m == pytest.approx(1.0 - A.radius_xy_m - A.margin_m)  # the ellipsoid contains both positions
+    assert take(0.04, 0.5) == ([], pytest.approx(h_m))  # the ellipsoid remains larger ...
     texts, h_m = take(0.06, 0.0)
     assert [text[:32] for text in texts] == ["the place of vehicle 7 jumps by "]
-    assert h_m == pytest.approx(2.0 - A.radius_xy_m - A.margin_m)  # ... or until it reports again
+    assert h_m == pytest.approx(2.0 - A.radius_xy_m - A.margin_m)  # ... until the vehicle jumps back
 
 
 PROGRAM = FleetProgram()
@@ -252,7 +252,7 @@ def test_what_the_others_are_told_of_each_phase(phase, keys, granted, landed, ex
     ("slot", "word", "now_s", "expected"),
     [
         (Heard(), word_of(), 0.1, HALF),
-        (Heard(), word_of(), A.age_max_s + 0.01, ALL),  # silent
+        (Heard(), word_of(), A.age_max_s + 0.01, ALL),  # the vehicle is silent
         (Heard(), word_of(clock_bound_s=0.1), A.age_max_s - 0.05, ALL),
         (Heard(), word_of(yields_to=(3,)), 0.3, NONE),
         (Heard(), word_of(yields_to=(3,)), 0.31, HALF),

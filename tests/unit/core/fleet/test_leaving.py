@@ -39,10 +39,10 @@ def member(fleet=FLEET, **told):
         (replace(FLEET, frees_pad=False), Phase.LANDED, WAITS, False),
         (FLEET, Phase.LEAVE, WAITS, False),
         (FLEET, Phase.TOUCHDOWN, WAITS, False),
-        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # it gave up, or has landed
-        (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": (0.3, 0.0, 0.0)}, False),  # another pad
+        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # the other one gave up, or has landed
+        (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": (0.3, 0.0, 0.0)}, False),  # claims another pad
         (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": None}, False),
-        (FLEET, Phase.LANDED, {**WAITS, "stamp_s": 0.4}, False),  # silent
+        (FLEET, Phase.LANDED, {**WAITS, "stamp_s": 0.4}, False),  # the other vehicle is silent
     ],
 )
 def test_the_pad_is_wanted_by_who_claims_it_now(fleet, phase, told, wanted):
@@ -134,14 +134,14 @@ def fleets(place):
 
 
 def by_trying(starts, pads):
-    """Return the first assignment, in the order of preference, with the smallest sum."""
+    """Return the first assignment, in the order of preference, that has the smallest sum of distances."""
     every = list(itertools.permutations(range(len(pads)), len(starts)))
     sums = [sum(units(start, pads[k]) for start, k in zip(starts, each, strict=True)) for each in every]
     best = [each for each, total in zip(every, sums, strict=True) if total == min(sums)]
     return min(best, key=lambda each: [(k != own, k) for own, k in enumerate(each)])
 
 
-@given(fleets(PLACE) | fleets(GRID))  # on a grid many sums are equal
+@given(fleets(PLACE) | fleets(GRID))  # on a grid, many assignments have equal sums
 def test_it_is_the_best_of_all_permutations(fleet):
     assert assign(*fleet) == by_trying(*fleet)
 

@@ -11,7 +11,7 @@ from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, names,
 
 CALM = config(
     touchdown={"calm_wait_s": 12.0, "calm_speed_m_s": 0.05, "calm_height_m": 0.3}
-)  # the robot: 0.1 m/s
+)  # the robot drives at 0.1 m/s
 
 
 def touches_s(settings):

@@ -48,7 +48,7 @@ def test_contact_is_standing_there_for_a_while_or_saying_so(settings):
         settings, down(), 1.0, e=ON_PAD, target_velocity=(0.0, 0.0, 1.01 * contact.speed_m_s)
     )
     assert contact_after(settings, down(), 1.0, e=ON_PAD, velocity=tuple(0.9 * v for v in fast))
-    assert contact_after(settings, down(contact=True), 0.0, e=(2.0, 0.0, 2.0))  # one report is enough
+    assert contact_after(settings, down(contact=True), 0.0, e=(2.0, 0.0, 2.0))  # one contact report is enough
 
 
 @pytest.mark.parametrize("settings", [PAPER, starting("paper", touchdown={"rule": "paper"})])

@@ -73,7 +73,7 @@ def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered
 
 
 def test_waiting_is_doing_nothing_unless_it_is_found_in_the_air():
-    """The robust filter keeps away from an approaching pad even then."""
+    """The robust filter also keeps a waiting vehicle away from an approaching pad."""
     assert asked(Phase.WAIT, PAPER) == Command(Request.EXTERNAL, ZERO)
     assert asked(Phase.WAIT, ROBUST) == Command(Request.EXTERNAL, ZERO, filtered=True)
     for changes in ({"armed": False}, {"landed": Landed.ON_GROUND}, {"target_ok": False}, {"status": False}):
@@ -161,12 +161,12 @@ def test_flying_clear_is_up_then_away_then_down():
     assert clearing((0.3, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))
     away = clearing((-0.3, -0.4, top))[0].velocity
     assert away == pytest.approx((-0.6 * vx, -0.8 * vx, 0.0))
-    assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # any direction is valid
+    assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # every direction is valid
     far = ROBUST.checks.clearance_m
     there, memory = clearing((0.0, -far - 1e-6, 0.1))
     assert there == Command(Request.LAND)
     assert memory.clear
-    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # the request stays
+    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # remains active
     assert clearing((0.0, -far + 1e-6, top))[0].request is Request.EXTERNAL
 
 
@@ -178,13 +178,13 @@ def test_it_does_not_land_while_it_closes_in():
     sinks_s = 0.3 / ROBUST.retreat.landing_speed_m_s
     coming = {"velocity": (-0.4, 0.0, 0.0)}
     still = clearing((far + 0.4 * lag_s - 1e-6, 0.0, z), **coming)[0]
-    assert still == Command(Request.EXTERNAL, (vx, 0.0, vz))  # it still flies outwards
+    assert still == Command(Request.EXTERNAL, (vx, 0.0, vz))  # the vehicle still flies outwards
     assert clearing((far + 0.4 * lag_s + 1e-6, 0.0, z), **coming)[0] == Command(Request.LAND)
     followed = (0.0, -0.2, 0.0)
     reach_m = far + 0.2 * sinks_s
     assert clearing((0.0, -reach_m + 1e-6, z), followed)[0] == Command(Request.EXTERNAL, (0.0, -vy, vz))
     assert clearing((0.0, -reach_m - 1e-6, z), followed)[0] == Command(Request.LAND)
-    assert clearing((0.0, far + 1e-6, z), followed)[0] == Command(Request.LAND)  # it drives away
+    assert clearing((0.0, far + 1e-6, z), followed)[0] == Command(Request.LAND)  # the target drives away
     # The target passes at 0.9 of the clearance before the vehicle is down.
     assert clearing((0.9 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0].request is Request.EXTERNAL
     assert clearing((1.1 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0] == Command(Request.LAND)

@@ -119,7 +119,7 @@ BLOCKS = blocks()
 
 
 class Word(dict):
-    """Sets of condition flags: ``word["armed"]`` is an array of booleans. ``asked``: flags that were read."""
+    """Sets of condition flags: ``word["armed"]`` is one boolean per set. ``asked``: flags that were read."""
 
     def __init__(self, words):
         self.words, self.asked = words, 0
@@ -153,7 +153,7 @@ def everything(phase):
 
 
 def expected(phase, words):
-    """Return the outcome number of each word, and the outcomes ``(to, reason)`` by number; 0: no change."""
+    """Return the outcome number of each set of flags, and the outcomes ``(to, reason)``; 0: no change."""
     rules = expected_rules(phase, Word(words))
     outcomes = list(dict.fromkeys([STAY, *((to, why) for _, to, why in rules)]))
     numbers = [outcomes.index((to, why)) for _, to, why in rules]
@@ -162,7 +162,7 @@ def expected(phase, words):
 
 
 def leads_to(phase, asked=0, unless=0):
-    """Return the next phase of all words with these conditions and without those; None: no change."""
+    """Return the next phases of all sets with the flags ``asked`` and without ``unless``; None: no change."""
     words = everything(phase)
     found, outcomes = expected(phase, words[(words & asked == asked) & (words & unless == 0)])
     return {outcomes[number][0] for number in np.unique(found)}
@@ -202,7 +202,7 @@ def test_nothing_leaves_the_end_but_for_another_vehicle():
 
 
 def reachable(start, unless=0):
-    """Return the phases that follow from some row of words without these conditions."""
+    """Return the phases that some sequence of sets without these conditions can reach."""
     found, new = set(), {start}
     while new:
         phase = new.pop()

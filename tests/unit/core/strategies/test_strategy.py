@@ -77,7 +77,7 @@ def test_what_is_no_name_is_refused_with_what_is_allowed(name):
     ],
 )
 def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
-    settings = config(name)  # valid form; nothing is imported yet
+    settings = config(name)  # the name has a valid form, and no module is imported yet
     for use in (strategy_of, checks, problems):
         with pytest.raises(ConfigError, match=why):
             use(settings)
@@ -110,7 +110,7 @@ def test_a_subclass_does_not_inherit_the_proof_of_the_class_that_it_extends(outs
     settings = config("outside:Slower")
     (found,) = checks(settings)
     assert (found.name, found.proven) == ("certificate", False)
-    assert problems(settings) == []  # it is allowed to fly
+    assert problems(settings) == []  # the filter is allowed to fly
     done = called("check", "paper_static_1", "--filter", "outside:Slower", "--json")
     assert done.code == 1
     assert "outside:Slower has none" in done.json["checks"][0]["worst"]

@@ -35,7 +35,7 @@ def fed_back(delay_s=0.0, loop=EAGER):
     [(lead, st.floats(0.7, 1.3), st.floats(0.7, 1.3)), (fed_back, st.floats(0.77, 1.42), st.just(1.0))],
 )
 def test_a_vehicle_that_answers_otherwise_than_modelled_still_flies_what_is_wanted(made, rates, dampings):
-    """Thirty per cent model error and a constant push: no remaining error or oscillation, push estimated."""
+    """With 30 % model error and a constant push, no error or oscillation remains; the push is estimated."""
 
     @given(wanted, rates, dampings, pushes)
     @settings(max_examples=40)
@@ -105,7 +105,7 @@ def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_tilt_is_bounded_twice(sign):
-    """The commanded acceleration bounds it, and so does the set-point's distance from the velocity."""
+    """Both the commanded acceleration and the distance of set-point and velocity bound the tilt."""
     far = (3.0 * sign, 0.0, 0.0)
     wide = replace(EAGER, error_max_m_s=10.0)
     for loop, most in ((wide, 13.0 * 3.0 / LOOP.rate_xy_1_s**2), (replace(EAGER, error_max_m_s=0.3), 0.3)):

@@ -73,7 +73,7 @@ class ByMatrices:
         return f @ self.x, f_ahead @ self.p @ f_ahead.T + q_ahead
 
 
-ROWS, COLUMNS = np.triu_indices(3)  # the order of a stored covariance: pp, pv, pa, vv, va, aa
+ROWS, COLUMNS = np.triu_indices(3)  # order of a stored covariance: pp, pv, pa, vv, va, aa
 
 
 def covariance(estimator, axis):

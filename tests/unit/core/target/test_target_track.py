@@ -49,7 +49,7 @@ def track():
         (
             later(0.01, position_enu_m=(1.2009, 2.0, 0.2)),
             Verdict.ACCEPTED,
-        ),  # 0.2 m from the expected position
+        ),  # the sample is 0.2 m from the expected position
         (later(0.01, position_enu_m=(1.202, 2.0, 0.2)), Verdict.JUMP),
     ],
 )
@@ -129,7 +129,7 @@ def test_one_wrong_stamp_costs_one_sample(ahead_s, settled):
 @pytest.mark.parametrize("silent_s", [0.02, 0.4])
 @pytest.mark.parametrize("by_s", [-900.0, -9.0, -1.0, -0.3, 0.05, 0.2, 2.0, 3600.0])
 def test_a_clock_that_was_set_is_followed_after_samples_that_agree(by_s, silent_s, settled):
-    """Until then no sample is fresh; a clock set back during a silence may be a queue."""
+    """Before these samples no sample is fresh; after a silence, old stamps may also come from a queue."""
     track, proof_s = steady(2.0, settled), Checks().recovery_time_s
     for k in range(200):
         t_s = 2.0 + silent_s + 0.02 * k

@@ -29,7 +29,7 @@ def timing(tick, exec_s):
 
 
 def steps(*replaced):
-    """Return ten steps; each of ``replaced`` is (topic, schema, log time, publish time, sequence, data)."""
+    """Return ten steps; ``replaced``: messages (topic, schema, log time, publish time, sequence, data)."""
     rows = {i: (STEP_TOPIC, schemas.CONTROLLER_STEP, 10 * i, 10 * i, i, step(i)) for i in range(10)}
     rows.update({row[4]: row for row in replaced})
     return list(rows.values())
@@ -81,7 +81,7 @@ EVENT = ("/rosout", schemas.LOG, 1, 1, 1, pack_log(1, 20, "onboard", "phase LAND
             replaced(own_position_enu_m=(1.0, 2.5, 3.0)),
             [f"{STEP_TOPIC}[4] own_position_enu_m.y: 2.0 != 2.5"],
         ),
-        (replaced(slack_m_s=-0.0), [f"{STEP_TOPIC}[4] slack_m_s: 0.0 != -0.0"]),  # h_m is NaN in all
+        (replaced(slack_m_s=-0.0), [f"{STEP_TOPIC}[4] slack_m_s: 0.0 != -0.0"]),  # h_m: always NaN
         (replaced(log_ns=41), [f"{STEP_TOPIC}[4] log_time_ns: 40 != 41"]),
         (replaced(publish_ns=39), [f"{STEP_TOPIC}[4] publish_time_ns: 40 != 39"]),
         ([*steps()[:9], (*steps()[9][:4], 12, steps()[9][5])], [f"{STEP_TOPIC}[9] sequence: 9 != 12"]),
@@ -99,7 +99,7 @@ def test_differences_are_named(differ, messages, expected):
         (steps(), None),
         (replaced(slack_m_s=-0.0), 4),
         (steps()[:9], 9),
-        ([*steps(), (*EVENT[:2], 25, 25, *EVENT[4:])], 3),  # an event between ticks 2 and 3
+        ([*steps(), (*EVENT[:2], 25, 25, *EVENT[4:])], 3),  # the event is between ticks 2 and 3
     ],
 )
 def test_the_first_tick_that_differs_is_named(tmp_path, messages, tick):

@@ -35,7 +35,7 @@ def rows(path):
 
 
 def rewritten(source, path, **how):
-    """Return the same log as another writer makes it, in chunks of 4 kB."""
+    """Return the log as another MCAP writer would write it, in chunks of 4 kB."""
     with source.open("rb") as stream, path.open("wb") as out:
         reader, writer, channels = make_reader(stream), Writer(out, chunk_size=4096, **how), {}
         writer.start("ros2", "test")
@@ -86,7 +86,7 @@ def test_every_verb_ends_with_a_sentence_whatever_is_damaged(logs, kind, tmp_pat
     monkeypatch.chdir(tmp_path)
     bad, rng, whole, broken = tmp_path / "bad.mcap", random.Random(kind), set(rows(logs[kind])), 0
     assert len(whole) > 200
-    checked = kind in ("ours", "zstd", "none")  # every byte has a checksum
+    checked = kind in ("ours", "zstd", "none")  # whether a checksum covers every byte
     assert LogFile(logs[kind]).complete
     for number in range(12):
         bad.write_bytes(damaged(bytearray(logs[kind].read_bytes()), rng))

@@ -17,7 +17,7 @@ LARGE = FlightConfig(
     BarrierShape(alpha_1_m=0.4, beta_m=3.75),
     touchdown=Touchdown(pad_radius_m=PAD_M, feet_below_reference_m=FEET_M, height_m=0.25),
     contact=Contact(gap_m=0.03),
-    filter="paper",  # the robust filter's heights above the pad are for a small vehicle
+    filter="paper",  # the robust filter has heights for a small vehicle
 )
 DT_S, CONTACT_S, DOWN_S, OFF_S = 0.01, 3.0, 2.0, 3.2  # times since the start of the landing
 SLIP_M_S = (0.10, -0.05)
@@ -123,7 +123,7 @@ def test_a_descent_that_nothing_stops_is_no_touchdown(flight):
 
 
 def test_motors_off_without_a_contact_that_shows_gives_no_speeds(flight):
-    steps = descent(flight, sink_m_s=0.03)  # too slow for an end to be detected
+    steps = descent(flight, sink_m_s=0.03)  # too slow to detect the end of the descent
     verdict = judged(flight, steps)
     assert verdict.outcome is Outcome.LANDED
     assert verdict.touchdown_error_m == pytest.approx(0.15, abs=1e-6)

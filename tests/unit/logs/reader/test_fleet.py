@@ -71,7 +71,7 @@ def test_what_needs_one_flight_names_the_members(fleet, tmp_path):
     with pytest.raises(LogError, match=r"no member 'cf4'; it holds cf1, cf2, cf3"):
         load_flight(fleet.log, "cf4")
     single = write_log(tmp_path / "flight.mcap", landing())
-    assert LogFile(single).members == ("cf1",)  # also in an older log, in which only topics have the name
+    assert LogFile(single).members == ("cf1",)  # older logs have the name only in topics
     with pytest.raises(LogError, match="no member 'cf2'; it holds cf1"):
         LogFile(single, "cf2")
 
@@ -127,7 +127,7 @@ def test_without_the_end_of_a_pair_nothing_is_safe():
     assert known.violation is None
     cut = fleet_verdict(both, [PAIR], NAMES, complete=False)
     assert (cut.collisions, cut.ellipsoid_violations, cut.ellipsoid_min, cut.distance_min_m) == (None,) * 4
-    hit = PAIR._replace(collided_ms=0, violations=2)  # earlier results remain
+    hit = PAIR._replace(collided_ms=0, violations=2)  # a later record keeps these results
     cut = fleet_verdict(both, [hit], NAMES, complete=False)
     assert (cut.collisions, cut.ellipsoid_violations, cut.outcome) == (1, 2, Outcome.CRASHED)
     assert cut.members["cf1"].reason == "collision with cf2"

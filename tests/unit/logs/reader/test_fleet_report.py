@@ -60,7 +60,7 @@ def test_who_waited_for_whom_is_what_they_told(read, words):
         for name, spans in words.spans.items()
     }
     down = {name: spans[-1].begin_s for name, spans in words.spans.items()}
-    assert goes["cf2"] >= down["cf1"]  # one at a time
+    assert goes["cf2"] >= down["cf1"]  # one vehicle lands at a time
     assert goes["cf3"] >= down["cf2"]
 
 
@@ -76,7 +76,7 @@ def test_lost_words_are_counted(words):
 
 
 def test_a_member_that_is_not_heard_is_silent(fleet, read, tmp_path):
-    """Remove the messages from cf1 to cf2 from two seconds of the log."""
+    """The log contains no messages from cf1 to cf2 for two seconds."""
     from flightstack.common.pacing import Tick
     from logs.schema.controller_rows import pack_neighbours, unpack_neighbours
     from tests.unit.logs.replay.test_replay_members import copied
@@ -129,7 +129,7 @@ def test_the_page_of_all_links_those_of_the_members(told):
                   "times inside", "flightstack sitl --scenario scenario.toml --seed 1 --lockstep",
                   "cf3.controller"):  # fmt: skip
         assert words in text
-    assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # the waiting vehicle, and the one it waited for
+    assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # waiting vehicle, and vehicle with right of way
 
 
 def test_the_command_writes_all_or_one(fleet, told):

@@ -18,13 +18,13 @@ from tests.unit.logs.helpers import EPOCH_NS, record
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """Return three seconds; /rosout once a second, /tf_static once."""
+    """Return a log of three seconds with one /rosout message a second and one /tf_static message."""
     return record(tmp_path_factory.mktemp("whole") / "whole.mcap")
 
 
 @pytest.fixture(scope="module")
 def broken(whole, tmp_path_factory):
-    """Return the same log, truncated in the middle."""
+    """Return the log of ``whole``, truncated in the middle."""
     path = tmp_path_factory.mktemp("broken") / "broken.mcap"
     data = whole.read_bytes()
     path.write_bytes(data[: len(data) // 2])
@@ -77,7 +77,7 @@ def test_info_of_a_broken_log_says_where_it_breaks(whole, broken):
     data = broken.read_bytes()
     readable = broken.parent / "readable.mcap"
     readable.write_bytes(data[: found["readable_bytes"]])
-    assert rows(readable) == rows(broken)  # nothing is lost
+    assert rows(readable) == rows(broken)  # these bytes contain all readable messages
     code, out = info(broken)
     assert code == 1
     assert "BROKEN" in out

@@ -145,7 +145,7 @@ CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e]")
         ("a\x1b[2Jb", r"a\x1b[2Jb"),
         ("a\rb\x00\x7f\x85", r"a\rb\x00\x7f\x85"),
         ("\u202ecba\u2066\u200f", r"\u202ecba\u2066\u200f"),
-        ("\udcff.mcap", r"\udcff.mcap"),  # a byte of a path that is not UTF-8
+        ("\udcff.mcap", r"\udcff.mcap"),  # the path contains a byte that is not UTF-8
         ("a\u2028b\tc\nd", "a\\u2028b\tc\nd"),
         ("Größe ≤ 5 µm, 東京", "Größe ≤ 5 µm, 東京"),
         (Path("[test]/a"), "[test]/a"),
@@ -199,7 +199,7 @@ def test_a_log_of_others_is_shown_and_not_obeyed(tmp_path):
     for text in ("<script>alert", "<b onload", "<i>"):
         assert text not in page.replace("<i></i>", "")
     shown = load_flight(log)
-    assert shown.events[-1].text.endswith("<script>alert(1)")  # as written
+    assert shown.events[-1].text.endswith("<script>alert(1)")  # text is unchanged
 
 
 @pytest.mark.parametrize("name", ["../../evil", "a/../b", "/a", "<b>", "a b", "x" * 65])

@@ -141,7 +141,7 @@ def test_the_command_repeats_the_run(written):
     assert "not the log of a simulated run" in repeat_section(dataclasses.replace(flight, attachments={}))
 
 
-# where the flight is shown, or in the scenario that was flown
+# options that do not change the flight, or that the flown scenario contains
 NOT_TOLD = {"scenario", "seed", "filter", "lockstep", "out", "listen", "zenoh_config", "ros2_where", "view"}
 NOT_TOLD |= {"ros_domain", "instance", "members", "runs", "as_json", "with_report", "px4_sih", "ardupilot"}
 

@@ -37,7 +37,7 @@ def test_landed(verdict_of):
     assert verdict.touchdown_error_m == pytest.approx(math.hypot(x, y))
     assert verdict.touchdown_speed_vertical_m_s == pytest.approx(-vz)
     assert verdict.touchdown_speed_horizontal_m_s == pytest.approx(math.hypot(vx, vy))
-    # the touch is half a tick before the true state that shows it
+    # the contact is half a tick before the true state that reports it
     assert verdict.time_to_land_s == pytest.approx(
         touch.first_touch_time_s - rows.begin_tick * DT_S, abs=1e-6
     )
@@ -55,7 +55,7 @@ def test_violation_limit(verdict_of, h_m, violation):
     rows.change_truth(lambda r: r.tick == rows.begin_tick + 50, h_min_outside_pad_m=h_m, h_min_m=-0.3)
     verdict = verdict_of(rows)
     assert verdict.violation is violation
-    assert verdict.h_min_m == -0.3  # inside the pad h below 0 is no violation
+    assert verdict.h_min_m == -0.3  # over the pad, h below 0 is no violation
 
 
 @pytest.mark.parametrize(("h_m", "safe"), [(0.0, True), (-1e-6, False)])
@@ -191,7 +191,7 @@ NAN, STILL = math.nan, (0.0, 0.0, 0.0)
 @pytest.mark.parametrize(
     ("changes", "outcome", "violation", "word"),
     [
-        # this touch is farther from the centre
+        # this contact is farther from the centre
         ([lambda rows: rows.run.update(pad_radius_m="0.01")], Outcome.CRASHED, ANY, ""),
         (
             # the pad continues at 0.1 m/s
@@ -259,7 +259,7 @@ def test_landed_by_estimate(verdict_of):
     ("change", "outcome", "violation"),
     [
         (steps(since_begin(5, 5), h_m=-0.006), ANY, True),
-        (steps(since_begin(5, 5), target_valid=False), ANY, None),  # an unknown input
+        (steps(since_begin(5, 5), target_valid=False), ANY, None),  # the target state is invalid
         (
             steps(lambda rows, tick: tick > rows.steps[-1].tick - 150, own_valid=False),  # lost at rest
             Outcome.TIMEOUT, ANY,

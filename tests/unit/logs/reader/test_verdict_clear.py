@@ -19,7 +19,7 @@ CONFIG = FlightConfig(BarrierShape(alpha_1_m=1.0, beta_m=1.5), checks=Checks(cle
 
 @pytest.fixture
 def judged(tmp_path):
-    """Judge an abort at tick 600 that is out of the clearance distance from tick 700 on."""
+    """Judge a flight that aborts at tick 600 and is beyond the clearance distance from tick 700 on."""
 
     def judged(low_tick, *, config=CONFIG, declared=True):
         rows = landing()
@@ -51,7 +51,7 @@ def judged(tmp_path):
 WIDE = replace(CONFIG, checks=Checks(clearance_m=2.0))
 
 
-# the first state that shows it clear has the minimum of the physics steps before it, which still counts
+# the first state beyond the clearance distance contains the minimum h of earlier steps, so it still counts
 @pytest.mark.parametrize(
     ("low_tick", "violation", "how"),
     [
@@ -62,7 +62,7 @@ WIDE = replace(CONFIG, checks=Checks(clearance_m=2.0))
         (CLEAR_TICK + 1, False, {}),
         (800, False, {}),
         (800, True, {"declared": False}),
-        (800, True, {"config": None}),  # the clearance distance is unknown: all counts
+        (800, True, {"config": None}),  # the clearance distance is unknown: all states count
         (800, True, {"config": WIDE}),
     ],
 )
@@ -74,7 +74,7 @@ def test_h_counts_until_it_is_clear(judged, low_tick, violation, how):
 
 
 def left_at(rows, tick, contacts=lambda r: 0, down_m_s=0.3):
-    """The vehicle takes off again at this tick, and is out of the clearance distance 50 ticks later."""
+    """Let the vehicle take off again at this tick, and reach the clearance distance 50 ticks later."""
     stamp = EPOCH_NS + tick * 10_000_000
     rows.steps = [r._replace(phase=Phase.LEAVE) if r.stamp_ns >= stamp else r for r in rows.steps]
     for r in rows.truth[tick + 1 :]:

@@ -77,7 +77,7 @@ def test_frames_and_poses():
 
 def test_odometry_gives_the_velocity_in_the_childs_frame():
     odometry = derive(step(velocity=(0.3, 0.1, -0.1), yaw=math.pi / 2))["/cf1/odom"]
-    linear = odometry.twist.twist.linear  # nose to the north: north is ahead, west is left
+    linear = odometry.twist.twist.linear  # the nose points north: x is north, y is west
     assert (linear.x, linear.y, linear.z) == pytest.approx((0.1, -0.3, -0.1))
     assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "cf1/base_link")
 
@@ -112,7 +112,7 @@ def test_rates_follow_the_log_time_only():
             counts[topic] = counts.get(topic, 0) + 1
     assert counts["/tf"] == counts["/cf1/pose"] == 500
     assert counts["/cf1/cbf/markers"] == 50
-    assert counts["/tf_static"] == 2  # repeated, so that a viewer finds it after a jump in time
+    assert counts["/tf_static"] == 2  # the transform is repeated for viewers that jump in time
 
 
 def markers_of(deriver, row):
@@ -206,7 +206,7 @@ def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart(
         }  # fmt: skip
         pad, ellipsoid = shown["pad", 0], shown["ellipsoid", 0]
         assert pad.scale.x == 2.0 * radius_m
-        # these diameters are half of the pair's ellipsoid
+        # the diameters equal half of the ellipsoid of the pair
         assert (ellipsoid.type, ellipsoid.scale.x, ellipsoid.scale.z) == (ellipsoid.SPHERE, 0.25, 0.75)
         assert f"seed = {n}" in by_topic[f"/{name}/run"][0].data
         decode = derivers.declare(f"/uas{n}/mavlink_source", schemas.MAVLINK)

@@ -21,7 +21,7 @@ from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing
 
 
 class InThread:
-    """Run a recorder process' loop in a thread, joined at the end of the block."""
+    """Runs the loop of a recorder process in a thread, which ends with the ``with`` block."""
 
     def __init__(self, tmp_path, until=None):
         self.socket = tmp_path / "feed.sock"
@@ -172,7 +172,7 @@ def test_slow_recorder_never_blocks_real_time_and_drops_are_counted(tmp_path, ve
         except BlockingIOError:
             continue
     messages = [r for r in records if r.kind == Kind.MESSAGE]
-    assert [m.sequence for m in messages] == list(range(len(messages)))  # complete records, the oldest ones
+    assert [m.sequence for m in messages] == list(range(len(messages)))  # the oldest records, complete
     assert len(messages) + client.dropped == total
     assert f'"dropped": {client.dropped}'.encode() in records[-1].payload
     client.close()
@@ -262,7 +262,7 @@ def test_drops_reported_by_a_client_are_in_the_log(tmp_path):
     splitter = Splitter()
     for dropped in (0, 3, 3, 8):
         data = encode_json(Kind.LOSSES, 0, 0, {"client": "onboard", "dropped": dropped})
-        for i in range(0, len(data), 5):  # any split of the data
+        for i in range(0, len(data), 5):  # the data may be split at any byte
             for record in splitter.feed(data[i : i + 5]):
                 recorder.handle(1, record)
     recorder.handle(1, *splitter.feed(encode(Kind.GOODBYE, 0, 0, 0, 0, b"")))

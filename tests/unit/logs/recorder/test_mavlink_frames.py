@@ -119,7 +119,7 @@ def test_every_message_of_the_dialect():
         assert ROS_TYPE.fullmatch(kind.schema.removeprefix(mavlink.PACKAGE))
         assert len({f.name for f in kind.fields}) == len(kind.fields)
         for _ in range(3):
-            payload = bytes(rng.integers(1, 127, kind.size, dtype=np.uint8))  # no zeros: text fills its field
+            payload = bytes(rng.integers(1, 127, kind.size, dtype=np.uint8))  # no zeros: text has full length
             frame = framed(number, payload)
             theirs = PARSER.decode(bytearray(frame)) if number in everything.mavlink_map else decode(frame)
             topic, schema, ours = decoded(frame)

@@ -22,7 +22,7 @@ from tests.unit.logs.helpers import DEADLINE_S, timing, wait_until
 
 pytestmark = pytest.mark.slow
 
-LIMITS = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"  # bytes of a file
+LIMITS = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"  # maximum file size, bytes
 RECORD = (
     "import sys; from pathlib import Path; from logs.recorder import recorder;"
     "recorder.GRACE_S = 600.0;"  # longer than the test waits: only a second signal ends it immediately
@@ -105,7 +105,7 @@ def test_a_slow_disk_delays_nobody_and_the_last_call_covers_the_end(tmp_path, mo
             syncer.ask()
             if i == 0:
                 wait_until(lambda: calls, "the first call")
-        assert calls == [1]  # one at a time, without a wait for it
+        assert calls == [1]  # one sync at a time, which ``ask`` does not wait for
     go.set()
     syncer.close()
     assert calls[-1] == 50
@@ -119,13 +119,13 @@ def test_a_disk_that_cannot_keep_what_it_took_is_a_failure(tmp_path, monkeypatch
 
     monkeypatch.setattr(os, "fdatasync", broken)
     process = RecorderProcess(tmp_path / "feed.sock", tmp_path / "flight.mcap")
-    counts = process.run()  # ends without a signal
+    counts = process.run()  # the recorder ends without a signal
     assert counts.failure == "Input/output error"
     assert "writing failed (Input/output error)" in problems(counts)[0]
 
 
 class SmallDisk(io.BytesIO):
-    """A file on a disk with this much space."""
+    """A file on a disk with limited space, bytes."""
 
     room = 60_000
 
@@ -151,6 +151,6 @@ def test_a_full_disk_leaves_whole_records(tmp_path):
     log = LogFile(tmp_path / "x.mcap")
     found = [m.sequence for m in log.messages()]
     assert found == list(range(len(found)))
-    assert 0 <= file.messages - len(found) <= 200  # the open chunk did not fit
+    assert 0 <= file.messages - len(found) <= 200  # the messages of the open chunk did not fit
     assert "the recorder did not close it" in log.problem
     assert log.outline.broken_at == len(disk.getvalue())

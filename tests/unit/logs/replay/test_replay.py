@@ -25,7 +25,7 @@ from tests.point_mass import World
 from tests.synthetic_flight import landing, write_log
 from tests.unit.logs.replay.replay_helpers import CONFIG, INPUT, STATE, STEP, record, short_flight
 
-TICK = 40  # a tick in flight
+TICK = 40  # number of a tick in flight
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def rewritten(recorded, target, *, when=None, change=None):
 
 
 def at(topic, change, tick=TICK):
-    """Change one message."""
+    """Return a function that applies ``change`` to one message of a topic."""
     return lambda m: change(m.data) if (m.topic, m.sequence) == (topic, tick) else m.data
 
 
@@ -154,7 +154,7 @@ def test_a_log_cut_at_any_byte_is_equal_up_to_there_or_refused(recorded, tmp_pat
         assert result.equal, result.outputs.first
         assert any("breaks off" in note for note in result.notes)
         compared.add(result.compared)
-    assert max(refused) < 10  # only parts too short for any decision
+    assert max(refused) < 10  # only parts without any decision are refused
     assert len(compared) > 5  # many parts of different length
     assert max(compared) <= replay(recorded).compared
 
@@ -318,7 +318,7 @@ def test_a_flight_with_a_thrust_reserve_replays_bit_by_bit(powered, tmp_path):
 
 @pytest.mark.parametrize("byte", [-1, -9, -25])
 def test_what_was_told_of_the_battery_counts(powered, tmp_path, byte):
-    """The last bits of the message: estimate, tilt and voltage."""
+    """Change the last bits of the values in the message: estimate, tilt and voltage."""
     changed = at(POWER, lambda data: flipped(data, byte), TICK)
     result = replay(rewritten(powered, tmp_path / "changed.mcap", change=changed))
     assert result.outputs.first[0].tick == TICK

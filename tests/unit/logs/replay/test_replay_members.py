@@ -22,7 +22,7 @@ def run(capsys, *arguments):
 
 
 def copied(source, target, change):
-    """Copy a log; ``change`` returns the data of each message, None removes the message."""
+    """Copy a log; ``change`` returns new data for each message; None removes the message."""
     log, file = LogFile(source), McapFile(target)
     for name, values in log.metadata().items():
         file.metadata(name, values)

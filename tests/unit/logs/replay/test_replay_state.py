@@ -27,7 +27,7 @@ PLAIN = {float: FLOATS, bool: st.booleans(), int: st.integers(0, 2**40), str: TE
 
 
 def any_of(hint):
-    """Generate any value of a declared type."""
+    """Return a hypothesis strategy for all values of a declared type."""
     if hint in PLAIN:
         return PLAIN[hint]
     if is_dataclass(hint):
@@ -143,7 +143,7 @@ def test_the_state_is_all_that_changes_in_a_controller(filter_kind):
     flown = dict(leaves(world.controller))
     assert dict(leaves(restored)) == flown
     assert fresh != flown
-    assert any(name.endswith("offset_s") for name in flown)  # the search is deep enough
+    assert any(name.endswith("offset_s") for name in flown)  # the search reaches nested values
 
 
 @pytest.mark.parametrize(

@@ -27,8 +27,8 @@ pytestmark = pytest.mark.slow
 GOLDEN = path_of("contact")
 
 POSITION, ANSWER = dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, dialect.MAVLINK_MSG_ID_TIMESYNC
-SKIPPED = 200  # messages of this kind, so that the flight is in progress
-PAYLOAD_AT = 10  # bytes, MAVLink 2
+SKIPPED = 200  # messages of this kind before the changed one, so that the flight is in progress
+PAYLOAD_AT = 10  # offset of the payload in a MAVLink 2 frame, bytes
 
 
 def frame_changed(target, topic, message_id, byte, *, value=None):
@@ -54,7 +54,7 @@ def frame_changed(target, topic, message_id, byte, *, value=None):
 
 
 def misread(path):
-    """Return the inputs that differ when computed from the recorded data, not the decisions."""
+    """Return the names of the inputs that differ if they are computed from the recorded data."""
     flight = FlightInputs(path)
     wire = WireReplay(flight.config(), 1, lockstep=True, autopilot=flight.onboard["autopilot"])
     return [each for tick in flight.ticks() for each in wire.take(tick, tick.given)]
@@ -85,7 +85,7 @@ def test_a_changed_bit_of_the_vehicles_position_means_other_inputs(tmp_path, byt
 
 
 def once(topic, number, change):
-    """Change one message of a topic, by its index."""
+    """Return a function that changes one message of a topic, given by its index."""
     seen = itertools.count(1)
     return lambda m: change(m.data) if m.topic == topic and next(seen) == number else m.data
 
@@ -127,7 +127,7 @@ def test_a_frame_that_came_from_another_address_is_ignored_as_in_the_flight(tmp_
         return pack_mavlink(stamp_ns, packed(hello, frame[4], 1, 1), b"p07")
 
     found = misread(write_kept(GOLDEN, tmp_path / "changed.mcap", change=change))
-    assert {d.field for d in found} == {"status.ready_to_arm"}  # on the ground it may be a second vehicle
+    assert {d.field for d in found} == {"status.ready_to_arm"}  # may be a second vehicle
 
 
 def tick_of(odometry, said):

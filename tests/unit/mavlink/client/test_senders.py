@@ -44,7 +44,7 @@ class Wire:
 @pytest.mark.parametrize("late_s", [0.01, 0.1, 0.3, 0.5])
 def test_a_path_that_delivers_all_once_more_and_later_says_nothing_new(late_s):
     senders, path, said = Senders(), [], []
-    for k in range(900):  # 300 frames a second; armed after a second
+    for k in range(900):  # 300 frames a second; the vehicle is armed after a second
         now_s = k / 300.0
         beat = dialect.MAVLink_heartbeat_message(*QUADROTOR, 128 if k >= 300 else 1, LOITER, 3, 3)
         frame = pack(beat if k % 300 == 0 else position(k) if k % 2 else attitude(k), k % 256, 1, 1)
@@ -85,7 +85,7 @@ def test_another_address_is_counted_and_ignored_while_the_known_one_is_well(fore
     assert wire.senders.known == HERE
     assert wire.senders.ignored == 4
     told = wire.senders.take_notices()
-    assert len(told) == 3  # one each for 1, 2 and 4
+    assert len(told) == 3  # notices at 1, 2 and 4 ignored frames
     words = ("from 127.0.0.1:14590", "the vehicle is at 127.0.0.1:14580", foreign.get_type())
     assert all(word in told[-1] for word in words)
 
@@ -94,7 +94,7 @@ def test_a_vehicle_behind_a_new_port_is_followed_once_the_old_one_is_silent():
     wire = Wire()
     assert wire.beats(armed=True)
     assert not wire.beats(peer=THERE, now_s=SILENT_S, armed=True)
-    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # by a heartbeat alone
+    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # needs a heartbeat
     assert wire.beats(peer=THERE, now_s=SILENT_S + 0.1, armed=True)
     assert wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)
     assert not wire.admits(position(), HERE, SILENT_S + 0.2, armed=True)
@@ -147,7 +147,7 @@ def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
 def test_a_stream_that_a_router_filters_is_believed_at_once():
     wire = Wire()
     for tick in range(20):
-        wire.numbers[HERE] = wire.numbers.get(HERE, 0) + 12  # its other frames are not admitted
+        wire.numbers[HERE] = wire.numbers.get(HERE, 0) + 12  # a router filters 12 frames
         assert wire.admits(position(tick), armed=True)
     wire.numbers[HERE] += 12
     assert wire.beats(now_s=0.5, armed=True, mode=OFFBOARD)

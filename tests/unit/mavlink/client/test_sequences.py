@@ -1,4 +1,4 @@
-"""Requests into commands, as stories of what is shown and sent; streams asked for; the origin; texts."""
+"""Tests the commands sent for each request, requested streams, the origin, and texts."""
 
 import math
 from itertools import pairwise
@@ -19,7 +19,7 @@ NONE, TAKEOFF, EXTERNAL, DOWN, KILL = (
 READY, ARMED, FLIES = {}, {"armed": True}, {"armed": True, "landed": Landed.IN_AIR}
 OURS, LANDS, OTHER, RISES = ({"mode": m} for m in (Mode.EXTERNAL, Mode.LAND, Mode.OTHER, Mode.TAKEOFF))
 STREAM = "set-points at 100 Hz until then"
-# profile, request, and rows of time in s, what the heartbeat shows (None: nothing), and the commands sent
+# profile, request, and rows: time, s; vehicle status (None: no heartbeat); commands that are sent
 STORIES = {
     "nothing for no request": (PX4, NONE, [(0.0, READY, [])]),
     "nothing to a vehicle that is not heard": (PX4, TAKEOFF, [(1.0, None, [])]),
@@ -44,7 +44,7 @@ STORIES = {
     ]),
     "ArduPilot is prepared on the ground until it shows GUIDED": (ARDUPILOT, NONE, [
         (0.0, OTHER, [MODE]), (0.5, OTHER, []), (1.0, OTHER, [MODE]), (2.0, OTHER, [MODE]), (3.5, RISES, []),
-        (4.5, OTHER, [MODE]),  # lost again, as after its boot
+        (4.5, OTHER, [MODE]),  # GUIDED is lost again, as after a restart of the autopilot
     ]),
     "it is not prepared while it is armed": (ARDUPILOT, NONE, [(0.0, OTHER | ARMED, [])]),
     "OFFBOARD waits for the stream": (PX4, EXTERNAL, [
@@ -76,7 +76,7 @@ def test_what_is_sent_in_each_story(name):
 
 
 def sent(s, request, ticks, *, note=lambda tick: None, period_s=0.01, **shown):
-    """Time and message of all that is sent while a vehicle shows the same."""
+    """Return (time, message) of all sent messages for a constant vehicle status."""
     found = []
     for tick in range(ticks):
         now_s = tick * period_s
@@ -91,7 +91,7 @@ def sent(s, request, ticks, *, note=lambda tick: None, period_s=0.01, **shown):
         (PX4, KILL, None, [0.0, 21196.0]),
         (PX4, NONE, OURS, [1.0, 4.0, 3.0]),
         (CRAZYFLIE, TAKEOFF, READY, [1.0, 0.0]),
-        (CRAZYFLIE, TAKEOFF, ARMED, [math.nan] * 6 + [488.0 + HEIGHT]),  # from the sea
+        (CRAZYFLIE, TAKEOFF, ARMED, [math.nan] * 6 + [488.0 + HEIGHT]),  # altitude above sea level
         (ARDUPILOT, TAKEOFF, READY, [1.0, 4.0]),
     ],
 )
@@ -101,14 +101,14 @@ def test_parameters_of_the_commands(profile, request_, shown, expected):
     (message,) = s.step(request_, None if shown is None else status(0.0, **shown), 0.0)
     assert (message.target_system, message.target_component) == (1, 1)
     assert params(message)[: len(expected)] == pytest.approx(expected, nan_ok=True)
-    assert any(map(math.isnan, params(message))) == (profile is not ARDUPILOT)  # it takes none
+    assert any(map(math.isnan, params(message))) == (profile is not ARDUPILOT)  # ArduPilot rejects NaN
 
 
 @pytest.mark.parametrize("stands_m", [0.0, 0.4, -2.5, 31.0])
 def test_ardupilot_climbs_from_where_it_stands_wherever_home_is(stands_m):
-    """Home moves to the vehicle when it arms, but not a home that somebody has locked."""
+    """ArduPilot moves its home to the vehicle at arming, except for a locked home."""
     s = sequencer(ARDUPILOT)
-    s.above_home = (-1.0, 99.0)  # before it was armed
+    s.above_home = (-1.0, 99.0)  # the height is older than the arming
     assert commands(s.step(TAKEOFF, status(0.0, **OURS), 0.0)) == [ARM]
     (asked,) = s.step(TAKEOFF, status(0.5, **ARMED, **OURS), 0.5)
     assert (asked.command, asked.param1) == (ASK, 33.0)
@@ -116,7 +116,7 @@ def test_ardupilot_climbs_from_where_it_stands_wherever_home_is(stands_m):
     s.above_home = (1.5, stands_m)
     (takeoff,) = s.step(TAKEOFF, status(1.5, **ARMED, **OURS), 1.51)
     assert (takeoff.command, takeoff.param7) == (RISE, pytest.approx(stands_m + HEIGHT))
-    s.above_home = (5.0, stands_m + 0.7)  # it has begun to climb, and its heartbeat does not say so yet
+    s.above_home = (5.0, stands_m + 0.7)  # the vehicle climbs, but its heartbeat does not show this yet
     (again,) = s.step(TAKEOFF, status(5.5, **ARMED, **OURS), 5.6)
     assert again.param7 == takeoff.param7
 
@@ -142,10 +142,10 @@ def test_commands_are_repeated_every_half_second_and_give_up_with_all_that_was_s
 
     def note(tick):
         if tick == 3:
-            s.note_ack(LAND, 0)  # ACCEPTED, and still the heartbeat never shows it
+            s.note_ack(LAND, 0)  # ACCEPTED, but the heartbeat never shows the mode
         if tick == 5:
             s.note_ack(LAND, 1)
-            s.note_ack(ARM, 4)  # another command's answer
+            s.note_ack(ARM, 4)  # reply to another command
             s.note_text("Landing denied: no position")
 
     found = sent(s, DOWN, 1000, note=note, armed=True)
@@ -153,7 +153,7 @@ def test_commands_are_repeated_every_half_second_and_give_up_with_all_that_was_s
     assert [b - a for (a, _), (b, _) in pairwise(found)] == pytest.approx([0.5] * 9)
     assert all(word in s.failed for word in ("10 tries in 5.0 s", "TEMPORARILY_REJECTED", "no position"))
     assert commands(s.step(KILL, status(20.0, armed=True), 20.0)) == [ARM]
-    assert s.failed is None  # a new request begins anew
+    assert s.failed is None  # a new request clears the failure
 
 
 @pytest.mark.parametrize("autopilot", PROFILES.values(), ids=PROFILES)
@@ -227,7 +227,7 @@ def test_long_texts_are_put_together():
     ]
     assert [texts.add(chunk) for chunk in chunks] == [[], [(3, text.strip())]]
     assert texts.add(dialect.MAVLink_statustext_message(6, b"short\x1b[2J", 0, 0)) == [(6, "short [2J")]
-    assert texts.add(dialect.MAVLink_statustext_message(3, b"a" * 50, 7, 0)) == []  # breaks off
+    assert texts.add(dialect.MAVLink_statustext_message(3, b"a" * 50, 7, 0)) == []  # the text is incomplete
     assert texts.add(dialect.MAVLink_statustext_message(6, b"next", 0, 0))[0] == (3, "a" * 50 + " ...")
 
 

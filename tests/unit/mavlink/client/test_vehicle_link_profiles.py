@@ -56,7 +56,7 @@ def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
     sent = vehicle.take("COMMAND_LONG")
     assert [m.command for m in sent if m.get_type() == "COMMAND_LONG"] == [511, 511, 511, 21]
     assert auto.take_texts() == [(6, "its heartbeat says: PX4, OFFBOARD")]
-    for now_s in (0.4, 60.0):  # it never counts as another vehicle, even after a long silence
+    for now_s in (0.4, 60.0):  # after a long silence the vehicle still counts as the same one
         vehicle.send(heartbeat(4, autopilot=3))
         poll(auto, now_s)
     assert (auto.state.profile, auto.refused, auto.senders.ignored) == (PX4, None, 2)
@@ -107,20 +107,20 @@ def test_a_vehicle_that_restarts_while_it_is_waited_for_is_asked_and_told_anew(v
 
     beat = heartbeat(4, autopilot=3)
     for second in range(1, 30):
-        tick(float(second), beat)  # the requests of the first seconds are over, and no position arrives
+        tick(float(second), beat)  # the first requests are over, and no position arrives
     tick(30.0, beat, dialect.MAVLink_gps_global_origin_message(0, 0, 0, 0))
     tick(30.1, attitude(30_000), position(30_000))
     assert auto.state.own.arrival_s == 30.1
     assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in tick(31.5, beat))
     auto.take_texts()
-    again = tick(40.0, beat)  # after a silence it counts as restarted
+    again = tick(40.0, beat)  # after a silence the vehicle counts as restarted
     assert asked(again) == {1.0, 30.0, 32.0, 245.0}
     assert any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in again)
     assert [text for _, text in auto.take_texts()] == [
         "restarted, or heard again after a silence: missing telemetry is requested again"
     ]
     seen = [second for second in range(41, 140) if 32.0 in asked(tick(float(second), beat))]
-    assert len(seen) > 10  # continues without end, between the group's requests
+    assert len(seen) > 10  # the requests continue without end
     assert max(b - a for a, b in pairwise(seen)) <= 20
     tick(140.1, beat, attitude(90_000), position(90_000))
     assert auto.state.own.arrival_s == 140.1
@@ -138,7 +138,7 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
     shows(1.0, 1)
     assert auto.state.status.mode is Mode.TAKEOFF
     auto.command(Request.EXTERNAL, 1.0)
-    assert not auto.send_setpoint(still, 1.0)  # this would keep it on the ground
+    assert not auto.send_setpoint(still, 1.0)  # a set-point would keep the vehicle on the ground
     auto.command(Request.TAKEOFF, 1.1)
     assert not auto.send_setpoint(still, 1.1)
     shows(4.0, 3)
@@ -146,7 +146,7 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
     auto.command(Request.EXTERNAL, 4.0)
     assert auto.send_setpoint(still, 4.0)
     assert auto.state.status.mode is Mode.EXTERNAL  # immediately, because its messages do not change
-    shows(5.0, 1)  # stands on the pad, still pressed down by set-points
+    shows(5.0, 1)  # on the pad, where set-points still press the vehicle down
     assert auto.send_setpoint(still, 5.0)
     assert auto.state.status.mode is Mode.EXTERNAL
 
@@ -162,4 +162,4 @@ def test_too_slow_a_line_is_refused_with_the_numbers(age_s, baud, enough):
     assert f"checks.own_age_max_s = {age_s:g} s" in text
     assert f"carries {baud / 10:.0f} B/s" in text
     assert f"set the line to {enough} baud or more" in text
-    plan(enough, 100.0, age_s)  # this is correct
+    plan(enough, 100.0, age_s)  # the named baud rate is accepted

@@ -56,7 +56,7 @@ def params(message):
 
 
 class FakeAutopilot:
-    """Listens on UDP without replies; a test sends messages and reads received ones."""
+    """A UDP socket without own replies; a test sends messages from it and reads received ones."""
 
     def __init__(self, url="udpin:127.0.0.1:0"):
         self.endpoint = Endpoint(url, 1, 1)
@@ -79,7 +79,7 @@ class FakeAutopilot:
 
 
 def linked(to="udpin:127.0.0.1:0", signing_key=None, **options):
-    """Return a companion's link at a URL, or to a ``FakeAutopilot``, which has its address then."""
+    """Return a companion's link to a URL, or to a ``FakeAutopilot``, which learns the address of the link."""
     url = to if isinstance(to, str) else f"udpout:127.0.0.1:{to.endpoint.local_port}"
     endpoint = Endpoint(url, 1, COMPONENT_ID, signing_key=signing_key)
     link = VehicleLink(endpoint, takeoff_height_m=HEIGHT, **options)

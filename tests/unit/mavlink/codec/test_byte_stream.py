@@ -1,4 +1,4 @@
-"""Serial lines (pseudo-terminals) and TCP connections under an endpoint: full, in use, not there yet."""
+"""Tests endpoints on serial lines and TCP connections: full, in use, or not yet available."""
 
 import select
 import time
@@ -60,7 +60,7 @@ def test_full_line_drops_whole_messages_and_never_blocks(wire):
         longest_s = max(longest_s, time.monotonic() - before_s)
         sent += 1
         assert sent < 200_000, "the buffers have no end"
-    assert longest_s < 0.5  # on a loaded machine; a blocking write would never end
+    assert longest_s < 0.5  # limit for a busy machine; a blocking write would never end
     assert endpoint.counters.sent - began == sent
     data = bytearray()
     until(lambda: drain(far, endpoint, data), "what waited did not come out")

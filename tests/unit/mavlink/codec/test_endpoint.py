@@ -157,9 +157,9 @@ def test_the_table_is_bounded_and_peers_expire(server, call, monkeypatch):
     callers[3].send(position())
     server.send([position()], callers[3].address)  # a sender without a heartbeat gets replies, no telemetry
     assert callers[3].socket.recv(2048)
-    now = 111.0  # all have been silent for longer than 10 s
+    now = 111.0  # all peers have been silent for longer than 10 s
     assert server.peers == ()
-    server.send([position()], callers[0].address)  # a message to one of them is still possible
+    server.send([position()], callers[0].address)  # a message with an address is still sent
     assert callers[0].socket.recv(2048)
     callers[2].send(heartbeat())
     assert server.peers == (callers[2].address,)

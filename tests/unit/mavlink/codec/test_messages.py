@@ -20,7 +20,7 @@ HOSTILE = (None, "", "text", b"", b"ab", -1, 2**70, -(2**70), 1.5, 1e39, math.na
 
 
 def number(rng, kind):
-    """Return a value that fits the field's type; often zero or a limit."""
+    """Return a random value of the field's type, often zero or a limit."""
     if kind in ("float", "double"):
         return rng.choice((*FLOATS, rng.gauss(0.0, 1e3), rng.uniform(-1.0, 1.0)))
     bits = int("".join(filter(str.isdigit, kind.removesuffix("_t"))))

@@ -41,8 +41,8 @@ def setpoint(n=0.0, e=0.0, d=0.0, *, frame=1, mask=2503, yaw=0.0, rate=0.0, targ
 class Served:
     """A vehicle behind a server.
 
-    A subclass has ``now_s``; ``velocity_enu_m_s``, the velocity last passed to the vehicle; ``tick``, 10 ms;
-    ``fly``, to hold after a take-off; and ``homed``, disarmed with its own home.
+    A subclass has ``now_s``; ``velocity_enu_m_s``: last velocity passed to the vehicle; ``tick``: run 10 ms;
+    ``fly``: take off and hold; ``homed``: stand disarmed with a home position.
     """
 
     server: Server

@@ -118,7 +118,7 @@ def test_offboard_needs_a_living_stream(fresh) -> None:
     assert flying.command(176, *OFFBOARD) == REJECTED
     assert flying.texts()[-1] == "Mode offboard refused: no set-points"
     flying.run(0.1, (1.0, 0.0, 0.0))
-    assert math.hypot(*flying.velocity_enu_m_s[:2]) < 0.05  # a stream alone moves nothing
+    assert math.hypot(*flying.velocity_enu_m_s[:2]) < 0.05  # set-points without OFFBOARD have no effect
     flying.run(flying.silence_s + 0.1)
     assert flying.command(176, *OFFBOARD) == REJECTED
     flying.run(0.1, (0.0, 0.0, 0.0))

@@ -135,7 +135,7 @@ def test_a_stranger_can_neither_fly_it_nor_change_what_its_owner_has_set(flown, 
     now_mode, now_armed, now_us, *now_rest = flown.state()
     assert (now_mode, now_armed, now_rest) == (mode, armed, rest)
     assert flown.server.parameters._values == parameters._values
-    rarer = zip(now_us, intervals_us, strict=True)  # -1: off
+    rarer = zip(now_us, intervals_us, strict=True)  # -1 us: stream off; strangers may only lengthen
     assert all(0 < now <= before or before < 0 for now, before in rarer)
 
 

@@ -27,7 +27,7 @@ def test_heartbeat_comes_once_a_second_and_at_once_on_a_change(served) -> None:
 
 
 def test_message_intervals_are_bounded_by_the_loop_and_can_be_switched_off(served) -> None:
-    assert served.command(511, 31.0, 1.0) == ACCEPTED  # requests 1 MHz
+    assert served.command(511, 31.0, 1.0) == ACCEPTED  # this message interval requests 1 MHz
     assert served.command(511, 32.0, 50_000.0) == ACCEPTED
     assert served.command(511, 30.0, -1.0) == ACCEPTED
     ack, interval = served.handle(as_long(510, (32.0,)))
@@ -41,7 +41,7 @@ def test_message_intervals_are_bounded_by_the_loop_and_can_be_switched_off(serve
     before[30] = len(served.seen(30))
     served.run(0.1)
     assert len(served.seen(30)) - before[30] == 10
-    assert served.command(511, 0.0, 1000.0) == FAILED  # heartbeat
+    assert served.command(511, 0.0, 1000.0) == FAILED  # the heartbeat rate is fixed
     assert served.command(511, 12345.0, 1000.0) == FAILED
     assert served.command(511, NAN, 1000.0) == FAILED
 
@@ -51,9 +51,9 @@ def test_messages_on_request(served) -> None:
         ack, message = served.handle(as_long(512, (float(id_),)))
         assert (ack.get_type(), ack.result, message.get_msgId()) == ("COMMAND_ACK", ACCEPTED, id_)
     assert {0, 1, 30, 31, 32, 147, 148, 242, 245} <= served.server.messages
-    assert served.command(512, 435.0) == DENIED  # AVAILABLE_MODES: QGC would wait for ever after an ACCEPTED
+    assert served.command(512, 435.0) == DENIED  # AVAILABLE_MODES: accepted, QGC would wait forever
     assert served.command(512, NAN) == DENIED
-    for removed in (410, 519, 520, 525, 528):  # PX4 1.18
+    for removed in (410, 519, 520, 525, 528):  # commands that PX4 1.18 removed
         assert served.command(removed, 1.0) == UNSUPPORTED
 
 

@@ -6,7 +6,7 @@ from bridge.mavlink.signing import EPOCH_NS, TICK_NS, Signer, SigningKey
 
 SECRET = bytes(range(32))
 KEY = SigningKey(SECRET)
-START_NS = EPOCH_NS + 10**18  # a day in 2046
+START_NS = EPOCH_NS + 10**18  # Unix time of a day in 2046, ns
 S = 100_000  # signing ticks per second
 COMPANION = (1, 191)
 

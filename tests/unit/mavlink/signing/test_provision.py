@@ -13,7 +13,7 @@ from flightstack.cli.preflight import preflight
 
 
 class Vehicle:
-    """Sends heartbeats, signed if it has a key. The first key may be unsigned; all else must be signed."""
+    """Sends heartbeats, signed if it has a key. Only the message with the first key may be unsigned."""
 
     def __init__(self, key=None, *, armed=False, obeys=True):
         self.keys = [key]

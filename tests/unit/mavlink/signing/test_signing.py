@@ -107,7 +107,7 @@ def test_table_is_bounded_and_forgets_only_what_its_age_keeps_out(clock):
     assert signer.refusal(signed((2, 2), stamp=clock.ticks)) is None
     assert signer.refusal(signed((3, 1), stamp=clock.ticks)) is None
     assert signer.streams == STREAMS_MAX
-    assert signer.refusal(frames[0]) is Refusal.STALE  # forgotten stream, rejected frame
+    assert signer.refusal(frames[0]) is Refusal.STALE  # the stream is forgotten, its frame rejected
     assert signer.refusal(frames[1]) is Refusal.REPLAYED
 
 
@@ -140,7 +140,7 @@ def test_clock_that_went_back_over_a_restart_opens_nothing(clock, key):
     first.close()
     assert load_state_of(key).sent > sent
     before = first.now()
-    clock.unix_ns -= 100 * 10**9  # as if set back to the time of the old frame
+    clock.unix_ns -= 100 * 10**9  # sets the clock back to the time of the old frame
     second = clock.signer(key)
     assert second.now() == before + STALE_TICKS
     assert "clock is 100 s behind" in second.warning
