@@ -1,4 +1,4 @@
-"""One flight of ``fly``: start of recorder, onboard process and live view; vehicle and target run already."""
+"""One flight of ``fly``: start of recorder, onboard process and live view; vehicle and target run before."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def run(options: FlyOptions, console: Console) -> Flown:
             launcher.record(log)
             known = {"config": name, "vehicle": options.vehicle_url, "target": options.target_key}
             describe(launcher.socket, Described(config, known, Names(namespace, options.system_id)))
-        # a client of a router cannot listen, so the live view would need a connection to that router, too
+        # a Zenoh client of a router cannot listen, so the live view gets no endpoint
         at = () if is_client(options.zenoh_config) else (launcher.endpoint(),)
         if options.view is not None:
             if not at:

@@ -36,30 +36,30 @@ from flightstack.watch import REFRESH_HZ, LiveView, Watch
 
 NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
-# wall time for the autopilot's landing after the onboard process has ended, detection included, s
+# maximum wall time from the end of the onboard process to the end of the autopilot's landing, s
 LAND_ALONE_MAX_S = COMPANION_SILENT_S + 100.0
-RECORDER_YIELDS = 10  # nice value of the recorder, divided by the number of vehicles that send it data
-LAND_MAX_S = 30.0  # longest time for an onboard process to end in flight, s: it lands a real vehicle first
+RECORDER_YIELDS = 10  # nice value of the recorder for one vehicle; it is divided by the number of vehicles
+LAND_MAX_S = 30.0  # maximum time for an onboard process to end, s: it first lands a real vehicle
 
 
 @dataclass
 class Followed:
-    """An onboard process that the launcher watches."""
+    """Onboard process that the launcher watches."""
 
     child: Child  # the process
     namespace: str  # first part of the Zenoh keys of the process
     endpoints: Sequence[str]  # Zenoh endpoints of the process; the live view uses the first one
-    name: str = ""  # prefix of the printed lines if there are several processes; else empty
-    last_line: str = ""  # newest line of the process
+    name: str = ""  # prefix of the printed lines; empty for a single process
+    last_line: str = ""  # newest line of output
     aborted: bool = False  # whether the process aborted or failed, so that the autopilot lands the vehicle
 
 
 class Launcher:
     """Context manager that owns the child processes and ends all of them on exit.
 
-    ``folder``: folder for the output of the children; ``tells``: whether the lines of the onboard process are
-    shown; ``real``: real vehicle; Ctrl-C, SIGTERM and a closed terminal go to the onboard process, which
-    lands the vehicle; the run ends with that process.
+    ``folder``: folder for the output of the children; ``tells``: whether the output of the onboard process is
+    printed; ``real``: whether the vehicle is real: then Ctrl-C, SIGTERM and a closed terminal are forwarded
+    to the onboard process, which lands the vehicle, and the run ends with that process.
     """
 
     def __init__(self, folder: Path, console: Console, *, tells: bool, real: bool = False) -> None:
@@ -68,7 +68,7 @@ class Launcher:
         self.children: list[Running] = []
         self.interrupted = False  # whether the operator requested the end of the run
         self._tells, self._real = tells, real
-        # ports and numbers that are reserved until all children have ended
+        # reserved ports and instance numbers, released after all children have ended
         self.reserved = contextlib.ExitStack()
         self._recorder: Child | None = None
         self._sockets = socket_folder()
@@ -79,7 +79,7 @@ class Launcher:
         return self
 
     def _take_over(self) -> None:
-        """Handle signals from now on; before this call a signal cancels the run."""
+        """Install signal handlers; before this call a signal cancels the run."""
         for number in _SIGNALS:
             ends = number is not signal.SIGQUIT and not self._real
             handle({number: self._interrupt if ends else partial(self._hand_on, number)})
@@ -88,7 +88,7 @@ class Launcher:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         del kind, error, trace
-        self._take_over()  # so that a second signal leaves no children behind
+        self._take_over()  # a second signal must not prevent the end of the children
         self.end_all()
         for number, handler in self._previous.items():
             signal.signal(number, handler)
@@ -102,17 +102,17 @@ class Launcher:
         return self.reserved.enter_context(contextlib.closing(Port())).endpoint
 
     def start(self, verb: str, options: object, of: str = "") -> Child:
-        """Start a command of ``flightstack`` with the options of its process.
+        """Start a ``flightstack`` command as a child process.
 
-        ``options``: dataclass of the command's options; ``of``: vehicle of the process, if the command runs
-        several times.
+        ``options``: dataclass of the command's options; ``of``: name of the vehicle, if each vehicle has a
+        process.
         """
         child = Child(f"{verb}-{of}" if of else verb, [verb, *argv(options)], self.folder)
         self.children.append(child)
         return child
 
     def hint(self, line: str) -> None:
-        """Print a line that is not about the flight itself."""
+        """Print a line for the operator that is not an event of the flight."""
         self.console.print(line, style="dim", soft_wrap=True, markup=False)
 
     def record(self, log: Path) -> None:
@@ -137,7 +137,7 @@ class Launcher:
         self.hint(f"view: {watch.wait_ready()}")
 
     def end_all(self) -> None:
-        """End every child; the recorder is last, so that the log contains the end of the others."""
+        """End every child; the recorder is last, so that the log contains the end of every other process."""
         for child in reversed(self.children):
             child.end(self._end_max_s(child.name))
         self.children.clear()
@@ -164,9 +164,9 @@ class Launcher:
         flights; ``limit_s``: wall time after which the run is given up (None: no limit); ``teller``: process
         that reports arming and disarming. Raises LaunchError: an onboard process did not start.
         """
-        for flight in flights:  # the processes load at the same time
+        for flight in flights:  # all processes load at the same time
             flight.child.wait_ready()
-        if self._recorder is not None and not lockstep:  # a recorder without CPU loses records
+        if self._recorder is not None and not lockstep:  # a recorder without processor time loses records
             self._recorder.yield_to_others(RECORDER_YIELDS // len(flights))
         for flight in flights:
             for endpoint in flight.endpoints:
@@ -188,7 +188,7 @@ class Launcher:
         limit_s: float | None,
         teller: Child | None,
     ) -> str | None:
-        """Watch until the onboard processes have ended; return the problem, or None."""
+        """Watch until the onboard processes have ended; return an error text, or None."""
         self._take_over()
         begun()
         others, flying = list(others), list(flights)
@@ -215,10 +215,10 @@ class Launcher:
                     flying.remove(flight)
                     problem = self._ended(flight) or problem
                 for child in [c for c in others if not c.alive()]:
-                    # a safe end does not need this process: the onboard process holds, climbs or flies clear
+                    # without this process the onboard process ends safely: it holds, climbs or flies clear
                     others.remove(child)
                     if theirs := failed_code(child.errors()):
-                        return theirs  # nothing simulates the vehicle any more
+                        return theirs  # the simulator of the vehicle has ended
                     problem = f"{child.name} ended in flight: {child.errors()}"
                     self._print(problem, style="red")
                 if self.interrupted:
@@ -235,16 +235,16 @@ class Launcher:
         return problem
 
     def _ended(self, flight: Followed) -> str | None:
-        """Handle the last lines of an onboard process that has ended; return the problem if it failed."""
+        """Handle the last output of an onboard process that has ended; return an error text if it failed."""
         child = flight.child
         self._say(flight, child.lines(0.0))
         if child.process.returncode in (0, 1):
-            if flight.name and child.process.returncode and not self._tells:  # others may need this process
+            if flight.name and child.process.returncode and not self._tells:  # others may need this one
                 self._print(f"{flight.name}  {flight.last_line}")
             return None
         problem = f"{child.name} ended in flight: {child.errors()}"
         flight.aborted = True
-        if flight.name:  # the others continue to fly
+        if flight.name:  # the other members continue to fly
             self._print(problem, style="red")
         return problem
 
@@ -252,7 +252,7 @@ class Launcher:
         self.interrupted = True
 
     def _hand_on(self, number: int) -> None:
-        """Send a signal on to the onboard process, which handles it according to its phase."""
+        """Forward a signal to the onboard process, which handles it according to its phase."""
         for child in self.children:
             if isinstance(child, Child) and child.name.startswith("onboard") and child.alive():
                 child.process.send_signal(number)
@@ -269,7 +269,7 @@ class Launcher:
         self.console.print(text, style=style, highlight=False, markup=False)
 
     def _let_it_land(self, teller: Child | None, until: float) -> None:
-        """Wait until the vehicles have landed by themselves after the onboard processes have ended.
+        """Wait until the autopilots have landed the vehicles after the onboard processes have ended.
 
         The unread output of ``teller`` immediately shows a vehicle that never armed, or already stands.
         """

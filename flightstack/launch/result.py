@@ -54,7 +54,7 @@ def result_table(values: Mapping[str, Any], reason: str) -> Group:
 
 
 def _apart(vehicles: Iterable[Mapping[str, Any]]) -> list[Text]:
-    """Return lines about flights outside the proven envelope, or judged by another barrier than flown."""
+    """Return lines about flights outside the proven envelope, or judged by a barrier that was not flown."""
     found = [
         each[key] and f"{label}{each[key]}"
         for key, label in (("outside_envelope", "outside the proven envelope: "), ("judged_apart", ""))
@@ -83,7 +83,7 @@ _FLEET_ROWS = (
 
 
 def _fleet_table(values: Mapping[str, Any], reason: str) -> Group:
-    """Return the tables of a fleet: for each member lowest h outside the pad, errors, speeds and times."""
+    """Return tables of a fleet with lowest h outside the pad, errors, speeds and times of each member."""
     table = Table("vehicle", *(Column(name, justify="right") for name, _, _ in _MEMBER_COLUMNS))
     for member, each in values["vehicles"].items():
         table.add_row(Text(member), *(_shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))
@@ -118,7 +118,7 @@ class Flown:
 
     about: Mapping[str, object]  # scenario, seed and filter: the first keys of the JSON output
     folder: Path
-    log: Path | None  # None: the run was not recorded
+    log: Path | None  # path of the log; None: the run was not recorded
     wall_s: float  # wall time from the first tick to the end
     flights: Sequence[Followed]  # onboard processes, one for each vehicle
     problem: str | None  # error of a process; None: no error
@@ -138,7 +138,7 @@ def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool
         console.print(Text(f"log     {values['log'] or 'none, as asked for'}"), soft_wrap=True)
         if values["report"] is not None:
             console.print(Text(f"report  {values['report']}"), soft_wrap=True)
-    last = "\n".join(each.last_line for each in flown.flights)  # of the onboard processes
+    last = "\n".join(each.last_line for each in flown.flights)  # last line of each onboard process
     landed = values["outcome"] == "landed" and flown.problem is None
     if problem := flown.problem or failed_code(_reasons(values)) or failed_code(last):
         print(f"flightstack: {problem}", file=sys.stderr)
@@ -153,7 +153,7 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
     said = "; ".join(f"{each.name}: {each.last_line}".removeprefix(": ") for each in flown.flights)
     try:
         log = load_fleet(flown.log) if flown.log is not None else None
-    except LogError as error:  # the log cannot be used
+    except LogError as error:  # the log is not usable
         print(f"flightstack: no result: {flown.problem or said} {error}", file=sys.stderr)
         log = None
     if log is None:

@@ -26,7 +26,7 @@ class Flies(Enum):
 
 
 def _members(given: tuple[str, ...]) -> Mapping[int, str]:
-    """Convert each N=URL to an entry of a table."""
+    """Return a table of vehicle numbers and URLs from texts N=URL."""
     found = {}
     for text in given:
         number, equals, url = text.partition("=")
@@ -82,7 +82,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
 
     @property
     def flies(self) -> Flies:
-        """Program that provides autopilot and physics."""
+        """Program that provides autopilot and, for some values, physics."""
         return next(iter(self._programs), Flies.OWN)
 
     @property

@@ -25,7 +25,7 @@ from flightstack.launch.vehicles import (
     others_s,
     plugged,
 )
-from flightstack.onboard import process  # noqa: F401  # forked onboard processes need not load it
+from flightstack.onboard import process  # noqa: F401  # forked onboard processes then need not load it
 from flightstack.onboard.recording import Described, describe, log_in, new_folder
 from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD, SCENARIO, Names
@@ -35,8 +35,8 @@ from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario, load, path_of, text
 from sim.vehicle.declared import not_proven, outside
 
-GRACE_S = 60.0  # wall time beyond the scenario's duration after which a run is given up, s
-LOCKSTEP_SLOWEST = 0.05  # fraction of real time below which a lockstep run is given up
+GRACE_S = 60.0  # wall time after the scenario's duration at which a run is stopped, s
+LOCKSTEP_SLOWEST = 0.05  # ratio of simulated to wall time below which a lockstep run is stopped
 
 
 def prepare(options: RunOptions) -> TeamScenario:
@@ -89,7 +89,7 @@ def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
 
 
 def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
-    """Add the scenario's start of the landing and its fleet, unless the configuration sets them."""
+    """Add the scenario's start point and fleet to a configuration that does not set them."""
     start_offset_m = config.takeoff.start_offset_m or scenario.onboard.takeoff.start_offset_m
     takeoff = replace(config.takeoff, start_offset_m=start_offset_m)
     return replace(config, takeoff=takeoff, fleet=config.fleet or scenario.onboard.fleet)
@@ -101,7 +101,7 @@ class _Vehicle:
 
     number: int  # number in the team, from 1
     name: str  # namespace of the vehicle
-    label: str  # name that is shown beside its lines and files
+    label: str  # name in the vehicle's output lines and files
     scenario: Scenario
     seed: int
     endpoint: str  # Zenoh endpoint of the vehicle's onboard process
@@ -137,7 +137,7 @@ def _vehicles(launcher: Launcher, options: RunOptions, team: TeamScenario) -> li
 
 
 def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path) -> Flown:
-    """Start each process after those to which it connects; then watch until all flights have ended."""
+    """Start the processes in the order of their connections; then watch until all flights have ended."""
     vehicles = _vehicles(launcher, options, team)
     robots_at = launcher.endpoint()
     launcher.record(log)

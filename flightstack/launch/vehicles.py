@@ -1,8 +1,8 @@
-"""Vehicles of ``sitl``: the simulated vehicle, PX4 on it, PX4 and ArduPilot with their own physics.
+"""Vehicles of ``sitl``: the simulated vehicle, PX4 on it, and PX4 and ArduPilot with their built-in physics.
 
 Every vehicle starts its processes and returns the options with which the onboard process connects to it.
-Vehicles with their own physics have no pad: they land on the floor under the landing spot. Their position
-starts at 0 where they stand, so the robot is moved instead.
+Vehicles with built-in physics have no pad: they land on the floor under the landing spot. Their position is 0
+at the start, so the robot's path is moved instead.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Flying:
     options: Sequence[Mapping[str, Any]]  # options of the onboard process of each vehicle
     children: list[Running]  # processes that must outlive the flight
     teller: Child | None = None  # process that reports arming and disarming
-    # options with which robot and onboard process follow the vehicle's clock; else the run's --speed
+    # options with which robot and onboard process follow the vehicle's clock; empty: option --speed applies
     clock: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -72,7 +72,7 @@ def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
 
 
 class _Px4Start:
-    """PX4 before its start; its instance number is chosen first, since it gives the simulator's port."""
+    """PX4 before its start; its instance number is chosen first, since the simulator's port depends on it."""
 
     def __init__(self, launcher: Launcher, options: RunOptions) -> None:
         self._launcher, self._options, self._binary = launcher, options, _program_of(options)
@@ -93,7 +93,7 @@ class _Px4Start:
             text = f"PX4: this release has no {name}; the pre-flight check uses those that it has"
             self._launcher.console.print(text, markup=False, soft_wrap=True)
         url = f"udpin:127.0.0.1:{program.onboard_port}"
-        system_id = 1 + self.number  # rcS sets MAV_SYS_ID to this number
+        system_id = 1 + self.number  # PX4's script rcS sets MAV_SYS_ID to this value
         return program, {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
 
 
@@ -112,7 +112,7 @@ def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
         ),
     )  # fmt: skip
     simulator.wait_ready()
-    # these imports load the compiler, half a second, and only this vehicle needs them
+    # these imports load the compiler (half a second); only this vehicle needs them
     from sim.plant import params
     from sim.px4.airframe import parameters
 
@@ -155,9 +155,9 @@ def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, robo
     return Flying([given], [child])
 
 
-# Parameters that ArduCopter's simulated quadrotor needs beyond its defaults: frame, battery, calibrations of
-# its sensors (Tools/autotest/default_params/copter.parm), no radio, values for the pre-flight check. Names of
-# all known releases are listed, since a release ignores a name that it does not have.
+# Parameters of ArduCopter's simulated quadrotor that differ from the defaults: frame, battery, calibrations
+# of the sensors (Tools/autotest/default_params/copter.parm), no radio, values for the pre-flight check. The
+# table has the names of all known releases, since a release ignores unknown names.
 ARDUPILOT_PARAMETERS: Mapping[str, float] = {
     "FRAME_CLASS": 1,
     "FRAME_TYPE": 0,
@@ -178,11 +178,11 @@ ARDUPILOT_PARAMETERS: Mapping[str, float] = {
 
 
 _FIRMWARE = re.compile(rb"ArduCopter V(\d+)\.(\d+)")  # THISFIRMWARE of ArduCopter/version.h
-_DEAD_TIME_SINCE = (4, 7)  # release from which on the velocity loop has a dead time (ATC_INPUT_TC)
+_DEAD_TIME_SINCE = (4, 7)  # first release whose velocity loop has a dead time (ATC_INPUT_TC)
 
 
 def _ardupilot_configuration(program: Path | None) -> str:
-    """Return the configuration's name for the release in the program file; if unknown, the newest one."""
+    """Return the configuration's name for the release of the program; if unknown, for the newest one."""
     release = _DEAD_TIME_SINCE
     if program is not None and program.is_file() and program.stat().st_size:
         with program.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as held:
@@ -194,14 +194,14 @@ def _ardupilot_configuration(program: Path | None) -> str:
 class Vehicle(NamedTuple):
     """A kind of vehicle that ``sitl`` can fly."""
 
-    # function that starts the vehicle, and waits until it can fly if its URL depends on that; the last
+    # function that starts the vehicle and, if its URL depends on that, waits until it can fly; its last
     # argument is the Zenoh endpoint of the robots; it raises LaunchError if the vehicle is not ready
     start: Callable[[Launcher, RunOptions, TeamScenario, str], Flying]
-    configs: Mapping[str, str] = {}  # names of configurations by airframe; otherwise the scenario's is used
+    configs: Mapping[str, str] = {}  # names of configurations by airframe; for another one: the scenario's
     # function from program path to configuration name, for all airframes
     config: Callable[[Path | None], str] | None = None
     with_robots: bool = False  # whether the vehicle's process also simulates the robots
-    at_origin: bool = False  # whether the vehicle's position starts at 0, so that the robot is moved instead
+    at_origin: bool = False  # whether the vehicle's position starts at 0, so that the robot is moved
 
     def adapt(self, scenario: Scenario) -> Scenario:
         """Return the scenario with the changes that this vehicle needs."""
@@ -223,18 +223,18 @@ VEHICLES: Mapping[Flies, Vehicle] = {
 
 
 def plugged(cls: type[T], launcher: Launcher, options: RunOptions, **own: Any) -> T:
-    """Return the options of a process of the simulator: those of the run, then the process's own."""
+    """Return the options of a simulator process: those of the run, and ``own`` ones of the process."""
     both = {"scenario": launcher.folder / SCENARIO, "recorder": launcher.socket, "zenoh_config": None}
     return shared(options, cls, **both, **own)
 
 
 def longest_s(team: TeamScenario) -> float:
-    """Return the longest time of a flight, s: its duration plus the time for an abort."""
+    """Return the longest time of a flight, s: the scenario's duration plus the time for an abort."""
     return max(each.duration_max_s + each.onboard.retreat.abort_time_max_s for each in team.member)
 
 
 def others_s(team: TeamScenario) -> float:
-    """Return how long the simulator's processes run, s: longer than the onboard processes."""
+    """Return the run time of the simulator's processes, s; it is longer than that of onboard processes."""
     return longest_s(team) + 10.0
 
 
@@ -255,7 +255,7 @@ def around_the_start(scenario: Scenario) -> Scenario:
 def _to_the_floor_m(scenario: Scenario) -> Vec3:
     """Return the offset of the landing spot that puts it on the floor.
 
-    The height of this vehicle is zero where it stands, not at its reference point above the feet.
+    The height of this vehicle counts from the floor, not from its reference point above the feet.
     """
     down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
     return 0.0, 0.0, round(-down_m, 6)

@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 from flightstack.core.safety.barrier import Barrier
 
-TOLERANCE = 1e-4  # allowed excess of a bound, in the unit of the value: m/s, m/s^2 or mm
-CELLS_MAX = 20_000  # largest number of cells, 100 times the usual one; the bound is valid at this limit, too
+TOLERANCE = 1e-4  # allowed excess of a bound over the maximum, in the unit of the value: m/s, m/s^2 or mm
+CELLS_MAX = 20_000  # maximum number of cells, 100 times the usual one; the bound is valid at this number, too
 EQUAL = 1e-9  # difference below which two values count as equal
-ROUNDING = 1e-12  # relative rounding error that is assumed; a dozen operations err by less than 3e-15
+ROUNDING = 1e-12  # assumed relative rounding error; that of a dozen operations is below 3e-15
 
 
 class Span(NamedTuple):
@@ -28,23 +28,23 @@ class Span(NamedTuple):
     high: float
 
     def middle(self) -> float:
-        """Return the point at which to cut; an unbounded interval is cut at a multiple of its lower end."""
+        """Return the point that halves the interval; for an unbounded one, a multiple of its lower end."""
         if math.isinf(self.high):
             return 2.0 * self.low + 1.0
         return 0.5 * (self.low + self.high)
 
     def width(self) -> float:
-        """Return the length, which is infinite for an unbounded interval."""
+        """Return the length; it is infinite for an unbounded interval."""
         return self.high - self.low
 
 
 def wider(span: Span) -> Span:
-    """Return the span, widened by the rounding errors of the numbers from which it was computed."""
+    """Return the span, widened by the rounding errors of its computation."""
     return Span(span.low - ROUNDING * (1.0 + abs(span.low)), span.high + ROUNDING * (1.0 + abs(span.high)))
 
 
 class Most(NamedTuple):
-    """Result of ``most``: the value is nowhere above ``bound``, and equals ``found`` at the point ``at``."""
+    """Result of ``most``: the function is at most ``bound``, and equals ``found`` at the point ``at``."""
 
     bound: float
     found: float
@@ -94,14 +94,14 @@ def most(
 
 
 def _weight(span: Span, whole: Span) -> float:
-    """Return the cell's fraction of the coordinate's range; unbounded cells are cut first."""
+    """Return the fraction of the coordinate's range that the cell covers; unbounded cells come first."""
     if math.isinf(span.high):
         return math.inf
     return span.width() / (whole.width() if math.isfinite(whole.high) else 1.0)
 
 
 def _corners(domain: Cell) -> list[tuple[float, ...]]:
-    """Return the corners with finite coordinates."""
+    """Return the corners of a box that have finite coordinates."""
     points: list[tuple[float, ...]] = [()]
     for span in domain:
         ends = (span.low, span.high) if math.isfinite(span.high) else (span.low,)
@@ -111,7 +111,7 @@ def _corners(domain: Cell) -> list[tuple[float, ...]]:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Boundary of the safe set, with any margin of a range."""
+    """Boundary of the safe set, with a margin that may have any value of a range."""
 
     barrier: Barrier  # the paper's boundary
     margin_m: Span  # smallest and largest margin m
@@ -159,7 +159,7 @@ def _fade_slope(d_m: float, w_m: float) -> float:
 
 
 def _range(function: Callable[[float], float], d: Span, extreme: float) -> Span:
-    """Return the range of a function with one extreme on d >= 0 that goes to 0 at infinity."""
+    """Return the range of a function that has one extreme on d >= 0 and approaches 0 at infinity."""
     values = [function(d.low), 0.0 if math.isinf(d.high) else function(d.high)]
     if d.low < extreme < d.high:
         values.append(function(extreme))

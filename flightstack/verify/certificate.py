@@ -21,12 +21,12 @@ from flightstack.verify.types import Check, Need
 
 
 def problems(config: FlightConfig) -> list[str]:
-    """Return the reasons why this configuration must not fly; empty if it may."""
+    """Return the reasons why this configuration must not fly; empty if it may fly."""
     return [check.text for check in checks(config) if check.need is Need.FLIGHT and not check.proven]
 
 
 def certificate_of(config: FlightConfig) -> str:
-    """Return the name of the checks that the filter's class itself declares; empty: no certificate."""
+    """Return the name of the certificate that the filter's class itself declares; empty: it declares none."""
     return str(vars(strategy_class(config.filter)).get("certificate", ""))
 
 

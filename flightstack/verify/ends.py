@@ -1,4 +1,4 @@
-"""Checks for any filter: contact differs from a descent, and missing motion is detected."""
+"""Checks for every filter: contact is distinguished from a descent, and missing motion is detected."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.reserve import GRAVITY_M_S2
 from flightstack.verify.types import PROOF, Check
 
-STEADY_ERROR = 0.25  # velocity error that must be tolerated, gusts included, as a fraction of full speed
-FALL_MAX_M_S = 1.0  # allowed speed of a fall, m/s: twice the landing speed, which landing gears withstand
+STEADY_ERROR = 0.25  # ratio of tolerated velocity error, including gusts, to full speed
+FALL_MAX_M_S = 1.0  # allowed fall speed, m/s: twice the landing speed; landing gears withstand it
 
 
 def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
-    """Check that the descent speed of this key, m/s, is above the speed limit of a standing vehicle."""
+    """Check that the descent speed ``key``, m/s, is above the speed limit of a standing vehicle."""
     found = config.contact.speed_m_s
     return Check(
         "contact.speed_m_s", "a vehicle that descends as commanded is not taken for one that stands",
@@ -46,7 +46,7 @@ def notices(config: FlightConfig) -> Check:
 
 
 def any_filter(config: FlightConfig, descent_m_s: float, key: str) -> list[Check]:
-    """Return the checks of contact, of following and of a fall; the descent speed is that of this key."""
+    """Return the checks of contact, following and fall; ``key``: configuration key of the descent speed."""
     checks, gap_m = config.checks, config.contact.gap_m
     lag_s, memory_s = checks.follow_lag_max_s, checks.follow_memory_s
     speed = math.sqrt(2.0 * GRAVITY_M_S2 * gap_m)
@@ -54,7 +54,7 @@ def any_filter(config: FlightConfig, descent_m_s: float, key: str) -> list[Check
         contact(config, descent_m_s, key),
         notices(config),
         # The tracking lag of a velocity error e converges to e times the decay time. A vehicle that does not
-        # follow lands where it is, below the barrier if that is beside the pad.
+        # follow lands at its position, which is below the barrier if it is beside the pad.
         Check(
             "checks.follow_memory_s",
             "a steady error of the velocity is not taken for a vehicle that does not follow",

@@ -22,7 +22,7 @@ class Extremes:
     """Worst values of the declared envelope, for the robust filter."""
 
     barrier: Barrier  # the paper's barrier
-    shape: Shape  # boundary; margins from that of ``usual`` to that at the age limit of the target
+    shape: Shape  # boundary; the margin ranges from that of ``usual`` to that of a target at the age limit
     usual: Shape  # boundary with the margin as long as all samples arrive
     pad_radius_m: float  # radius outside which the barrier must hold
     box_speed_m_s: float  # fastest approach to the target that velocity box and target allow together
@@ -31,10 +31,10 @@ class Extremes:
     target_acceleration_m_s2: float  # horizontal acceleration of the target
     heave_acceleration_m_s2: float  # vertical acceleration of the target; 0 without heave
     slip_m_s: float  # horizontal speed relative to the target while the vehicle follows it
-    position_error_m: float  # horizontal error of vehicle minus target: sigma_factor standard deviations
-    height_error_m: float  # vertical error of vehicle minus target: sigma_factor standard deviations
+    position_error_m: float  # horizontal error of vehicle minus target, sigma_factor deviations
+    height_error_m: float  # vertical error of vehicle minus target, sigma_factor deviations
     growth_m: float  # growth of the margin between two samples of the target
-    velocity_error_m_s: float  # error of the target's estimated velocity per axis, sigma_factor deviations
+    velocity_error_m_s: float  # error of the target's velocity per axis, sigma_factor deviations
     lag_xy_s: float  # horizontal and vertical lag of the slowest vehicle
     lag_z_s: float
 
@@ -63,7 +63,7 @@ def extremes(config: FlightConfig) -> Extremes:
         target_climb_m_s=envelope.target_climb_max_m_s,
         target_acceleration_m_s2=acceleration,
         heave_acceleration_m_s2=acceleration if envelope.target_climb_max_m_s > 0.0 else 0.0,
-        # the lead of the set-point compensates the declared lag, but not the vehicle's deviation from it
+        # the set-point compensates the declared lag, but not the vehicle's deviation from it
         slip_m_s=(envelope.lag_spread * loop.lag_xy_s + loop.dead_time_s) * acceleration + velocity_error,
         position_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_m, own_m),
         height_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_z_m, own_m),
@@ -75,7 +75,7 @@ def extremes(config: FlightConfig) -> Extremes:
 
 
 def own_velocity_sigma_m_s(config: FlightConfig) -> float:
-    """Return the noise of the vehicle's velocity if its error is estimated without the velocity loop's model.
+    """Return the noise of a vehicle velocity whose error is estimated without the velocity loop's model.
 
     White noise of the positions passes s w^2 / (s + w)^2, w = 1 / T: the variance is noise^2 period w^3 / 4.
     """
@@ -87,7 +87,7 @@ def own_velocity_sigma_m_s(config: FlightConfig) -> float:
 
 
 def _margin_m(strategy: RobustFilter, motion: TargetMotion) -> float:
-    """Return the margin of the filter at this uncertainty; the filter itself computes it."""
+    """Return the margin that the filter computes for this uncertainty."""
     return strategy.margin_m(motion.position_sigma_m, motion.position_sigma_z_m)
 
 

@@ -2,9 +2,9 @@
 
 ``linear`` is the loop x' = A x: the vehicle's own loop as in velocity_tracking.py, the position loop over the
 pad around it, and the delay as a first-order Padé element. A depends linearly on the vehicle through W = w^2
-and D = 2 z w. Over a small piece of the spread, with (W, D) in a rectangle, a quadratic Lyapunov function
-that decays at the four corners therefore decays in the whole rectangle (a convex hull of matrices). Pieces
-for which this fails are halved. With an estimated vehicle state (``own.velocity_error_m_s``) the states of
+and D = 2 z w. For a small interval of the lag spread, (W, D) lies in a rectangle, and a quadratic Lyapunov
+function that decays at its four corners decays in the whole rectangle (convex hull of matrices). An interval
+for which this fails is halved. With an estimated vehicle state (``own.velocity_error_m_s``) the states of
 the estimator replace those of the observer.
 
 ``follow_m`` bounds the distance from the pad's centre of a vehicle that follows its target. The loop
@@ -33,16 +33,16 @@ from flightstack.verify.envelope import Extremes
 from flightstack.verify.types import PROOF, Check
 
 F64 = npt.NDArray[np.float64]
-TICKS_LATE = 1.5  # delay of a set-point in ticks: a mean of half a tick, and one tick after its inputs
-SHARE = 0.5  # required decay rate on a piece of the spread, divided by the rate at its centre
-PIECE_MIN = 1e-6  # smallest size of a piece, as a difference of factors; if it fails, the loop is unstable
+TICKS_LATE = 1.5  # delay of a set-point, ticks: on average half a tick, plus one tick after its inputs
+SHARE = 0.5  # ratio of the required decay rate on an interval of the lag spread to the rate at its centre
+PIECE_MIN = 1e-6  # smallest width of an interval of lag factors; if it fails, the loop is unstable
 PIECES_MAX = 10_000
 # Largest ratio of feedback rate to velocity loop rate. The model omits motors and attitude loop: at a ratio
 # of 3 the 1 kg quadrotor oscillates at 1.8 Hz (tilts of 45 degrees), with 2.5 it lands (150 of 150).
 BANDWIDTH = 2.5
-# Smallest ratio of observer rate to velocity loop rate. The filter's margins assume that the observer finds a
-# disturbance while the loop answers: at a ratio of 0.2, 6 of 400 landings of `field` violate, at 0.3 one, at
-# 0.4 and 0.5 none.
+# Smallest ratio of observer rate to velocity loop rate. The filter's margins assume that the observer is fast
+# enough to estimate a disturbance within the loop's response time: at a ratio of 0.2, 6 of 400 landings of
+# `field` violate, at 0.3 one, at 0.4 and 0.5 none.
 OBSERVER = 0.5
 # Largest acceleration, m/s^2, by velocity_loop.error_max_m_s, for which the linear model holds (a tilt of 17
 # degrees): 2 of 40 landings of `large` violate at 4.6, none at 2.6.
@@ -125,7 +125,7 @@ def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
 
 
 def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float, float]:
-    """Return the proven decay rate of all loops between two factors, 1/s, and its factor."""
+    """Return the proven decay rate of all loops between two factors, 1/s, and the slowest loop's factor."""
     least, where = math.inf, 1.0
     pieces = [(slower, faster)]
     for _ in range(PIECES_MAX):
@@ -167,7 +167,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         "lower velocity_feedback.error_rate_1_s, far_error_rate_1_s or observer_rate_1_s, or "
         "robust.gain_over_pad_1_s and gain_descent_1_s, or raise loop.rate_hz"
     )
-    # one setting, unless the gains in the final descent or far away differ
+    # configurations with different gains: over the pad, final descent, far from the pad
     flown = {config, config.descending, config.far}
     decay = min(decay_1_s(one, 1.0, 1.0)[0] for one in flown)
     fastest = max(_bandwidth(one) for one in flown)
@@ -220,31 +220,31 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
 
 
 def _bandwidth(config: FlightConfig) -> float:
-    """Return the rate of the feedback, as it acts on an error, over that of the velocity loop."""
+    """Return the ratio of the feedback's bandwidth to that of the velocity loop."""
     feedback, rate_1_s = config.velocity_feedback, config.velocity_loop.rate_xy_1_s
     return feedback.tilt_rate_1_s / rate_1_s * max(1.0, feedback.error_rate_1_s / rate_1_s)
 
 
 STEP_S = 3e-3  # step of the impulse responses, s; their values between two steps are bounded
-DOUBLINGS = (11, 14)  # numbers of doublings: responses of 6 s, or up to 49 s; the rest is bounded
-SLACK = 0.03  # largest fraction of a piece's result that the vehicles beside its centre cause
-FOLLOW_PIECE_MIN = 1e-4  # smallest size of a piece, as a difference of the spread's factors
+DOUBLINGS = (11, 14)  # numbers of doublings: responses of 6 s, or up to 49 s; the remainder is bounded
+SLACK = 0.03  # largest fraction of a result that vehicles beside the interval's centre may cause
+FOLLOW_PIECE_MIN = 1e-4  # smallest width of an interval of lag factors
 _POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # states of ``linear``
 _TARGET, _ERROR, _OTHER = range(3)  # inputs of the loop
 
 
 def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """Return the largest distance from the centre while the target is followed, and its vehicle.
+    """Return the largest distance from the pad's centre during following, m, and the worst vehicle's factor.
 
-    The distance is in m, infinite if no bound is proven; the vehicle is the factor of its velocity loop to
-    the declared one. No bound is known for an estimated vehicle state: the distance is infinite.
+    The distance is infinite if no bound is proven, and always for an estimated vehicle state. The factor is
+    the ratio of the vehicle's velocity loop rate to the declared one.
     """
     if config.own.learns:
         return math.inf, 1.0
     spread = config.envelope.lag_spread
     low, high = 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)
     pieces = [(*_reach_m(config, x, low, high), low, high)]
-    while True:  # the piece with the largest bound is first
+    while True:  # the interval with the largest bound is first
         least, own_m, low, high = heapq.heappop(pieces)
         if -least <= (1.0 + SLACK) * own_m or high - low < FOLLOW_PIECE_MIN:
             return -least, 0.5 * (low + high)
@@ -254,13 +254,13 @@ def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 
 
 def _reach_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
-    """Return minus the largest distance of all vehicles of a piece, and the distance of its central one."""
+    """Return minus the largest distance of all vehicles of an interval, and that of its central vehicle."""
     own_m, beside_m = _piece_m(config, x, low, high)
     return -(own_m + beside_m), own_m
 
 
 def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
-    """Return the bound of the vehicle at the centre of a piece, and the additional distance of the others."""
+    """Return the bound of an interval's central vehicle, and the additional distance of other vehicles."""
     middle, loop = 0.5 * (low + high), config.velocity_loop
     inputs, outputs, through = _ports(config, middle)
     gains = _gains(linear(config, middle), inputs, outputs)
@@ -291,7 +291,7 @@ def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
     smoothing_s = max(loop.slope_time_s, 1.0 / config.loop.rate_hz)
     inputs, outputs, through = np.zeros((8, 3)), np.zeros((3, 8)), np.zeros((3, 3))
-    # relative to the target, all velocities change sign, twice in the state of the delay
+    # the target's acceleration reduces relative velocities, and the delay's state twice as much
     inputs[[_VELOCITY, _HELD, _MODEL, _SLOPE], _TARGET] = -1.0, -2.0, -1.0, 1.0 / smoothing_s
     push = feedback.tilt_rate_1_s * (feedback.error_rate_1_s + 1.0 / smoothing_s)
     inputs[[_PULL, _MODEL_PULL, _SLOPE], _ERROR] = factor * factor * push, push, -1.0 / smoothing_s**2
@@ -307,8 +307,8 @@ def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
 def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
     """Return the integrals of absolute impulse responses, outputs x inputs; None for an unstable loop.
 
-    Between two steps a response differs from the straight line by at most h^3 / 12 of its second derivative,
-    in the integral. After the last step, the remaining state starts the response again.
+    Between two steps the integral differs from that of the straight line by at most h^3 / 12 times the second
+    derivative. After the last step, the remaining state starts the response again.
     """
     step, grown = matrix_exp(loop * STEP_S), matrix_exp(np.abs(loop) * STEP_S)
     bend = np.abs(outputs @ loop @ loop) @ grown
@@ -319,7 +319,7 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
             powers = np.concatenate([powers, powers @ factor])
             factor = factor @ factor
         if not np.isfinite(factor).all():
-            return None  # unstable, beyond the range of floats
+            return None  # the loop is unstable: its state exceeds the range of floats
         left = np.abs(factor)
         if doubling < DOUBLINGS[0] or not float(np.abs(np.linalg.eigvals(left)).max()) < 0.5:
             continue

@@ -1,7 +1,7 @@
 """Checks of a configuration with a table [fleet], and of all members together (docs/how_it_works/fleet.md).
 
-Where do landing barrier, box and the rows of neighbours have a common feasible velocity? h is the value of a
-neighbour's barrier and g its gradient. The worst row (constraint) of a neighbour is
+Landing barrier, box and neighbours' rows (constraints) must have a common feasible velocity. h is the value
+of a neighbour's barrier and g its gradient. The worst row of a neighbour is
 
     g . u >= |g| w + a t - rate h,
 
@@ -29,7 +29,7 @@ from flightstack.verify.bound import Cell, Shape, Span, most
 from flightstack.verify.envelope import extremes
 from flightstack.verify.types import PROOF, Check
 
-LATE_TICKS = 1.0  # missed ticks in a row, in addition to the tick of a command
+LATE_TICKS = 1.0  # consecutive late ticks, in addition to the tick of a command
 
 
 def fleet_checks(config: FlightConfig) -> list[Check]:
@@ -39,7 +39,7 @@ def fleet_checks(config: FlightConfig) -> list[Check]:
         return []
     robust = issubclass(strategy_class(config.filter), RobustFilter)
     spread, loop = config.envelope.lag_spread, config.velocity_loop
-    # the lead of the set-point compensates the declared lag, but not the vehicle's deviation from it
+    # the set-point compensates the declared lag, but not the vehicle's deviation from it
     lag_s = (spread if robust else 1.0 + spread) * max(loop.lag_xy_s, loop.lag_z_s)
     if robust:
         x = extremes(config)
@@ -57,7 +57,7 @@ def fleet_checks(config: FlightConfig) -> list[Check]:
 
 
 def errors_m(config: FlightConfig, fleet: Fleet) -> float:
-    """Return how far velocity errors of two vehicles towards each other can reduce h, m.
+    """Return the largest loss of h through velocity errors of two vehicles towards each other, m.
 
     h' >= -rate h - e keeps h above -e / rate. ``robust.tracking_error_m_s`` is declared for the vertical
     velocity; this check applies it in each direction.
@@ -67,7 +67,7 @@ def errors_m(config: FlightConfig, fleet: Fleet) -> float:
 
 
 def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec3) -> list[Check]:
-    """Return the checks of the rows of two vehicles.
+    """Return the checks that two vehicles remain apart by their rows.
 
     With the distance y = h, velocities that follow the commands by a first-order lag T, and both rows met, T
     y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
@@ -144,11 +144,11 @@ def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec
 
 
 def _slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, who: str, part: float) -> Check:
-    """Check that the slew limit allows a velocity to follow an active row with this part of the share.
+    """Check that within the slew limit a velocity can follow an active row; ``part``: share of the avoidance.
 
     For an active row g . (u - c) = -rate h: g . u has to grow by rate times the closing speed plus the
-    acceleration of the other vehicle; the curvature of h reduces this. With half of the share it is half of
-    this. The remaining room is homogeneous in g and concave, so it is smallest along an axis.
+    acceleration of the other vehicle; the curvature of h reduces this sum. With half of the share only half
+    of it is needed. The remaining room is homogeneous in g and concave, so it is smallest along an axis.
     """
     speeds, most = config.limits.velocity_max_m_s, fleet.speed_max_m_s
     needed = [part * (fleet.rate_1_s * (m + most) + fleet.acceleration_max_m_s2) for m in speeds]
@@ -165,7 +165,7 @@ def _slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, who: str, part: f
 
 
 def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> float:
-    """Return the duration of a landing after the wait, without a go-around, s."""
+    """Return the duration of a landing without a go-around, from the end of the wait, s."""
     robust = issubclass(strategy_class(config.filter), RobustFilter)
     if robust:
         near_m, gain_1_s, down_m_s = (
@@ -181,9 +181,9 @@ def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> flo
 
 def _landings(config: FlightConfig, fleet: Fleet, descent_s: float) -> list[Check]:
     """Return the checks of simultaneous touchdowns and of the wait for the right of way."""
-    # horizon of the conflict search, until the touchdown, from messages of this age
+    # horizon of the conflict search: message age plus time until the touchdown
     ahead_s, target_m_s = fleet.age_max_s + descent_s, config.touchdown.target_speed_max_m_s
-    closer_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time in which pads come closer
+    closer_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time in which pads may approach each other
     accelerated_m = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
     moved_m = min(accelerated_m + target_m_s * closer_s, 2.0 * target_m_s * ahead_s)
     needed_m = fleet.radius_xy_m + 2.0 * config.touchdown.pad_radius_m + 2.0 * moved_m
@@ -209,18 +209,18 @@ def _landings(config: FlightConfig, fleet: Fleet, descent_s: float) -> list[Chec
 
 
 class Crowd(NamedTuple):
-    """Numbers that decide whether a common feasible velocity exists."""
+    """Quantities that decide whether a common feasible velocity exists."""
 
     steepest: float  # steepest slope of the boundary outside the pad
     climb_m_s: float  # vertical speed of the pad
     speed_m_s: float  # speed of a neighbour
     flat: float  # factor k = radius_xy / radius_z
     longest: float  # length of the longest gradient g
-    growth_m_s: float  # growth of the ellipsoid in the largest latency
+    growth_m_s: float  # growth rate of the ellipsoid at the largest latency
 
 
 def crowd(config: FlightConfig, fleet: Fleet, shape: Shape, climb_m_s: float) -> Crowd:
-    """Return the numbers of a configuration with a table [fleet].
+    """Return the quantities of ``Crowd`` for a configuration with a table [fleet].
 
     ``shape``: boundary; ``climb_m_s``: fastest climb of the pad.
     """
@@ -231,17 +231,17 @@ def crowd(config: FlightConfig, fleet: Fleet, shape: Shape, climb_m_s: float) ->
 
 
 def anywhere_m(config: FlightConfig, fleet: Fleet, c: Crowd) -> float:
-    """Return the h above which the rows of any number of neighbours have a common point.
+    """Return the h above which the rows of any number of neighbours have a common feasible velocity.
 
-    The point is the pad's horizontal velocity with any climb, which meets the landing barrier wherever h is
-    not negative.
+    This velocity is the pad's horizontal velocity with any climb; it meets the landing barrier if h is not
+    negative.
     """
     at_most = math.hypot(config.touchdown.target_speed_max_m_s, c.flat * config.limits.velocity_max_m_s[2])
     return (c.longest * c.speed_m_s + at_most + c.growth_m_s) / fleet.rate_1_s
 
 
 def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
-    """Return the horizontal speed that remains up the steepest slope.
+    """Return the horizontal speed that remains for motion up the steepest slope of the boundary.
 
     The landing barrier at h = 0 needs (speed + w_pad) slope + the pad's climb, up to the climb of the box.
     """
@@ -266,7 +266,7 @@ def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: floa
         away = aside_m_s * math.cos(at[0]) + c.flat * vz * math.sin(at[0])
         return c.speed_m_s * length(at[0]) + c.growth_m_s - away
 
-    def upper(cell: Cell) -> float:  # each part is monotone on both sides of the horizontal plane
+    def upper(cell: Cell) -> float:  # each term is monotone above and below the horizontal plane
         low, high = cell[0]
         at = (low, high, 0.0) if low < 0.0 < high else (low, high)
         pushed, aside = max(map(length, at)), max(-aside_m_s * math.cos(each) for each in at)
@@ -282,7 +282,7 @@ def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
     from_m, reach_m = anywhere_m(config, fleet, c), fleet.reach_m - fleet.radius_xy_m
     short_m_s, elevation = one_short_m_s(config, c, up_the_slope_m_s(config, c), -math.pi / 2.0)
     open_m_s, _ = one_short_m_s(config, c, min(vx, vy), 0.0)
-    opposite_m_s = c.longest * c.speed_m_s + c.growth_m_s  # away from the landing barrier
+    opposite_m_s = c.longest * c.speed_m_s + c.growth_m_s  # needed speed away from the landing barrier
     return [
         Check(
             "neighbours in reach",
@@ -322,7 +322,7 @@ def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
 def team_checks(
     configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3, pads_apart_m: float
 ) -> list[Check]:
-    """Return the checks that involve all members; none without a pair, or if one has no table [fleet].
+    """Return the checks that involve all members; none for a single vehicle, or if one has no table [fleet].
 
     ``configs``: configurations of the members; ``starts_enu_m``: known start
     places in the air; ``touch_m``: largest offset of two vehicles at which they overlap; ``pads_apart_m``:

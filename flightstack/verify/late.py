@@ -1,4 +1,4 @@
-"""Check that errors in the loop of position, lead and vehicle decay, for each vehicle of the spread.
+"""Check that errors decay in the loop of position control, lag compensation and vehicle, for all lags.
 
 One axis is simulated tick by tick: the vehicle's second-order loop with its dead time, the age of the vehicle
 state, and the filter's functions (``velocity_tracking.py``), which are linear within their bounds. A tick is
@@ -24,10 +24,10 @@ from flightstack.verify.types import PROOF, Check
 DAMPING_MIN = 0.5  # minimum damping of the position loop around the lagging velocity loop
 LATE_TICKS = 1  # number of ticks between the inputs and their set-point
 MIN_DECAY_1_S = 0.1  # required decay rate, half of an error in 7 s; half the gain of a slow position loop
-SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # lags of the checked vehicles, as shares of the spread
-RESPONSES = (1.0, 1.15, 1.3)  # steady velocity over set-point; identified vehicles reach 1.3
-# Steady velocity over set-point at which a loop with a dead time must still be stable: its phase has no
-# bound, so only the gain limits oscillation, and an identified gain is a mean of large and small commands.
+SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # deviations of the checked lags, divided by ``lag_spread``
+RESPONSES = (1.0, 1.15, 1.3)  # ratios of steady velocity to set-point; identified vehicles reach 1.3
+# Ratio of steady velocity to set-point at which a loop with a dead time must still be stable: its phase lag
+# has no bound, so only the gain limits oscillation; identified gains are means of large and small commands.
 RESPONSE_LATE = 1.35 * RESPONSES[-1]
 # Number of states before the queues: position relative to the target, velocity, acceleration; velocity and
 # derivative of the model, disturbance, slope, velocity command; velocity of the target, and error of the
@@ -39,8 +39,8 @@ _TARGET, _ERROR = 8, 9
 def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> F64:
     """Return the state-transition matrix of one tick.
 
-    ``gain_1_s``: gain of the position loop; ``slower``: lag and dead time over the declared ones;
-    ``response``: steady velocity over set-point.
+    ``gain_1_s``: gain of the position loop; ``slower``: ratio of lag and dead time to the declared ones;
+    ``response``: ratio of steady velocity to set-point.
     """
     loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz
     free = replace(loop, error_max_m_s=1e9, disturbance_max_m_s=1e9)
@@ -58,7 +58,7 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
         ]
     )
     step = matrix_exp(rates * period_s)[:3].tolist()
-    sent = max(late, acts) + 1  # stored set-points, the newest last
+    sent = max(late, acts) + 1  # number of stored set-points, the newest last
     size = STATES + sent + 2 * aged
 
     def tick(x: Sequence[float]) -> list[float]:
@@ -80,7 +80,7 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
 
 
 def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> float:
-    """Return the decay rate of an error; negative for an unstable loop."""
+    """Return the decay rate of an error, 1/s; it is negative for an unstable loop."""
     whole = tick_matrix(config, gain_1_s, slower, response)
     own = np.delete(np.delete(whole, _TARGET, 0), _TARGET, 1)  # the target's velocity is constant
     return -math.log(float(np.abs(np.linalg.eigvals(own)).max())) * config.loop.rate_hz
@@ -89,8 +89,8 @@ def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: fl
 def drift_m(config: FlightConfig, x: Extremes, time_s: float, slower: float, response: float) -> float:
     """Return the largest distance from the pad's centre within a time after the final descent starts.
 
-    It is the free motion from the largest distance and speed at that time, plus the sums of absolute impulse
-    responses to the target's acceleration and the velocity command's error, times their bounds.
+    The distance is the free motion from the largest distance and speed at the start, plus the bounds of the
+    target's acceleration and the velocity command's error times their sums of absolute impulse responses.
     """
     robust, period_s = config.robust, 1.0 / config.loop.rate_hz
     gain = robust.gain_over_pad_1_s
@@ -160,7 +160,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
 
 
 def drift_of_spread_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
-    """Return the largest ``drift_m`` of all vehicles, and the lag of that vehicle over the declared one."""
+    """Return the largest ``drift_m`` of all vehicles, and the ratio of its vehicle's lag to the declared."""
     spread = config.envelope.lag_spread
     slower = [1.0 + share * spread for share in SLOWER]
     return max((drift_m(config, x, time_s, lag, each), lag) for lag in slower for each in RESPONSES)

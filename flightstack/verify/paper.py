@@ -3,8 +3,8 @@
 At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box gives
 ``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target takes ``|s| w + w_z``. The difference must not be
 negative at any distance and in any direction. Near the apex the filter's gradient is smaller than s. The
-difference is linear in |s| there, and it is checked at s = 0, too, at the
-peak. So the bound holds at the apex.
+difference is linear in |s|, and the check at the peak includes s = 0. Therefore the bound also holds at the
+apex.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from flightstack.core.types import Vec3
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.types import PROOF, Check
 
-TICK_S = 0.05  # longest tick for a vehicle whose lag is shorter, s
+TICK_S = 0.05  # longest allowed tick if the vehicle's lag is shorter than it, s
 QUICKER = 1.25  # required ratio of the position loop's gain to omega
 FASTER = 1.4  # required ratio of the vehicle's speed to the target's
-# Required ratio of the boundary at half the pad's radius to contact.gap_m. With a ratio of 1 two of 100
-# landings touched the pad's edge, with 1.6 none.
+# Required ratio of the boundary height at half the pad's radius to contact.gap_m. At a ratio of 1 two of 100
+# landings touched the pad's edge, at 1.6 none.
 CENTRES = 1.5
-QUARTER = Span(0.0, math.pi / 2.0)  # checked directions: box and target are symmetric
+QUARTER = Span(0.0, math.pi / 2.0)  # checked directions; by symmetry of box and target they cover all
 ANYWHERE = Span(0.0, math.inf)  # checked distances
 
 
@@ -33,7 +33,7 @@ def shortfall(
     vx, vy, vz = box_m_s
 
     def lost(slope: Span, angle: Span) -> float:
-        # over the quarter, the sine rises and the cosine falls
+        # in the first quadrant, the sine rises and the cosine falls
         lateral = math.cos(angle.high) * vx + math.sin(angle.low) * vy
         steep = max(abs(slope.low), abs(slope.high))
         flat = 0.0 if slope.low <= 0.0 <= slope.high else min(abs(slope.low), abs(slope.high))
@@ -66,7 +66,7 @@ def basics(
     most_1_s, axis = 0.5 * hz, max(range(3), key=lambda i: gains[i])
     key, slew_m_s2 = slew
     barrier = shape.barrier
-    most_m_s2 = [2.0 * limit * hz for limit in box]  # the box allows this change in a tick
+    most_m_s2 = [2.0 * limit * hz for limit in box]  # the largest change that the box allows in a tick
     side = min(range(3), key=lambda i: most_m_s2[i] - slew_m_s2[i])
     return [
         Check(
@@ -97,7 +97,7 @@ def basics(
 
 
 def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
-    """Return the check that a tick is short compared with the rate at which a barrier may fall."""
+    """Return the check that a tick is short compared with the time in which h may fall."""
     most_1_s = 0.5 * config.loop.rate_hz
     return Check(
         f"sampling, {key}", "a tick is short compared with the rate at which h may fall",
@@ -113,12 +113,12 @@ def answers(config: FlightConfig) -> list[Check]:
     assumes; outside the pad the barrier must hold. The position loop around a lag has a damping of
     1 / sqrt(2) if gain times lag is 1/2. If h may fall more than twice as fast as the vehicle approaches the
     centre, or faster than its vertical velocity settles, the vehicle descends into the narrow part of the
-    cone and remains there while the robot moves on. So does a vehicle that is hardly faster than a robot that
-    turns back. With these factors 60 landings in ``reversing`` stayed above the barrier.
+    cone and remains there while the robot continues. The same happens to a vehicle that is hardly faster than
+    a robot that reverses. With these factors 60 landings in ``reversing`` remained above the barrier.
 
-    Horizontal motion lags behind a robot that turns back, so the vehicle must be able to climb as fast as the
-    boundary rises below it: slopes of 4.5 and more, a rise of twice the vertical speed, ended below the
-    barrier. A cone that is too flat allows a touchdown on the pad's edge.
+    Horizontal motion lags behind a robot that reverses, so the vehicle must be able to climb as fast as the
+    boundary below it rises: landings with slopes of 4.5 and more, a rise of twice the vertical speed, ended
+    below the barrier. A cone that is too flat allows a touchdown on the pad's edge.
     """
     loop, slower, tick_s = config.velocity_loop, 1.0 + config.envelope.lag_spread, 1.0 / config.loop.rate_hz
     (kx, ky, kz), (ax, ay, _) = config.position_loop.gain_1_s, config.limits.slew_max_m_s2

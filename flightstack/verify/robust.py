@@ -19,12 +19,12 @@ from flightstack.verify.envelope import Extremes
 from flightstack.verify.paper import shortfall
 from flightstack.verify.types import PROOF, Check
 
-NOISE_SIGMAS = 7.0  # covered jump, in standard deviations of one position: 5 of a difference of two
-HELD_M = 0.005  # largest depth below the boundary outside the pad that no verdict counts as a violation, m
+NOISE_SIGMAS = 7.0  # covered jump, in standard deviations of one position (5 of the difference of two)
+HELD_M = 0.005  # largest depth below the boundary outside the pad that is not yet a violation, m
 
 
 def demand(x: Extremes, slope: Span) -> float:
-    """Return the largest vertical velocity that keeps h at a slope, for any horizontal velocity, m/s."""
+    """Return the vertical velocity that keeps h at this slope for the worst horizontal velocity, m/s."""
     return max(0.0, -slope.low) * x.box_speed_m_s + max(0.0, slope.high) * x.target_speed_m_s
 
 
@@ -32,7 +32,7 @@ def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign
     """Return how fast ``demand`` rises (sign 1) or falls (sign -1) by motion over the boundary, m/s^2."""
     slope, bend = shape.slope(d), shape.curvature_1_m(d)
     ax, ay, _ = config.slew_max_m_s2
-    # a high inward speed is possible, and reduces the demand
+    # the inward speed may be high; it reduces the demand
     inside = x.slip_m_s if sign > 0.0 else x.box_speed_m_s
     speed = x.box_speed_m_s if slope.low < 0.0 else inside
     pushed = math.hypot(ax, ay) + x.target_acceleration_m_s2
@@ -55,7 +55,7 @@ def outside(x: Extremes, function: Callable[[Span], float]) -> Most:
 
 
 def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
-    """Return the largest loss of h that results because the condition holds only at ticks, m.
+    """Return the largest loss of h because the barrier condition is enforced only at ticks, m.
 
     A demand that grows with g costs g T^2 / 2 per tick, and the rate r restores it: g T / (2 r) for permanent
     growth. The demand is bounded, so its worst course is a saw-tooth of growth and fall with these slopes;
@@ -73,10 +73,10 @@ def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
 
 
 def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """Return how far h may fall below 0 outside the pad, m, and the distance at which it does.
+    """Return the lowest h outside the pad as a depth below 0, m, and its distance from the centre, m.
 
-    The depth is the missing margin there (the margin fades towards the pad, and is sized for the slope at the
-    pad's edge), plus the losses between two ticks and between two samples of the target.
+    The depth is the missing margin at this distance (the margin fades towards the pad, and is sized for the
+    slope at the pad's edge), plus the losses between two ticks and between two samples of the target.
     """
     robust, held_m = config.robust, x.usual.margin_m.low
     kept_m = robust.tracking_error_m_s / robust.rate_1_s
@@ -88,12 +88,12 @@ def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
         error_m = math.hypot(steep * x.position_error_m, x.height_error_m)
         return 1000.0 * (kept_m + error_m - held_m * (1.0 - fade))
 
-    lack = outside(x, lacking)  # result in mm
+    lack = outside(x, lacking)  # the result is in mm
     return 1e-3 * max(0.0, lack.bound) + between_ticks_m(config, x) + x.growth_m, lack.at[0]
 
 
 def demand_growth(config: FlightConfig, x: Extremes) -> Most:
-    """Return the largest rate at which the needed vertical velocity rises during following, m/s^2."""
+    """Return the largest rise rate of ``demand`` for a vehicle that follows the target, m/s^2."""
     rate_1_s = config.robust.rate_1_s
 
     def growth(d: Span) -> float:

@@ -1,4 +1,4 @@
-"""Checks of the end of a robust landing: the vehicle descends onto the pad in time.
+"""Checks of the final descent with the robust filter: the vehicle reaches the pad in time.
 
 A comparison system bounds the horizontal motion over the pad (docs/how_it_works/robust_filter.md): with the
 distance y from the centre and the difference z between velocity and commanded velocity,
@@ -26,12 +26,12 @@ from flightstack.verify.feedback import follow_m, matrix_exp
 from flightstack.verify.types import PROOF, Check
 
 STEP_S = 2e-3  # step of the comparison system, s
-PIECES = 20  # number of pieces of the range of lags
-AGREE = 1.6  # largest factor between the declared lag and the model's
+PIECES = 20  # number of intervals into which the range of lags is divided
+AGREE = 1.6  # largest allowed ratio between the declared lag and that of the model
 
 
 def descent_time_s(config: FlightConfig, x: Extremes) -> float:
-    """Return the longest time of the final descent until contact, s."""
+    """Return the longest duration of the final descent until contact, s."""
     robust = config.robust
     descent_m = robust.commit_height_m - config.touchdown.feet_below_reference_m + x.height_error_m
     speed = robust.descent_m_s - robust.tracking_error_m_s
@@ -41,8 +41,8 @@ def descent_time_s(config: FlightConfig, x: Extremes) -> float:
 def modelled(config: FlightConfig) -> Check:
     """Check that rate and damping of the model agree with the declared lag.
 
-    One correction uses the lag, the other one the model: a large difference looks like a disturbance. The
-    identified loops of the shipped configurations agree within a factor of 1.5.
+    The lead uses the lag, the disturbance estimate uses the model: a large difference looks like a
+    disturbance. The identified loops of the shipped configurations agree within a factor of 1.5.
     """
     loop = config.velocity_loop
     axes = (
@@ -64,7 +64,7 @@ def modelled(config: FlightConfig) -> Check:
 def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     """Return the largest distance from the centre in the final descent, m, and its time, s, over all lags.
 
-    The spread is cut into pieces; each piece uses its slowest decay and its largest rho.
+    The range of lags is divided into intervals; each one uses its slowest decay and its largest rho.
     """
     declared_s, spread = config.velocity_loop.lag_xy_s, config.envelope.lag_spread
     if declared_s <= 0.0 or spread <= 0.0:
@@ -80,7 +80,7 @@ def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> tuple[float, float]:
     """Return the result of ``drift_m`` for one tau and rho.
 
-    The linear comparison system is solved exactly from step to step; the possible growth between two steps is
+    The linear comparison system is solved exactly at each step; the possible growth between two steps is
     added.
     """
     gain, decay_1_s = config.robust.gain_over_pad_1_s, 1.0 / max(lag_s, STEP_S)
@@ -113,19 +113,19 @@ def over_pad(config: FlightConfig, x: Extremes) -> list[Check]:
     (vx, vy, vz), feet_m = config.limits.velocity_max_m_s, touchdown.feet_below_reference_m
     down_m_s, noise_m_s = robust.descent_m_s + x.target_climb_m_s, config.target.velocity_noise_m_s
     shows_m_s = math.hypot(x.target_speed_m_s, x.target_climb_m_s) + robust.sigma_factor * noise_m_s
-    # the boundary rises only up to its peak, the margin everywhere
+    # the boundary rises only up to its peak, but the margin rises at every distance
     ring_m, pad_m = min(robust.commit_radius_m, x.barrier.peak_distance_m), x.pad_radius_m
     fade = 1.0 - math.exp(-((robust.commit_radius_m / robust.fade_radius_m) ** 2))
     floor_m = x.barrier.height(ring_m) + x.usual.margin_m.high * fade
     hover_m = floor_m + config.velocity_loop.lag_z_s * robust.tracking_error_m_s + x.height_error_m
     time_s, peak_m = descent_time_s(config, x), x.barrier.peak_height_m
-    # the slowest descent stops after v tau + v^2 / (2 a)
+    # stopping distance of the slowest descent: v tau + v^2 / (2 a)
     stop_m = speed * x.lag_z_s + 0.5 * speed * speed / config.slew_max_m_s2[2]
     room_m = robust.wait_height_m - feet_m - x.height_error_m
     top_m = peak_m + config.retreat.climb_margin_m + CLIMB_OVER * config.retreat.climb_margin_m
     left_m = config.limits.altitude_max_m - max(top_m, peak_m + x.shape.margin_m.high)
     return [
-        # a slower target can still be reached
+        # only PROOF: a slower target can still be reached
         Check(
             "follow", "the vehicle is faster than the target", min(vx, vy) - x.target_speed_m_s, "m/s",
             f"horizontally the box has {min(vx, vy):g} m/s, the target {x.target_speed_m_s:g}",
@@ -194,13 +194,13 @@ def over_pad(config: FlightConfig, x: Extremes) -> list[Check]:
 def _tilts(config: FlightConfig, x: Extremes) -> Check:
     """Check that the bound of the set-point allows the required acceleration.
 
-    A second-order loop whose set-point is e ahead of its velocity accelerates with w e / (2 z), which is e
-    over its lag without the dead time. The nominal command relies on this for braking. From rest to the full
-    speed v such a vehicle lags by v / (2 A), minus v / (2 a) of the command's ramp, in addition to its lag.
+    A second-order loop whose set-point exceeds its velocity by e accelerates with w e / (2 z), which is e
+    divided by its lag without the dead time. The nominal command relies on this for braking. From rest to the
+    full speed v it lags by v / (2 A), minus v / (2 a) of the command's ramp, in addition to its lag.
     Above ``checks.follow_lag_max_s`` the vehicle counts as one that does not follow, and lands beside the
-    robot. With a dead time the set-point is e ahead of a predicted velocity. The error of the prediction is
-    measured a dead time later, so the dead time counts again, and the acceleration is e over the whole lag of
-    the slowest vehicle.
+    robot. With a dead time the set-point exceeds a predicted velocity by e. The error of the prediction is
+    measured a dead time later, so the dead time counts again: the acceleration is e divided by the whole lag
+    of the slowest vehicle.
     """
     loop, (ax, ay, _) = config.velocity_loop, config.slew_max_m_s2
     speed, slew = max(config.limits.velocity_max_m_s[:2]), min(ax, ay)
@@ -219,7 +219,7 @@ def _tilts(config: FlightConfig, x: Extremes) -> Check:
 
 
 def _drift(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the vehicle touches the pad; the gain over the pad is that of the final descent."""
+    """Check that the vehicle touches the pad; the configuration has the gain of the final descent."""
     touches, moved = "after the commit the vehicle touches the pad, for any motion", " that it followed"
     remedy = "lower robust.commit_speed_m_s or robust.commit_radius_m"
     if config.velocity_feedback.horizontal:

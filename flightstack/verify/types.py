@@ -8,10 +8,10 @@ from enum import Enum
 
 
 class Need(Enum):
-    """Purpose for which a check is needed."""
+    """Purpose of a check."""
 
-    FLIGHT = "flight"  # necessary for a flight: the onboard process rejects the configuration
-    PROOF = "proof"  # necessary for the guarantee in the worst case; a flight is possible
+    FLIGHT = "flight"  # necessary for a flight: if refuted, the onboard process rejects the configuration
+    PROOF = "proof"  # necessary for the worst-case guarantee: if refuted, a flight is still possible
 
 
 PROOF = Need.PROOF
@@ -46,5 +46,5 @@ class Check:
 
     @property
     def text(self) -> str:
-        """The check as one line of an error message."""
+        """Return the check as one line of an error message."""
         return f"{self.name}: {self.worst}; short by {-self.room:.3g} {self.unit}: {self.remedy}"
