@@ -92,7 +92,7 @@ class ConeFilter(fs.Filter):
         return self._cone
 
     def program(self) -> Projection:
-        """Return the solver that computes the admissible velocity."""
+        """Return the program that computes the admissible velocity in each tick, without a solver."""
         return Projection(self.rate_1_s)
 
     def may_touch(self, at: Relative) -> bool:

@@ -46,7 +46,7 @@ STEPS_PER_SAMPLE = round(MOCAP_PERIOD_S / DT)
 
 
 def slow_lag_s() -> float:
-    """Return the time constant of a small torque with slow motors: one pair rises while the other falls."""
+    """Return the time constant of a small torque from slow motors: two motors speed up, two slow down."""
     fall = 2.0 * HOVER_RPM * PARAMS.rotor.slow_fall_1_rpm_s
     return 2.0 / (PARAMS.rotor.slow_rise_1_s + fall)
 

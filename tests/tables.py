@@ -54,7 +54,7 @@ def read_class(cls: Any) -> Definition:
 
 
 def messages_table() -> str:
-    """Return the whole file: pymavlink's messages regenerated, the others unchanged."""
+    """Return the whole file: messages of pymavlink are generated again, all others are unchanged."""
     wide = {id_: cls for id_, cls in everything.mavlink_map.items() if id_ not in ardupilotmega.mavlink_map}
     made = {d.id: d for d in definitions() if d.id not in everything.mavlink_map}
     made.update({id_: read_class(cls) for id_, cls in wide.items()})

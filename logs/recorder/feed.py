@@ -187,7 +187,7 @@ class Feed:
             self._drain(PATIENCE_S)
 
     def close(self) -> None:
-        """Send the buffered records within a bounded time, then GOODBYE, and close the socket."""
+        """Send the buffered records within a bounded time, then GOODBYE; close the socket."""
         if self._sock is None:
             return
         if self.alive:

@@ -20,7 +20,7 @@ PATH_PERIOD_NS = 100_000_000  # initial period of path points, 10 Hz
 REACH = 2.5  # radius of the barrier surface, divided by the distance of the barrier's peak
 REACH_BESIDE = 1.0  # ``REACH`` in a fleet: smaller, so that surfaces of neighbours do not overlap
 SECTORS, RINGS = 24, 8  # grid of the barrier surface: 24 x 8 x 2 triangles
-_GRID_1_M = 1024.0  # grid of surface points, 1/1024 m: finer than a millimetre, and compresses well
+_GRID_1_M = 1024.0  # surface points are rounded to 1/1024 m: finer than a millimetre, and compressible
 _ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft diameter, head diameter, head length
 BODY_SIZE_M = (0.092, 0.092, 0.029)  # Bitcraze, Crazyflie 2.1 data sheet: 92 x 92 x 29 mm
 _ARROW_S = 1.0  # arrow length divided by velocity, s
@@ -57,7 +57,7 @@ class Marker(NamedTuple):
     kind: int
     scale: Vec3
     color: Color
-    points: bytes = b""  # three doubles per point
+    points: bytes = b""  # coordinates of the points, three doubles each
     position: Vec3 = (0.0, 0.0, 0.0)
 
 
@@ -170,7 +170,7 @@ def surface(barrier: Barrier, reach: float = REACH) -> bytes:
             a, b = point(ring, sector), point(ring + 1, sector)
             c, d = point(ring + 1, sector + 1), point(ring, sector + 1)
             corners += (*a, *b, *c)
-            if ring:  # at the apex the two inner corners coincide
+            if ring:  # at the apex both inner corners of a sector coincide
                 corners += (*a, *c, *d)
     return struct.pack(f"<{len(corners)}d", *corners)
 

@@ -175,7 +175,7 @@ def _listen(path: Path) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         _remove_stale(path)
-        before = os.umask(0o177)  # only this user may write into the log
+        before = os.umask(0o177)  # only this user may connect to the socket
         try:
             listener.bind(str(path))
         finally:

@@ -52,7 +52,7 @@ class TickRecord:
     # MAVLink frames; an incoming frame has the name of its peer
     frames_in: list[tuple[bytes, str]] = field(default_factory=list)
     frames_out: list[bytes] = field(default_factory=list)
-    odometry: list[bytes] = field(default_factory=list)  # target samples as received
+    odometry: list[bytes] = field(default_factory=list)  # CDR payloads of the received target samples
 
 
 class FlightInputs:

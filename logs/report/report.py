@@ -200,7 +200,7 @@ def _comparison(a: Side, b: Side) -> Page:
 
 def _side(name: str, log: Path, member: str | None) -> Side:
     _, *others = LogFile(log).members
-    flown = LogFile(log, member if others else None).single().member  # it may have one flight
+    flown = LogFile(log, member if others else None).single().member  # the log may have a single flight
     fleet, verdict = judged(log, flown)
     ((who, flight),) = fleet.flights.items()
     return side_of(name, flight, verdict.members[who])

@@ -168,8 +168,8 @@ def _places(flight: Flight, path_m: Floats) -> list[tuple[str, Floats, str]]:
 class Path(NamedTuple):
     """A path of vehicle or target in the world."""
 
-    body: str  # "vehicle" or "target"
-    source: str  # "true" or "estimate"
+    body: str  # moving body: "vehicle" or "target"
+    source: str  # source of the positions: "true" or "estimate"
     t_s: Floats
     points_m: Floats  # positions in the world, m, (n, 3); NaN where unknown
 

@@ -21,12 +21,12 @@ from logs.report.derived import fault_spans
 
 TRUE = "#0072B2"  # blue: true values
 ESTIMATED = "#56B4E9"  # sky blue: estimated values
-TARGET = "#CC79A7"  # reddish purple
-BOUNDARY = "#D55E00"  # vermillion
+TARGET = "#CC79A7"  # reddish purple: target
+BOUNDARY = "#D55E00"  # vermillion: boundary of the barrier
 UNSAFE = "rgba(213, 94, 0, 0.13)"
-NOMINAL = "#E69F00"  # orange
+NOMINAL = "#E69F00"  # orange: nominal velocity
 FILTERED = "#0072B2"
-COMMAND = "#009E73"  # bluish green
+COMMAND = "#009E73"  # bluish green: commanded velocity
 LIMIT = "#666666"
 GRID = "#e4e7eb"
 INK = "#1f2933"

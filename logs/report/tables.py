@@ -273,7 +273,7 @@ def _flatten(prefix: str, values: object, found: dict[str, str]) -> None:
         found[prefix] = str(values)
 
 
-_DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # a dash at which no line breaks
+_DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # en dash without a line break before or after it
 
 
 _OF_MEMBERS = {"lowest h outside the pad": 0, "touchdown error": 0, "touchdown speed, vertical": 2,

@@ -148,12 +148,12 @@ def timeline(
 
 
 def _lost(valid: Bools) -> Bools:
-    """Return where data are missing that were there before."""
+    """Return a mask of the ticks in which data are missing that were present before."""
     return np.maximum.accumulate(valid) & ~valid
 
 
 def _ticks(lanes: _Lanes, side: Side) -> None:
-    """Add lanes of the ticks in which data were sent, active, refused or missing."""
+    """Add a lane for each state of a tick: set-point sent, barrier active, set-point refused, no data."""
     steps = side.flight.steps
     if steps is None:
         return

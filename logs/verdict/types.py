@@ -36,7 +36,7 @@ _SAID_WITHIN_S = 0.1  # maximum time between an event and its tick, s, with a ma
 
 
 class Outcome(StrEnum):
-    """Outcome of a flight, as judged afterwards.
+    """Outcome of a flight, judged from its log.
 
     LANDED requires more than phase LANDED of the controller (motors off) or the autopilot's landed state.
     """
@@ -64,7 +64,7 @@ class Verdict:
     time_to_land_s: float | None  # time from the start of the landing to first contact, if landed
     reason: str  # reason of the outcome, as text
     started_safe: bool | None  # h >= 0 when the landing began; ``None`` if unknown
-    judged_from: str  # ``TRUTH`` or ``ESTIMATE``
+    judged_from: str  # source of the verdict: ``TRUTH`` or ``ESTIMATE``
 
     @staticmethod
     def unknown(outcome: Outcome, reason: str, judged_from: str) -> Verdict:

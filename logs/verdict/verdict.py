@@ -88,7 +88,7 @@ def two_barriers(judge: Sequence[object], flown: Sequence[object]) -> str:
 
 
 def flown_by(told: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the first keys of ``--json``, which describe the flight, from the metadata of a log."""
+    """Return the keys of ``--json`` that describe the flight, from the metadata of a log."""
     seed = told.get("seed", "")
     return {
         "scenario": told.get("scenario"),
@@ -147,7 +147,7 @@ class FleetVerdict:
     """Verdict on a fleet from the verdicts of its members."""
 
     outcome: Outcome  # worst outcome of the members
-    reason: str  # reason, as text
+    reason: str  # reason of the outcome, as text
     violation: bool | None  # whether a member violated the barrier over its pad; None: unknown
     members: dict[str, Verdict]  # verdicts by member; one that collided with another vehicle has crashed
     collisions: int | None  # pairs whose shapes overlapped; None: data are missing
@@ -287,11 +287,11 @@ def least(values: Iterable[float | None]) -> float | None:
 class PairSeries(NamedTuple):
     """Two members over time, from their true states; (n,) each."""
 
-    name: str  # both members, for example cf1–cf2
+    name: str  # names of both members, for example cf1–cf2
     t_s: Floats  # seconds since the origin of the fleet
     distance_m: Floats  # distance of the centres of mass
     measure: Floats  # distance in the ellipsoid's measure, 1 on its surface
-    flying: Bools  # whether both flew
+    flying: Bools  # whether both vehicles flew
 
 
 def pair_series(fleet: Fleet) -> list[PairSeries]:

@@ -101,7 +101,7 @@ def open_viewer(recording: Path, *, web: bool) -> int:
     """Show an ``.rrd`` file in Rerun until it is closed; return the exit status."""
     program = viewer_program()
     # The flight is shown only on this machine; by default Rerun would listen on every network.
-    serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # with free ports
+    serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # 0: any free port
     return subprocess.run([program, str(recording), "--bind", "127.0.0.1", *serving], check=False).returncode
 
 

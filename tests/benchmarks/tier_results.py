@@ -56,7 +56,7 @@ def row(tier: str, kind: str, s: dict) -> str:
 
 
 def known(folder: Path) -> list[Row]:
-    """Return the rows flown so far, also of an interrupted campaign."""
+    """Return the rows flown so far; the campaign may have been interrupted."""
     path = folder / "rows.csv"
     return read_rows(path) if path.exists() else []
 

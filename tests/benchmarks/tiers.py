@@ -24,8 +24,8 @@ class Tier(Enum):
 class Limits:
     """Limits of a campaign; crashes and undeclared misses are never allowed."""
 
-    landed_min: float  # fraction of all landings
-    violations_max: float  # fraction of all landings
+    landed_min: float  # smallest fraction of flights that land
+    violations_max: float  # largest fraction of flights that violate the barrier
     error_m: tuple[float, float]  # touchdown error, median and 95th percentile, m
     vertical_m_s: float  # vertical touchdown speed relative to the pad, 95th percentile
     horizontal_m_s: float  # horizontal touchdown speed relative to the pad, 95th percentile

@@ -96,7 +96,7 @@ class Firmware:
         self._heard_s = now_s
         port, channel, data = raw[0] >> 4, raw[0] & 3, raw[1:]
         if port == 15 and channel == 3:
-            return []  # null packet
+            return []  # a null packet has no answer
         handler = {
             (15, 0): lambda: [data],
             (15, 1): lambda: [b"Bitcraze Crazyflie".ljust(30, b"\0")],
@@ -157,10 +157,10 @@ class Firmware:
         elif command == 6:
             ids = [struct.unpack_from("<H", data, at)[0] for at in range(3, len(data), 3)]
             if number in self._blocks:
-                return [bytes((command, number, 17))]  # EEXIST
+                return [bytes((command, number, 17))]  # errno EEXIST
             self._blocks[number] = Block([self._log_toc.name(i) for i in ids])
         elif command in (3, 7) and number not in self._blocks:
-            return [bytes((command, number, 2))]  # ENOENT
+            return [bytes((command, number, 2))]  # errno ENOENT
         elif command == 7:
             ids = [struct.unpack_from("<H", data, at)[0] for at in range(3, len(data), 3)]
             names = [*self._blocks[number].names, *(self._log_toc.name(i) for i in ids)]

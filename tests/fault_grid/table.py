@@ -52,12 +52,12 @@ class End(StrEnum):
     """End of a flight."""
 
     LANDED = "LANDED"  # the vehicle rests upright on the pad, motors off
-    ABORTED = "ABORTED"  # declared abort, upright on the floor, motors off
-    VEHICLE_LANDS = "VEHICLE_LANDS"  # upright on the floor after the autopilot's own fail-safe
-    CONTINUES = "CONTINUES"  # equal bit for bit to the flight without the fault
+    ABORTED = "ABORTED"  # the abort is declared; the vehicle rests upright on the floor, motors off
+    VEHICLE_LANDS = "VEHICLE_LANDS"  # upright on the floor after the fail-safe of the autopilot
+    CONTINUES = "CONTINUES"  # the flight equals the flight without the fault bit for bit
     CRASHED = "CRASHED"  # the vehicle fell, tumbled, or hit the robot or the pad's edge
-    MISSED = "MISSED"  # on the floor without a declared abort
-    FLYING = "FLYING"  # motors still running at the end
+    MISSED = "MISSED"  # the vehicle rests on the floor without a declared abort
+    FLYING = "FLYING"  # the motors still run at the end
 
 
 WITHIN_S = 2.0  # time limit until the abort, where one is required

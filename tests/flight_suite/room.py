@@ -39,8 +39,8 @@ class Limits:
     step_m_s: float  # speed of the step to the north and back
     step_s: float  # duration of each direction of the step
     moved_share: tuple[float, float]  # range of the step's distance, as a fraction of speed times duration
-    lost: Lost  # reaction without set-points
-    lost_s: float  # time until this reaction
+    lost: Lost  # reaction of the vehicle to missing set-points
+    lost_s: float  # maximum time until this reaction, s
 
 
 _OWN = Limits(
@@ -109,7 +109,7 @@ class Room:
 
 def configured(scenario: Scenario, folder: Path) -> Path:
     """Write a scenario's onboard configuration with a short climb: a lost target never returns here."""
-    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # shortens the wait
+    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # a short wait for the lost target
     side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     file = folder / "onboard.toml"
     file.write_text(dumps(replace(scenario.onboard, checks=checks, vehicle=side)))

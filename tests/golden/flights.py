@@ -80,12 +80,12 @@ FLIGHT_MAX_S = 300.0  # time-out of a flight, wall time, s
 class Flight:
     """A scenario with changed keys."""
 
-    scenario: str  # name of a scenario
+    scenario: str  # name of the flown scenario
     phases: tuple[str, ...]  # phases that the flight must contain
     # changed scenario keys with their values; a slower loop makes a smaller log
     changes: dict[str, object] = field(default_factory=dict)
     lockstep: bool = True  # whether the flight runs in lockstep; False: in real time, with varying times
-    wire: bool = True  # also store MAVLink frames and odometry, which doubles the size
+    wire: bool = True  # whether MAVLink frames and odometry are stored, which doubles the size
     seed: int = 0  # seed of all random draws
     member: str | None = None  # member of a team whose flight is stored
 

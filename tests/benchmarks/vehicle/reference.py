@@ -20,7 +20,7 @@ BENCH = (  # mass, g; rotor speed, rpm; duty cycle; battery, V
 )
 BENCH_FIT = (1.0942e-7, -2.1059e-4, 0.15417)  # polynomial of the thrust, g, in rpm (page of ``BENCH``)
 BENCH_STEP_S = 0.180  # rise time from standstill to 25000 rpm (Bitcraze blog)
-FOERSTER_LAG_S = 0.002 / -math.log(0.9695404)  # motor lag from Foerster's discrete pole at 500 Hz (2015)
+FOERSTER_LAG_S = 0.002 / -math.log(0.9695404)  # motor lag from the discrete pole at 500 Hz (Foerster 2015)
 ESCHMANN_LAG_S = 0.072  # motor lag after Eschmann, quoted in rotorpy 3.0.0, crazyflie_params.py
 L250_RISE_S, L250_FALL_S = 0.136, 0.108  # drone-models 0.1.0, params.toml: reciprocal of its rates, at hover
 L250_HOVER_RPM, L250_HOVER_COUNTS = 18968.0, 42700.0  # L250 thrust curve at 31.9 g; motor command

@@ -180,4 +180,4 @@ def touchdown(
     return record(sim, 2.5, each)
 
 
-DRIVING = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)  # paper, scenario 2
+DRIVING = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)  # scenario 2 of the paper

@@ -82,7 +82,7 @@ def test_an_agent_without_a_filter_violates_and_with_one_does_not():
     _, safe = flown(fs.make_env("lab", filter="robust"), 1, down)
     assert bare["violation"]
     assert min(rewards[:-1]) < -0.09  # ticks below the barrier give a negative reward
-    assert rewards[-1] <= -10.0  # the vehicle crashes
+    assert rewards[-1] <= -10.0  # the last reward shows the crash
     assert safe["violation"] is False
 
 

@@ -21,7 +21,7 @@ def blocks(language):
         yield from ((f"{page.relative_to(ROOT)}-{n}", text) for n, text in enumerate(found))
 
 
-# the others need a vehicle; MAVSDK's program and the subscriber of a flight have their own tests
+# other blocks need a vehicle; MAVSDK's program and the subscriber of a flight have their own tests
 LIBRARY = {name: text for name, text in blocks("python") if "import flightstack as fs" in text}
 TABLES = dict(blocks("toml"))
 

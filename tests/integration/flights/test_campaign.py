@@ -166,7 +166,7 @@ def test_a_cluster_that_loses_a_worker_ends_complete_and_equal(whole, tmp_path):
     try:
         until = time.monotonic() + 60.0
         while not (tmp_path / "scheduler.json").exists() and time.monotonic() < until:
-            time.sleep(0.05)  # polling another process
+            time.sleep(0.05)  # polls another process, which has no event
         address = json.loads((tmp_path / "scheduler.json").read_text())["address"]
         for number in range(2):
             started.append(

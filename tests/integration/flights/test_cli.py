@@ -44,7 +44,7 @@ def test_wrong_input_is_status_2_and_one_clear_line(arguments, words, tmp_path):
     assert "Traceback" not in result.err
     for word in words:
         assert word in result.err
-    assert list(tmp_path.iterdir()) == []  # nothing is left behind
+    assert list(tmp_path.iterdir()) == []  # no file remains
 
 
 @pytest.mark.parametrize(

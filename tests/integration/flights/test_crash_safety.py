@@ -116,7 +116,7 @@ def test_a_disk_that_fills_up_in_flight_ends_the_record_and_not_the_flight(tmp_p
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
     run.until("-> APPROACH")
     log = run.some_log()
-    full = log.stat().st_size + 40_000  # 40 kB more, so that a recorder that is behind does not end first
+    full = log.stat().st_size + 40_000  # 40 kB more, because a slow recorder may write later data
     resource.prlimit(run.children()["record"], resource.RLIMIT_FSIZE, (full, full))
     full = max(full, log.stat().st_size)  # a quick recorder may have written more before the limit was set
     assert run.end() == 1  # the vehicle landed, but the log is incomplete

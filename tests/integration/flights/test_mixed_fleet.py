@@ -95,7 +95,7 @@ def test_three_kinds_hear_each_other_cross_land_and_replay(second, tmp_path):
     fleet, log = load_fleet(run.out / "flight.mcap"), LogFile(run.out / "flight.mcap")
     verdict = judge_fleet(fleet)
     assert [each.judged_from for each in verdict.members.values()] == ["truth", "estimate", "estimate"]
-    assert verdict.collisions is None  # the true positions of the others are unknown
+    assert verdict.collisions is None  # two true positions are unknown
     for number, kind in kinds.items():
         assert log.metadata()[f"cf{number}/preflight"]["profile"] == kind
         result = replay(run.out / "flight.mcap", member=f"cf{number}")
@@ -103,7 +103,7 @@ def test_three_kinds_hear_each_other_cross_land_and_replay(second, tmp_path):
         messages = log.messages({f"/cf{number}/controller/neighbours"})
         heard = [word for message in messages for word in unpack_neighbours(message.data)]
         assert {word.id for word in heard} == kinds.keys() - {number}
-        assert np.median([word.clock_bound_s for word in heard]) < 0.02  # half a tick plus latency
+        assert np.median([word.clock_bound_s for word in heard]) < 0.02  # s: half a tick plus latency
     told = places(log)
     for one, other in itertools.combinations(kinds, 2):
         assert least_rho(told[one], told[other], team.member[0].onboard.fleet) > 1.0

@@ -16,11 +16,11 @@ from sim.scenarios.scenario import load
 from tests.integration.runs import Flying, flightstack, fly, gone, kill, replayed
 
 RUNS = [
-    ("paper_static_1", 0, ()),  # start on the ground
+    ("paper_static_1", 0, ()),  # starts on the ground
     ("paper_moving_2", 0, ("--filter", "robust")),
-    ("stop_and_go", 0, ()),  # start in hover
-    ("room", 1, ()),  # state-estimate errors, an estimated state, a thrust reserve
-    ("storm", 1, ()),  # drop-outs, wind
+    ("stop_and_go", 0, ()),  # starts in hover
+    ("room", 1, ()),  # has errors of the state, an estimator and a thrust reserve
+    ("storm", 1, ()),  # has drop-outs and wind
     ("fault_target_dropout", 0, ()),
     (str(Path(__file__).with_name("captured.toml")), 1, ()),
 ]

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.xdist_group("real-time")
 CONFIG = ROOT / "flightstack" / "config" / "sitl-1kg.toml"
 KEYS = ("controller/step", "loop/timing")
 PAD_RADIUS_M = 0.5  # pad radius of that configuration
-ROWS = landing().steps[::5]  # 20 Hz, as published
+ROWS = landing().steps[::5]  # rows at 20 Hz, the published rate
 PUTS = 2000  # samples of a 20 Hz loop, more than all queues hold
 PUT_TIME_MAX_S = 0.01
 

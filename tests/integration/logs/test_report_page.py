@@ -107,7 +107,7 @@ def test_every_figure_is_drawn_without_a_complaint(tmp_path, browse):
     assert seen.body["data-shown"] == "-0.5 5.5"  # every figure over time shows this range, s
     assert seen.body["data-figures"] == str(FIGURES)
     assert seen.body["data-figures-drawn"] == str(FIGURES)
-    assert seen.tags["canvas"] >= 1  # the 3-D figure
+    assert seen.tags["canvas"] >= 1  # the page has a 3-D figure
     assert "no-webgl" not in seen.classes
     assert seen.classes.count("main-svg") >= FIGURES
 

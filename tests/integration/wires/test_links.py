@@ -116,7 +116,7 @@ def test_wrong_wires_of_the_vehicle_are_refused_with_what_to_do(arguments, words
 
 
 FLIGHT_MAX_S = 120.0
-SLOW = 57_600  # baud
+SLOW = 57_600  # rate of the slow serial line, baud
 
 
 def land_over(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="sitl-1kg"):

@@ -168,7 +168,7 @@ def test_a_router_under_another_name_is_not_believed(at_home):
 
 
 def test_peers_find_each_other(at_home):
-    port = str(free_port(udp=True))  # not the port of other Zenoh processes in this network
+    port = str(free_port(udp=True))  # other Zenoh processes of this network use the default port
     file = Path("peers.json5")
     file.write_text((FILES / "peers.json5").read_text().replace("7446", port))
     one = zenoh_link.open_session(config_file=file)

@@ -43,7 +43,7 @@ class FakeVehicle:
     duty: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     trim_velocity_enu_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reboots: int = 0
-    failures: dict[tuple[int, int], int] = field(default_factory=dict)  # (unit, instance) to type
+    failures: dict[tuple[int, int], int] = field(default_factory=dict)  # failure type by (unit, instance)
     failure_refusal: str | None = None
 
     @property

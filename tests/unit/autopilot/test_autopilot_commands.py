@@ -1,4 +1,4 @@
-"""Effects of commands and fail-safes of the simulated vehicle."""
+"""Effects of commands on the simulated vehicle, and its fail-safes."""
 
 from __future__ import annotations
 

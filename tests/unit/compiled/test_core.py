@@ -31,7 +31,7 @@ def answered(one, given):
 
 
 def both(given):
-    """Return the results of a program, without wall times: from plain Python, and from compiled code."""
+    """Solve a program in plain Python and in compiled code; return both results without wall times."""
     if is_off():
         pytest.skip("nothing is compiled")
     return PROGRAM.solve(*given)._replace(solve_s=0.0), answered(Objects(PROGRAM).handle, given)

@@ -3,7 +3,7 @@
 from flightstack.common.strict_toml import from_table
 from flightstack.core.parameters.flight import FlightConfig
 
-SLOW = {"velocity_max_m_s": [0.4, 0.4, 0.5]}  # velocity limits
+SLOW = {"velocity_max_m_s": [0.4, 0.4, 0.5]}  # section of a slow vehicle: velocity limits, m/s
 
 
 def config(filter="robust", **sections):

@@ -1,4 +1,4 @@
-"""Bad samples of the target, and numbers of the vehicle state that are not finite."""
+"""Bad samples of the target, and vehicle states with NaN or infinity."""
 
 import dataclasses
 import math
@@ -81,7 +81,7 @@ def spoiled(own, field, axis, bad):
 
 
 def numbers(value):
-    """Yield every number of a tree of states, except times and values unknown in this flight."""
+    """Yield every float in nested states, except times and values that this flight does not determine."""
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
             if field.name != UNSET and not field.name.endswith("since_s") and field.name not in TIMES:

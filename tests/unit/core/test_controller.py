@@ -39,7 +39,7 @@ class Bench:
         now_s = self.tick * TICK_S
         word = {"armed": False, "mode": Mode.HOLD, "landed": Landed.ON_GROUND, **said}
         status = VehicleStatus(now_s, word["armed"], word["mode"], word["landed"], True)
-        sway_m = 1e-4 * (self.tick % 2)  # no sensor repeats exactly
+        sway_m = 1e-4 * (self.tick % 2)  # small motion, because a real sensor never repeats a value
         own = OwnState(now_s, now_s, (xy[0] + sway_m, xy[1], z), velocity, 0.0)
         sample = TargetSample(
             now_s, now_s, "map", "target", (sway_m, 0.0, 0.2), (0.0, 0.0, 0.0), 0.0, 0.0
@@ -102,7 +102,7 @@ CHECKS = CONFIG.checks
         (WELL[0], every(0.1), every(CHECKS.target_age_max_s + 0.08), None),  # 3 Hz is too slow
         (WELL[0], every(CHECKS.status_age_max_s + 2.0), WELL[2], None),
         (WELL[0], every(0.1), [0.0], None),  # all later samples are rejected, as with a constant time stamp
-        (WELL[0], every(0.1), [t for t in every(0.02) if t % 0.5 < 0.1], None),  # samples in bursts
+        (WELL[0], every(0.1), [t for t in every(0.02) if t % 0.5 < 0.1], None),  # samples arrive in bursts
     ],
 )
 def test_it_takes_off_after_inputs_that_were_good_without_a_gap(own, status, target, starts_s):

@@ -235,7 +235,7 @@ def test_hanging_in_an_updraught_is_not_standing():
 
 def test_a_take_off_that_ends_on_the_ground_says_why():
     bench = Bench().armed()
-    bench.firmware.needs_poses = True  # and no poses arrive
+    bench.firmware.needs_poses = True  # no poses arrive, so there is no position
     bench.run(3.0)
     bench.command(22)
     bench.run(0.5)

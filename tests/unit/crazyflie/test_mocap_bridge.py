@@ -105,7 +105,7 @@ def test_armed_a_jump_is_never_believed_disarmed_after_a_second():
 
 
 def passed_at(checks, since_s, seconds, ahead_s=0.0):
-    """Return the times at which poses at 100 Hz were forwarded, with time stamps this far ahead."""
+    """Return the times at which poses at 100 Hz were forwarded, for this offset of their time stamps."""
     times = [since_s + 0.01 * k for k in range(round(seconds * 100))]
     return [t for t in times if checks.step([sample(t + ahead_s, late_s=-ahead_s)], t, armed=True).passed]
 

@@ -17,7 +17,7 @@ FOR_HALF_A_SECOND = [
     for what, kind in OF_THE_VEHICLE
     if TABLE[what][kind].healable and kind not in (Kind.WEAK, Kind.DEAD)
 ]
-NEUTRAL = {What.LINK_IN, What.LINK_OUT, What.HEARTBEAT, What.SETPOINTS, What.CLOCK}  # process faults
+NEUTRAL = {What.LINK_IN, What.LINK_OUT, What.HEARTBEAT, What.SETPOINTS, What.CLOCK}  # faults of processes
 
 
 def test_a_stuck_motor_turns_on_after_disarming():
@@ -28,7 +28,7 @@ def test_a_stuck_motor_turns_on_after_disarming():
     rpm = sim.truth().rotor_rpm
     assert rpm[2] == pytest.approx(18_970, rel=0.03)
     assert max(rpm[0], rpm[1], rpm[3]) < 1.0
-    assert not sim.motors_running  # no command is active
+    assert not sim.motors_running  # without a command the motors do not restart
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)

@@ -1,4 +1,4 @@
-"""Four vehicles land on one robot in turn; each takes off again for the next one."""
+"""Four vehicles land on one robot in turn; each takes off again to free the pad."""
 
 from itertools import pairwise
 
@@ -44,7 +44,7 @@ def test_three_take_off_again_and_the_last_one_stays(flown):
 
 
 def test_the_next_one_lands_when_the_one_before_has_left(flown):
-    """No vehicle is above the pad while another one stands on it."""
+    """No vehicle is above the pad as long as another vehicle stands on it."""
     stays, lands = [], []
     for landing in flown.landings:
         found = phases(landing)

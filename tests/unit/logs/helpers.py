@@ -15,7 +15,7 @@ from logs.schema.events import Severity, pack_log
 from logs.schema.mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow, LoopTimingRow, TrueStateRow
 
-DEADLINE_S = 30.0  # time-out of a test
+DEADLINE_S = 30.0  # time-out of a test, s
 
 
 def timing(tick):

@@ -25,7 +25,7 @@ from sim.scenarios.scenario import load as load_scenario
 
 @pytest.fixture
 def started(monkeypatch):
-    """``started(*words)``: options with which ``fly`` starts the onboard process."""
+    """Return a function that runs ``fly`` and returns its options for the onboard process."""
     seen = []
 
     def start(launcher, verb, options, of=""):

@@ -123,7 +123,7 @@ def test_what_is_not_a_number_is_never_apart(place):
 
 
 def tumble_past(spec, aside_m, searching):
-    """Fly a spinning fall past or onto a moving deck, with bounces; return all numbers of every step."""
+    """Fly a spinning fall past or onto a moving deck, with bounces; return the state of every step."""
     w = world(target=spec)
     if searching:
         w.record.reach.robot = w.record.reach.robot_top = math.inf

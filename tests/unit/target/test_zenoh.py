@@ -136,7 +136,7 @@ def test_likely_keys_are_found_and_others_are_not(sessions):
     assert set(until_found(search, [*publishers, own], len(LIKELY))) == set(LIKELY.values())
     search.stop()
     assert not any(zenoh_link.is_matched(one) for one in publishers[: len(OTHERS)])
-    assert search.keys() == ()  # the search starts again, and no key is found yet
+    assert search.keys() == ()  # a new search has found no key yet
 
 
 def setting(file, key, **arguments):

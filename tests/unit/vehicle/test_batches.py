@@ -112,7 +112,7 @@ class Slower(fs.Filter):
 
 
 class Restless(fs.Filter):
-    """Changes its own fields in flight; compiled code has a copy of them."""
+    """Changes in flight a field of which compiled code has a copy; the copy must change, too."""
 
     def filter(self, nominal, at):
         if at.d_m < 0.3:

@@ -30,7 +30,7 @@ def _table(first, rows):
 
 
 def worked():
-    """Return the table of numbers of each tier."""
+    """Return the table of computed values for each tier."""
     found = [(c, extremes(c)) for c in (scenario.load(tier).onboard for tier in TIERS)]
 
     def row(name, value):
@@ -71,7 +71,7 @@ def _climb(c, x):
 
 
 def turn_back_m(c, x):
-    """Return the table of height lost between the decision to go around and the climb."""
+    """Return the table of the height that is lost between the decision to go around and the climb."""
     late_s = c.velocity_loop.slope_time_s + c.envelope.lag_spread * c.velocity_loop.lag_z_s
     late_s += 2.0 / c.loop.rate_hz + c.own.delay_s
     down = c.robust.descent_m_s

@@ -38,7 +38,7 @@ AWAY = (5.0, 5.0, 0.0)
 
 
 def claimed(**keys):
-    """Return a member in its approach with a claim since 1 s, and this information about the other one."""
+    """Return a member in its approach with a claim since 1 s, and this message of the other vehicle."""
     member = FleetMember(FLEET, 0.0)
     told = {"stamp_s": 1.2, "arrival_s": 1.2, "intent": Intent.WAITING, "pad_position_enu_m": ZERO, **keys}
     word = Neighbour(7, position_enu_m=AWAY, velocity_enu_m_s=ZERO, wanted_enu_m_s=ZERO, **told)

@@ -38,7 +38,7 @@ class Side:
         self.queue, self.part = [], ALL
 
     def step(self, t_s):
-        now_s = t_s + self.offset_s  # on the vehicle's clock
+        now_s = t_s + self.offset_s  # time on the vehicle's clock
         while self.queue and self.queue[0][0] <= t_s:
             assert self.member.take([heapq.heappop(self.queue)[2]], now_s) == []
         slot, mission = self.member.memory.slots[0], self.memory
@@ -196,7 +196,7 @@ def test_two_points_that_follow_their_rows_never_come_too_near(seed, parts):
         if tick % 30 == 29:
             wanted = [rng.uniform(-1.5, 1.5, 3) for _ in range(2)]
         told = [tuple(v.tolist()) for v in u]
-        # the vehicle with the whole share flies last: it reacts to the other one's velocity
+        # the vehicle with the whole share flies last: it reacts to the velocity of the other vehicle
         for me in sorted((0, 1), key=lambda k: parts[k]):
             if parts[me] == NONE:
                 u[me] = np.clip(wanted[me], -1.0, 1.0)

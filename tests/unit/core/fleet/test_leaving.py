@@ -1,4 +1,4 @@
-"""One pad for several vehicles: after landing, each takes off for the next one and lands beside the path."""
+"""One pad for several vehicles: after its landing, each vehicle frees the pad and lands beside the path."""
 
 import itertools
 import math
@@ -39,7 +39,7 @@ def member(fleet=FLEET, **told):
         (replace(FLEET, frees_pad=False), Phase.LANDED, WAITS, False),
         (FLEET, Phase.LEAVE, WAITS, False),
         (FLEET, Phase.TOUCHDOWN, WAITS, False),
-        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # the other one gave up, or has landed
+        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # no claim: it gave up, or has landed
         (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": (0.3, 0.0, 0.0)}, False),  # claims another pad
         (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": None}, False),
         (FLEET, Phase.LANDED, {**WAITS, "stamp_s": 0.4}, False),  # the other vehicle is silent
@@ -63,7 +63,7 @@ def test_that_it_stays_though_others_wait_is_told_once():
 
 
 def claiming(fleet=FLEET, **told):
-    """Return a vehicle with a claim since 0.5 s, and this information about the other one."""
+    """Return a vehicle with a claim since 0.5 s, and this message of the other vehicle."""
     found = FleetMember(fleet, 0.0)
     found.permissions(Phase.APPROACH, HERE, 0.5)
     found.take([word(pad_position_enu_m=ZERO, **told)], 1.0)

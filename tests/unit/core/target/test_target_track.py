@@ -61,7 +61,7 @@ def test_verdicts(track, sample, verdict):
 
 
 def drives(t_s, stamp_s):
-    """Return a robot at 0.1 m/s on a clock that is 1000 s ahead."""
+    """Return a robot that drives at 0.1 m/s, with a clock offset of 1000 s."""
     return TargetSample(
         t_s, 1000.0 + stamp_s, "map", "target", (1.0 + 0.1 * t_s, 0.0, 0.2), (0.1, 0.0, 0.0), 0.0, 0.0
     )
@@ -82,7 +82,7 @@ def steady(until_s, settled):
 
 @given(st.floats(0.01, 0.24), within(0.3), within(2.0), within(0.1))
 def test_a_robot_that_sets_off_in_a_gap_is_believed(gap_s, before_m_s, acceleration_m_s2, off_m):
-    """Velocity and position agree: the sample is at the predicted position within bound and noise."""
+    """The robot accelerates in a gap; the next sample agrees with the prediction within bound and noise."""
     gone = [
         p + v * gap_s + 0.5 * a * gap_s**2 + o
         for p, v, a, o in zip(FIRST.position_enu_m, before_m_s, acceleration_m_s2, off_m, strict=True)
@@ -166,7 +166,7 @@ def test_a_steady_bend_is_followed_without_an_error_that_stays(speed_m_s, rate, 
     )
     for n in range(500):
         sample = bend(0.02 * n, speed_m_s, side * rate)
-        yaw = math.remainder(yaw_rad + side * rate * 0.02 * n, math.tau)  # for any point on the robot
+        yaw = math.remainder(yaw_rad + side * rate * 0.02 * n, math.tau)  # valid for any point on the robot
         told.update(0.02 * n, *sample, yaw)
         sideways.update(0.02 * n, *sample, yaw)
         untold.update(0.02 * n, *sample)

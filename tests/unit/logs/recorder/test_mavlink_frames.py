@@ -65,9 +65,9 @@ def test_frame_round_trip_is_lossless_and_equals_the_generic_codec(stamp_ns, fra
     [
         b"",
         b"\xfd",
-        b"\xfd\x03" + bytes(10),  # payload missing
-        b"\xfd\x00" + bytes(11),  # one byte too many
-        b"\xfd\x00\x01" + bytes(9),  # signature missing
+        b"\xfd\x03" + bytes(10),  # the payload is missing
+        b"\xfd\x00" + bytes(11),  # the frame has one byte too many
+        b"\xfd\x00\x01" + bytes(9),  # the signature is missing
         b"\xfe\x05" + bytes(6),
         bytes(12),
     ],

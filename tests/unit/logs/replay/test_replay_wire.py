@@ -70,9 +70,9 @@ def test_the_golden_wire_gives_the_recorded_inputs():
 @pytest.mark.parametrize(
     ("byte", "field"),
     [
-        (4, "own.position_enu_m[1]"),  # x north
-        (8, "own.position_enu_m[0]"),  # y east
-        (12, "own.position_enu_m[2]"),  # z down
+        (4, "own.position_enu_m[1]"),  # x is north
+        (8, "own.position_enu_m[0]"),  # y is east
+        (12, "own.position_enu_m[2]"),  # z is down
         (24, "own.velocity_enu_m_s[2]"),
         (0, "own.source_time_s"),
     ],

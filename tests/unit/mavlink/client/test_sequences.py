@@ -12,7 +12,7 @@ from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, PROFILES, PX4
 from flightstack.core.types import Landed, Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import HEIGHT, commands, params, sequencer, status
 
-MODE, ARM, RISE, LAND, ASK = 176, 400, 22, 21, 512  # MAV_CMD
+MODE, ARM, RISE, LAND, ASK = 176, 400, 22, 21, 512  # ids of MAV_CMD
 NONE, TAKEOFF, EXTERNAL, DOWN, KILL = (
     Request.NONE, Request.TAKEOFF, Request.EXTERNAL, Request.LAND, Request.MOTORS_OFF
 )  # fmt: skip

@@ -14,7 +14,7 @@ from bridge.mavlink.codec.messages import MESSAGES, decode, definitions, make_cl
 from tests import tables
 
 CLASSES = [dialect.mavlink_map[id_] for id_ in sorted(dialect.mavlink_map)]
-ROWS = 25  # messages per class
+ROWS = 25  # number of tested messages per class
 FLOATS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1.0, 5e-324, 3.4e38, -3.4e38, 1e-45, 3, True)
 HOSTILE = (None, "", "text", b"", b"ab", -1, 2**70, -(2**70), 1.5, 1e39, math.nan, [], [1, 2], (), object())
 

@@ -1,4 +1,4 @@
-"""The users of the MAVLink server behind one interface, so that one suite tests both."""
+"""Common interface of both vehicles that use the MAVLink server, so that one suite tests both."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.crazyflie_firmware.bench import Bench
 NAN = math.nan
 NAN7 = (NAN,) * 7
 COMPANION, STRANGER, GROUND_STATION, MAVSDK = (1, 191), (7, 190), (255, 190), (245, 190)
-ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)  # MAV_RESULT
+ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)  # values of MAV_RESULT
 OFFBOARD, HOLD, LAND = (1.0, 6.0, 0.0), (1.0, 4.0, 3.0), (1.0, 4.0, 6.0)
 KILL = (0.0, 21196.0)  # parameters of a forced disarm
 TICK_S = 0.01
@@ -39,7 +39,7 @@ def setpoint(n=0.0, e=0.0, d=0.0, *, frame=1, mask=2503, yaw=0.0, rate=0.0, targ
 
 
 class Served:
-    """A vehicle behind a server.
+    """A vehicle that a MAVLink server controls.
 
     A subclass has ``now_s``; ``velocity_enu_m_s``: last velocity passed to the vehicle; ``tick``: run 10 ms;
     ``fly``: take off and hold; ``homed``: stand disarmed with a home position.

@@ -22,7 +22,7 @@ from tests.unit.mavlink.server.served import (
     as_long,
 )
 
-NEAR = tuple(v / 1e7 for v in degrees_e7(1.0, 2.0))  # latitude, longitude
+NEAR = tuple(v / 1e7 for v in degrees_e7(1.0, 2.0))  # latitude, longitude, degrees
 # Parameters to test for each command; every command of each table must be here.
 CASES: dict[int, list[tuple[float, ...]]] = {
     20: [NAN7],
@@ -138,4 +138,4 @@ def test_modes_there_are_not_are_denied_with_those_that_there_are(served, main: 
     served.handle(mav.MAVLink_set_mode_message(1, 1, main << 16 | sub << 24))
     assert word in served.texts()[-1]
     assert served.mode is FlightMode.HOLD
-    assert served.command(176, 0.0, 4.0, 3.0) == DENIED  # no custom mode
+    assert served.command(176, 0.0, 4.0, 3.0) == DENIED  # the mode is no custom mode

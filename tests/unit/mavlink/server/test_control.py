@@ -149,10 +149,10 @@ def test_bad_set_points_are_dropped_with_one_text_and_keep_no_stream_alive(flown
 def test_axes_and_signs() -> None:
     velocity, yaw_rad, rate = read_setpoint(setpoint(0.1, 0.2, -0.3, yaw=0.0), lambda: 1.0)
     assert velocity == (0.2, 0.1, 0.3)
-    assert (yaw_rad, rate) == (pytest.approx(math.pi / 2), 0.0)  # nose to the north
+    assert (yaw_rad, rate) == (pytest.approx(math.pi / 2), 0.0)  # the nose points north
     north = read_setpoint(setpoint(1.0, 0.5, 0.25, frame=8, mask=1479, rate=0.5), lambda: math.pi / 2)
     assert north.velocity_enu_m_s == pytest.approx((0.5, 1.0, -0.25))
-    assert (north.yaw_rad, north.yaw_rate_rad_s) == (None, -0.5)  # clockwise in NED
+    assert (north.yaw_rad, north.yaw_rate_rad_s) == (None, -0.5)  # a NED yaw rate is clockwise
 
 
 def test_a_body_frame_needs_the_heading() -> None:

@@ -78,7 +78,7 @@ def test_one_forged_frame_locks_nobody_out_before_or_after_the_peer_has_appeared
 
 def test_each_changed_bit_is_noticed(clock):
     signer, frame = clock.signer(), signed(stamp=clock.ticks)
-    for bit in range(8 * 10, 8 * len(frame)):  # header bytes select the frame type; test the rest
+    for bit in range(8 * 10, 8 * len(frame)):  # header bytes select the frame type; later bytes are tested
         changed = bytearray(frame)
         changed[bit // 8] ^= 1 << bit % 8
         assert signer.refusal(bytes(changed)) is Refusal.BAD_SIGNATURE
