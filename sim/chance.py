@@ -1,4 +1,4 @@
-"""Random numbers of a landing: one stream for each purpose, from one seed."""
+"""Random numbers of a landing: the seed gives one stream for each purpose."""
 
 from __future__ import annotations
 

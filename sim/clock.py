@@ -12,17 +12,17 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Silence
 
 NS_PER_S = 1_000_000_000
-STARTUP_S = 600.0  # longest wall time for the start of a run's other processes, s; slow computers need it
+STARTUP_S = 600.0  # time-out of the start of a run's other processes, wall time, s; long for slow computers
 _SAID_S = 10.0  # time after which a wait is reported, s
 _PAUSE_S = 50e-6  # sleep between two polls, s; with the system's timer slack about 0.1 ms
 
 
 class NoAnswerError(RuntimeError):
-    """Another process of the run did not start or stopped answering; the message names it and the wait."""
+    """Another process of the run did not start or no longer answers; the message names it and the wait."""
 
 
 def run_process(verb: str, work: Callable[[Stop, ExitStack], None]) -> int:
-    """Run ``work`` as a process of the simulator, and print its errors after the name of its command.
+    """Run ``work`` as a process of the simulator; print errors after the command's name ``verb``.
 
     Returns the exit status: 0 if ended in order, 1 after a time-out, 2 for bad input.
     """
@@ -40,7 +40,7 @@ def run_process(verb: str, work: Callable[[Stop, ExitStack], None]) -> int:
 
 
 class TickGrid:
-    """Time of each tick: tick k is at k / rate; in ns and, for the physics, in whole ms."""
+    """Time of each tick, in ns and, for the physics, in whole ms: tick k is at k / rate."""
 
     def __init__(self, rate_hz: int) -> None:
         self.rate_hz = rate_hz
@@ -58,7 +58,7 @@ class TickGrid:
         return (2000 * tick + self.rate_hz) // (2 * self.rate_hz)
 
     def count(self, duration_s: float | None) -> int | None:
-        """Return the number of ticks in a duration; None for no end."""
+        """Return the number of ticks in a duration; None: the duration is unlimited."""
         return None if duration_s is None else max(1, round(duration_s * self.rate_hz))
 
 
@@ -73,9 +73,9 @@ def wait_until(
 ) -> bool:
     """Poll ``done`` until it is true, ``stop`` is set, or the time-out has passed.
 
-    Zenoh's handlers cannot wait with a time-out. This polls, first without a sleep, then with short sleeps.
+    Zenoh's handlers cannot wait with a time-out. This function polls, first without, then with short sleeps.
 
-    ``timeout_s``: wall time, without the time in which the machine was suspended; ``pause_s``: sleep between
+    ``timeout_s``: wall time, not counting suspension of the machine; ``pause_s``: sleep between
     two polls; ``yields``: number of polls that only yield the processor, before the first sleep; ``what``:
     text on standard error during a long wait, if not empty. Returns False after the time-out; after True,
     check ``stop``.
@@ -87,7 +87,7 @@ def wait_until(
     while (silent_s := silence.look()) < timeout_s:
         looks += 1
         if what and silent_s > _SAID_S:
-            with contextlib.suppress(OSError):  # standard error is closed
+            with contextlib.suppress(OSError):  # standard error may be closed
                 print(f"waits for {what}", file=sys.stderr, flush=True)
             what = ""
         time.sleep(0.0 if looks <= yields else pause_s)

@@ -1,1 +1,1 @@
-"""The simulated vehicle's MAVLink autopilot; ``server`` assembles its parts."""
+"""MAVLink autopilot of the simulated vehicle; ``autopilot`` assembles its parts."""

@@ -1,7 +1,6 @@
 """The MAVLink autopilot of the simulated vehicle; it behaves like PX4.
 
-Pure computation: messages and times are the inputs, messages the outputs. It uses no socket, clock or random
-number.
+Pure: it computes messages from messages and times, without socket, clock or random numbers.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from sim.autopilot.ground import degrees_e7, x_of, y_of
 from sim.autopilot.telemetry import PX4
 from sim.vehicle.vehicle import VehicleSim
 
-_HOME_REACH_M = 100.0  # largest distance of the home from the room's origin
+_HOME_REACH_M = 100.0  # largest distance of home from the room's origin
 _CHANGE_MODE = 1  # MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
 _UNITS = dialect.enums["FAILURE_UNIT"]
 _KINDS = dialect.enums["FAILURE_TYPE"]
@@ -53,7 +52,7 @@ class Autopilot(Server[Flight]):
         system_id: int = SYSTEM_ID,
         epoch_ns: int = 0,
     ) -> None:
-        """Start the autopilot; a vehicle that already flies holds its position.
+        """Start the autopilot; a flying vehicle holds its position.
 
         ``rate_hz``: rate of the loop, and of position and attitude messages; ``epoch_ns``: Unix time at
         simulated time zero.
@@ -107,12 +106,12 @@ class Autopilot(Server[Flight]):
         if distance_m > _HOME_REACH_M:
             reason = f"Home refused: {distance_m:.4g} m from the origin, at most {_HOME_REACH_M:g}"
             return Answer(REJECTED, reason)
-        self.flight.home_enu_m = point  # local coordinates do not change
+        self.flight.home_enu_m = point  # the origin of local coordinates does not change
         self.streams.hasten(dialect.MAVLINK_MSG_ID_HOME_POSITION)
         return Answer()
 
     def _pause(self, command: Command) -> Answer:
-        """Hold the present position: the pause of QGroundControl is a reposition without a place."""
+        """Hold the present position: QGroundControl pauses by a reposition without coordinates."""
         if integer(command.given(2)) != _CHANGE_MODE:
             return Answer(UNSUPPORTED, "Reposition refused: only with flag 1, change mode")
         if any(command.given(number) is not None for number in (5, 6, 7)):
@@ -122,7 +121,7 @@ class Autopilot(Server[Flight]):
     def _reboot(self, command: Command) -> Answer:
         what = integer(command.given(1))
         if what == 0:
-            return Answer()  # "do nothing", for example when only the companion restarts
+            return Answer()  # value 0, "do nothing", for example if only the companion restarts
         if what != 1:
             return Answer(DENIED, "Reboot refused: param1 must be 1, nothing else can be done")
         reason = self.flight.reboot(command.now_s)
@@ -159,8 +158,8 @@ def _name(names: dict[int, object], number: int) -> str:
     return name.lower().replace("_", " ")
 
 
-# Parameters have PX4's names, units and values. Fixed ones describe the simulator, or have no effect.
-# QGroundControl requires the first ones, which have no effect (PX4 mavlink_parameters.cpp, list in send()).
+# Parameters have PX4's names, units and values. Fixed parameters describe the simulator or have no effect.
+# QGroundControl requires these parameters, which have no effect (PX4 mavlink_parameters.cpp, send()).
 _FOR_QGROUNDCONTROL = (
     *(fixed(f"CAL_MAG{i}_{kind}", 0) for i in range(4) for kind in ("ID", "ROT")),
     *(fixed(name, 0) for name in ("CAL_ACC0_ID", "CAL_GYRO0_ID", "SENS_BOARD_ROT", "TRIG_MODE")),
@@ -174,10 +173,10 @@ _FOR_QGROUNDCONTROL = (
 
 # A table in sim.autopilot.flight maps the values of COM_OBL_RC_ACT to modes.
 _OWN = (
-    real("COM_OF_LOSS_T", 0.5, 0.1, 5.0),  # s without a set-point before COM_OBL_RC_ACT applies
+    real("COM_OF_LOSS_T", 0.5, 0.1, 5.0),  # time without a set-point before COM_OBL_RC_ACT applies, s
     one_of("COM_OBL_RC_ACT", 4, 0, 4, 5),  # action on lost set-points: land, land, hold
-    real("COM_DISARM_LAND", 2.0, 0.1, 20.0),  # s on the ground until it disarms; PX4's default
-    real("COM_DISARM_PRFLT", 10.0, 1.0, 120.0),  # s without a take-off until it disarms; PX4's default
+    real("COM_DISARM_LAND", 2.0, 0.1, 20.0),  # time on the ground until it disarms, s; PX4's default
+    real("COM_DISARM_PRFLT", 10.0, 1.0, 120.0),  # time without take-off until it disarms, s; PX4's default
     fixed("COM_RC_IN_MODE", 4),  # no stick input
     fixed("MAN_OVERRIDE_SPD", -1.0, REAL32),  # stick input never overrides
     fixed("COM_LOW_BAT_ACT", 0),  # a low battery causes no action
@@ -189,12 +188,12 @@ _OWN = (
     fixed("GF_MAX_HOR_DIST", 0.0, REAL32),
     fixed("GF_MAX_VER_DIST", 0.0, REAL32),
     whole("SYS_FAILURE_EN", 0, 0, 1),  # 1: command 420 may inject failures
-    real("MIS_TAKEOFF_ALT", 0.5, 0.1, 20.0, in_flight=True),  # m above the take-off place
+    real("MIS_TAKEOFF_ALT", 0.5, 0.1, 20.0, in_flight=True),  # height above the take-off position, m
     real("MPC_TKO_SPEED", 0.5, 0.1, 1.0, in_flight=True),  # climb speed of the take-off, m/s
     real("MPC_LAND_SPEED", 0.3, 0.1, 0.8, in_flight=True),  # sink speed of the landing, m/s
-    real("MPC_XY_CRUISE", 0.5, 0.1, 2.0, in_flight=True),  # m/s; largest speed in the autopilot's modes
-    # Limits of set-points, m/s; faster ones are clipped. The defaults have no effect: set-points above 5 m/s
-    # are rejected.
+    real("MPC_XY_CRUISE", 0.5, 0.1, 2.0, in_flight=True),  # largest speed in the autopilot's modes, m/s
+    # Limits to which set-points are clipped, m/s. The defaults have no effect: set-points above 5 m/s are
+    # rejected.
     real("MPC_XY_VEL_MAX", 5.0, 0.1, 20.0),
     real("MPC_Z_VEL_MAX_UP", 5.0, 0.1, 8.0),
     real("MPC_Z_VEL_MAX_DN", 5.0, 0.1, 8.0),

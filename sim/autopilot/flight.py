@@ -14,7 +14,7 @@ from sim.autopilot.pilot import Event, Pilot
 from sim.autopilot.watches import Standing, Watches
 from sim.vehicle.vehicle import VehicleSim
 
-HEIGHT_RANGE_M = (0.1, 20.0)  # range of height of a take-off above home; the room is lower
+HEIGHT_RANGE_M = (0.1, 20.0)  # allowed take-off height above home, m; the room is lower
 # Mode that COM_OBL_RC_ACT selects (PX4 failsafe.cpp). 0 is position mode: it cannot be flown without stick
 # input, so PX4 also lands.
 STREAM_LOST: Mapping[int, FlightMode] = {0: FlightMode.LAND, 4: FlightMode.LAND, 5: FlightMode.HOLD}
@@ -67,9 +67,9 @@ class Flight(Commander):
         return self.vehicle.armed and not self.standing
 
     def sensors_healthy(self, _now_s: float) -> int:
-        """Health bits of position and fence.
+        """Return the health bits of position and fence.
 
-        Without the bit of the fence, which does not exist, MAVProxy reports a breach.
+        There is no fence, but without its bit MAVProxy reports a breach of the fence.
         """
         return (POSITION_SOURCE if self.positioned else 0) | int(dialect.MAV_SYS_STATUS_GEOFENCE)
 
@@ -141,7 +141,7 @@ class Flight(Commander):
         return None
 
     def flown(self, now_s: float, setpoint: Setpoint | None, sender: Sender) -> None:
-        """Update the state after ticks that flew set-points without ``control``; ``setpoint``: the newest."""
+        """Update the state after ticks that flew set-points without ``control``; ``setpoint``: newest one."""
         self._control_s = self._estimate_seen_s = now_s
         if setpoint is not None:
             self._owner, self._setpoint_s = sender, now_s
@@ -149,7 +149,7 @@ class Flight(Commander):
 
     @property
     def stream_ends_s(self) -> float:
-        """Time at which the stream of set-points times out if none arrives."""
+        """Time at which the stream of set-points times out if no set-point arrives, s."""
         return self._setpoint_s + self.stream_lost_s
 
     def yaw_rad(self) -> float:

@@ -10,7 +10,7 @@ ORIGIN_LONGITUDE_DEG = 8.545594
 ORIGIN_WGS84 = (ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, 10.0)
 _EARTH_RADIUS_M = 6_371_000.0  # radius of the earth in PX4's geo.h
 _AROUND_M = _EARTH_RADIUS_M * math.cos(math.radians(ORIGIN_LATITUDE_DEG))
-_E7 = 1e7  # MAVLink's integers per degree
+_E7 = 1e7  # number of MAVLink's integer units per degree
 
 
 def degrees_e7(x_m: float, y_m: float) -> tuple[int, int]:

@@ -19,10 +19,10 @@ from flightstack.core.types import ZERO, Vec3
 from sim.plant.vehicle_types import Estimate
 from sim.vehicle.vehicle import VehicleSim
 
-_INTEGRAL_GAIN_1_S2 = 0.25  # cancels wind and mass error within some seconds; slower than the position loop
-_INTEGRAL_MAX_M_S = 0.4  # larger than the steady velocity error at 10 % mass error and 2 m/s of wind
-_LEARN_BELOW_M_S = 0.1  # proportional velocity above which the integral is constant: anti-windup
-_SLEW_M_S2 = 1.0  # with K_v = 0.5 a step of 0.53 m/s would command zero thrust (27 g)
+_INTEGRAL_GAIN_1_S2 = 0.25  # gain that cancels wind and mass error in seconds; slower than the position loop
+_INTEGRAL_MAX_M_S = 0.4  # limit; more than the steady velocity error at 10 % mass error and 2 m/s of wind
+_LEARN_BELOW_M_S = 0.1  # proportional velocity above which the integral is constant (anti-windup)
+_SLEW_M_S2 = 1.0  # slew limit; with K_v = 0.5 a step of 0.53 m/s would command zero thrust (27 g)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ def _clamp(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-_ARRIVED_M = 0.05  # height error at which a height counts as reached, half the Crazyflie's size
+_ARRIVED_M = 0.05  # height error at which a height counts as reached, half of the Crazyflie's size
 _ARRIVED_M_S = 0.15  # vertical speed below which a height counts as reached
 
 
@@ -127,13 +127,13 @@ class Pilot:
     """Computes velocity set-points for the firmware from mode, estimate and received set-point."""
 
     def __init__(self, vehicle: VehicleSim, parameters: Parameters) -> None:
-        self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last one sent to the firmware; None: none active
+        self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last set-point to the firmware, None: no set-point
         self._vehicle = vehicle
         self._parameters = parameters
         self._hold = PositionHold(vehicle.trim_velocity_enu_m_s)
         self._setpoint: Setpoint | None = None
-        self._fresh = False  # the set-point has not been sent to the firmware yet
-        self._engaged = False  # the position loop has started in this mode
+        self._fresh = False  # whether the set-point has not been sent to the firmware yet
+        self._engaged = False  # whether the position loop has started in this mode
         self._yaw_rad = 0.0  # heading to hold
         self._takeoff_z_m = 0.0  # height of the take-off, local frame
         self._version = -1  # version of the parameters from which the limits were read
@@ -156,7 +156,7 @@ class Pilot:
 
     @property
     def passes_on(self) -> tuple[float, float, float] | None:
-        """Limits (horizontal, up, down) below which set-points pass unchanged, m/s; None: they never do."""
+        """Speed limits (horizontal, up, down) of unchanged set-points, m/s; None: all may be changed."""
         known = self._version == self._parameters.version
         return self._clip if known and self._engaged and self._setpoint is not None else None
 
@@ -199,7 +199,7 @@ class Pilot:
         vertical_m_s: float | None = None,
         learn: bool = True,
     ) -> None:
-        """Fly towards the hold point; without a position estimate fly level at the vertical velocity."""
+        """Fly towards the hold point; without a position estimate, fly level with the vertical velocity."""
         if estimate.valid:
             at = estimate.position_enu_m
             velocity = self._hold.step(at, self._limits, dt_s, vertical_m_s=vertical_m_s, learn=learn)
@@ -209,7 +209,7 @@ class Pilot:
         self._vehicle.set_velocity(velocity, self._yaw_rad)
 
     def _engage(self, estimate: Estimate) -> None:
-        """Start the position loop at the current motion, the first time in a mode."""
+        """Start the position loop from the current motion, unless it has started in this mode."""
         if self._engaged:
             return
         self._hold.engage(estimate.position_enu_m, estimate.velocity_enu_m_s, self._limits.gain_xy_1_s)
@@ -234,7 +234,7 @@ class Pilot:
         return Event.ARRIVED if arrived else None
 
     def go_on(self) -> None:
-        """Hold the end point of the take-off; the integral is kept."""
+        """Hold the end point of the take-off with the present integral."""
         self._engaged = True
 
     def _fly_land(self, estimate: Estimate, standing: bool, dt_s: float) -> Event | None:

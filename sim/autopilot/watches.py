@@ -1,4 +1,4 @@
-"""Filtered battery voltage and throttle for the charge, and standing on a surface.
+"""Filters battery voltage and throttle, from which the charge follows, and detects standing on a surface.
 
 The charge is computed as in PX4 battery.cpp. The voltage under load plus the voltage drop at this throttle is
 compared with the voltages of an empty and a full cell. Voltage and throttle are low-pass filtered, because
@@ -14,7 +14,7 @@ from flightstack.compiled.records import Record
 from flightstack.core.numeric import numeric
 from sim.vehicle.vehicle import VehicleSim
 
-PERIOD_S = 0.1 - 1e-6  # period of the checks
+PERIOD_S = 0.1 - 1e-6  # time between two checks, s
 _SMOOTH_S = 1.0  # time constant of the low-pass filter
 
 
@@ -58,7 +58,7 @@ class Watches:
         return charge_left(self._voltage_v, self._throttle, *curve)
 
     def step(self, now_s: float) -> None:
-        """Filter voltage and throttle, if that is due."""
+        """Filter voltage and throttle if the time of the next check has come."""
         if now_s < self.due_s:
             return
         dt_s = now_s - self._last_s if self._last_s is not None else 0.0
@@ -79,11 +79,11 @@ class Watches:
 def throttle(vehicle: VehicleSim) -> float:
     """Return the mean of the motor commands, 0 to 1."""
     m1, m2, m3, m4 = vehicle.motor_commands
-    return (m1 + m2 + m3 + m4) / 4.0  # not sum(), which rounds differently from Python 3.12 on
+    return (m1 + m2 + m3 + m4) / 4.0  # not sum(), whose rounding changed in Python 3.12
 
 
 _CONTACT_S = 0.3  # time of unbroken contact after which the vehicle counts as standing; bounces are shorter
-_NO_CONTACT_S = 0.1  # time without contact after which it counts as flying
+_NO_CONTACT_S = 0.1  # time without contact after which the vehicle counts as flying
 
 
 class Standing:
@@ -91,7 +91,7 @@ class Standing:
 
     def __init__(self, vehicle: VehicleSim) -> None:
         self._vehicle = vehicle
-        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # standing, not in brief contact
+        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # whether it stands
         self.since_s = 0.0  # start of the current state
         self._contact = self.now
         self._changed_s = 0.0

@@ -14,8 +14,8 @@ from sim.chance import stream
 from sim.plant.sensors import NEVER_NS, NS
 from sim.scenarios.fault_spec import After, Fault, What
 
-TEXTS_MAX = 256  # maximum stored starts and ends until ``take_texts``; the oldest are dropped
-RUNNING_MAX = 64  # maximum active faults; further commands are rejected
+TEXTS_MAX = 256  # maximum number of stored starts and ends; the oldest are dropped
+RUNNING_MAX = 64  # maximum number of active faults; further commands are rejected
 
 
 @dataclass(slots=True, eq=False)
@@ -30,11 +30,11 @@ class Running:
     over: bool = False
 
     def happens(self) -> bool:
-        """Draw whether the fault has an effect this time, with the fault's probability ``value``."""
+        """Return at random whether the fault acts on this item; ``value`` is its probability."""
         return bool(self.rng.random() < self.fault.amount)
 
     def paused(self, now_ns: int) -> bool:
-        """Return whether an intermittent fault pauses; it starts with a pause."""
+        """Return whether an intermittent fault pauses now; it starts with a pause."""
         since_s = (now_ns - self.start_ns) / NS
         return since_s % self.fault.period < self.fault.amount
 
@@ -62,7 +62,7 @@ class Schedule:
     _planned: int = 0  # sequence number that orders events at equal times
 
     def add(self, faults: Iterable[Fault], now_ns: int = 0) -> None:
-        """Add faults. Those relative to ``time`` start at zero; others wait for their event (``refer``)."""
+        """Add faults; faults relative to ``time`` count from zero, others wait for an event (``refer``)."""
         for fault in faults:
             rng = stream(self.seed, f"fault.{self._added}.{fault.what.value}.{fault.kind.value}")
             self._added += 1
@@ -93,7 +93,7 @@ class Schedule:
         changes = []
         while self._due and self._due[0][0] <= now_ns:
             _, _, begins, running = heapq.heappop(self._due)
-            if not running.over:  # an injected command has not ended it before
+            if not running.over:  # no injected command has ended the fault earlier
                 changes.append(self._begin(running) if begins else self.end(running))
         self.next_ns = self._due[0][0] if self._due else NEVER_NS
         return changes
@@ -143,7 +143,7 @@ class ScheduledFaults:
             self._apply(change, now_ns)
 
     def take_texts(self) -> list[Change]:
-        """Return the starts and ends since the last call; as text they are messages."""
+        """Return the starts and ends of faults since the last call; their text is a message."""
         if not self._texts:
             return []
         texts = list(self._texts)

@@ -1,6 +1,6 @@
 """All faults of one vehicle, scheduled or from MAV_CMD_INJECT_FAILURE, and their messages.
 
-This code runs only when a fault starts, ends or is active; the compiled loop has only two numbers per motor.
+This code runs only when a fault starts, ends or is active; the compiled loop has only two values per motor.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ EMPTY_V = 3.0  # cell voltage at rest; firmware platform_defaults_cf2.h: DEFAULT
 
 
 class MotorFaults:
-    """Motor faults: target speed = share * command + held; without a fault share is 1 and held 0.
+    """Motor faults: target speed = share * command + held; without a fault, share is 1 and held is 0.
 
     ``share`` and ``held`` (rpm) of M1..M4 are changed in place. ``hover_rpm``: speed at which the thrust of a
     weak motor is exact. At other speeds the error is some per cent, because thrust is not exactly quadratic.
@@ -36,7 +36,7 @@ class MotorFaults:
         share[:], held[:] = 1.0, 0.0
 
     def begin(self, running: Running) -> None:
-        """Start a fault; if a motor has several, the newest applies."""
+        """Start a fault; if a motor has several faults, the newest applies."""
         fault = running.fault
         assert fault.motor is not None
         share = held = 0.0
@@ -143,7 +143,7 @@ FAILURES: dict[int, dict[int, Make]] = {
         for type_, kind in _TYPES.items()
     },
 }
-# kinds of faults that FAILURE_TYPE_OK ends, for each unit
+# components whose faults FAILURE_TYPE_OK ends, by failure unit
 PARTS: dict[int, frozenset[What]] = {
     unit: frozenset(fault.what for make in kinds.values() for fault in make(MOTORS))
     for unit, kinds in FAILURES.items()
@@ -171,7 +171,7 @@ def motors_of(unit: int, instance: int) -> tuple[int, ...] | str:
 
 
 def faults_of(unit: int, kind: int, instance: int) -> list[Fault] | str:
-    """Return the faults of FAILURE_UNIT, FAILURE_TYPE, instance (0: all); none for OK; or an error text."""
+    """Return the faults of FAILURE_UNIT, FAILURE_TYPE and instance (0: all), or an error text; OK: none."""
     if unit not in FAILURES:
         names = ", ".join(UNITS[u] for u in FAILURES)
         return f"failure unit {UNITS.get(unit, unit)} is not simulated; these are: {names}"
@@ -204,7 +204,7 @@ class Faults(ScheduledFaults):
     ) -> None:
         self.mocap = SampleFaults(MOCAP)  # faults of motion capture before the estimator
         self.own_state = EstimateFaults()  # faults of the estimate before the autopilot
-        self.link = LinkFaults()  # used by the owner of the MAVLink connection
+        self.link = LinkFaults()  # faults of the MAVLink connection, applied by its owner
         effects: dict[What, Effect] = {
             What.MOTOR: motors,
             What.BATTERY: battery,
@@ -213,7 +213,7 @@ class Faults(ScheduledFaults):
             **dict.fromkeys(CONCERNS, self.link),
         }
         super().__init__(faults, seed, effects)
-        # there was no fault and none is scheduled
+        # whether there was no fault and none is scheduled
         self.quiet = not any(fault.what in effects for fault in faults)
 
     @property
@@ -239,14 +239,14 @@ class Faults(ScheduledFaults):
             self._heal(unit, instance, now_ns)
             return None
         active = {running.fault for running in self._schedule.active}
-        fresh = [fault for fault in found if fault not in active]  # without repeated commands
+        fresh = [fault for fault in found if fault not in active]  # repeated commands are ignored
         if len(active) + len(fresh) > RUNNING_MAX:
             return f"{len(active)} faults are on, at most {RUNNING_MAX} are possible; heal some"
         self.fail(fresh, now_ns)
         return None
 
     def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
-        """Start faults now; a fault with a time relative to ``time`` starts not before that time."""
+        """Start faults now; a fault relative to ``time`` does not start before its time."""
         self.quiet = False
         self._schedule.add(faults, now_ns)
         self.run(now_ns)

@@ -1,8 +1,8 @@
 """On-board state estimator: IMU at 500 Hz, corrected by position and yaw from motion capture.
 
-It models the Crazyflie's Kalman filter with external pose. It has the same noise figures and the same
-weakness: it ignores the age of samples, so the estimate of a moving vehicle lags by the latency of motion
-capture. It uses the filter's stationary gains instead of a covariance. The states of each axis are position,
+It models the Crazyflie's Kalman filter with external pose, with equal noise figures. Like the firmware, it
+ignores the age of samples, so the estimate of a moving vehicle lags by the latency of motion capture. It
+uses the filter's stationary gains instead of a covariance. The states of each axis are position,
 velocity and acceleration error. The horizontal acceleration error is a tilt of the attitude estimate (a tilt
 d causes the acceleration g d), the vertical one is the accelerometer's bias.
 
@@ -72,9 +72,9 @@ def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float
 def pose_gains(
     period_s: float, gravity: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return stationary gains on (position, velocity, tilt) for a pose: for its position, then its attitude.
+    """Return the stationary gains of a pose on (position, velocity, tilt): from its position, its attitude.
 
-    The first gains are for one metre of innovation, the second ones for one radian.
+    The first gains are for one metre of innovation, the second gains for one radian.
     """
     t, g = FIRMWARE_STEP_S, gravity
     f = np.array([[1.0, t, 0.5 * g * t * t], [0.0, 1.0, g * t], [0.0, 0.0, 1.0]])
@@ -104,7 +104,7 @@ class EstimatorRecord(Record):
     """State estimate, gains of the corrections, and constants."""
 
     sensed: SensedState
-    bias_z: float  # bias of the vertical accelerometer, negative, m/s^2
+    bias_z: float  # negative bias of the vertical accelerometer, m/s^2
     since_sample_s: float
     kp: float  # horizontal gain on the position
     kv: float  # horizontal gain on the velocity, 1/s
@@ -113,12 +113,12 @@ class EstimatorRecord(Record):
     kv_z: float
     kz: float  # gain on the bias, 1/s^2
     kyaw: float
-    by_pose: bool  # use the firmware's form
-    body_z: bool  # firmware's form in flight: use only body z of the accelerometer
+    by_pose: bool  # whether the firmware's form is used
+    body_z: bool  # whether only body z of the accelerometer is used (firmware's form in flight)
     known_drag: Vector  # kalman.dragB_*, body axes, 1/s
-    kp_tilt: float  # gain of a pose's attitude on the position, m per rad
-    kv_tilt: float  # gain on the velocity, m/s per rad
-    kt_tilt: float  # gain on the tilt
+    kp_tilt: float  # gain from a pose's attitude to the position, m per rad
+    kv_tilt: float  # gain from a pose's attitude to the velocity, m/s per rad
+    kt_tilt: float  # gain from a pose's attitude to the tilt
     step: float  # time step, s
     gravity: float
 
@@ -140,7 +140,7 @@ def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
     scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one Newton step of 1 / sqrt(norm^2)
     w, x, y, z = w * scale, x * scale, y * scale, z * scale
     q[0], q[1], q[2], q[3] = w, x, y, z
-    # not rotation_axes, whose order of products rounds differently: recorded runs would change
+    # not rotation_axes, because its order of products rounds differently and would change recorded runs
     x2, y2, z2 = x + x, y + y, z + z
     xx, yy, zz, xy, xz, yz = x * x2, y * y2, z * z2, x * y2, x * z2, y * z2
     wx, wy, wz = w * x2, w * y2, w * z2
@@ -275,7 +275,7 @@ class Estimator:
         """Start in the steady state in which the corrections balance the accelerometer's bias."""
         sensed, gravity = self.sensed, float(self.record.gravity)
         sensed.position[:], sensed.velocity[:], sensed.quaternion[:] = position, velocity, quaternion
-        if self.record.by_pose:  # this form has no bias estimate that could compensate the bias
+        if self.record.by_pose:  # this form has no estimate of the bias
             return
         a, b, c = accel_bias
         bx, by, bz = (axes[i] * a + axes[3 + i] * b + axes[6 + i] * c for i in range(3))

@@ -5,14 +5,14 @@ velocity set-points, so the paper must have added this control law. It uses the 
 instead of this vehicle's. With the paper's K_v = 0.5 N s/m on 32 g the velocity gain is 16 1/s, but the
 attitude bandwidth is only about 8 1/s: the loop is under-damped by design.
 
-One limit is not in the paper: the desired force keeps an upward share and a tilt limit. Without it a downward
-step of 0.63 m/s commands zero thrust and a larger one an inverted attitude.
+A limit of this module is not in the paper: the desired force has a minimum upward part and a tilt limit.
+Without it, a downward step of 0.63 m/s commands zero thrust, and a larger step an inverted attitude.
 
 The attitude part is that of the Crazyflie's Mellinger controller (firmware controller_mellinger.c), in FLU:
 
     M = -kR eR - kw w + ki int(-eR) - kd dw/dt,   eR = (Rd' R - R' Rd) as a vector
 
-As in the firmware, eR lacks the factor 1/2 of the literature, so kR counts twice at a small angle. The D-term
+As in the firmware, eR lacks the factor 1/2 of the literature, so kR has twice the effect. The D-term
 on roll and pitch rate is the raw difference at 500 Hz. It acts as inertia (200 counts equal 2.4e-5 kg m^2,
 more than the body's inertia). Outputs are limited to 32000 counts and truncated to integers. The firmware
 inverts pitch internally, which cancels in FLU moments.
@@ -55,7 +55,7 @@ Counts = tuple[int, int, int]  # moments about body x, y, z, counts
 
 
 class AttitudeRecord(Record):
-    wx: float  # roll rate at the last call, rad/s; NaN before the first call
+    wx: float  # roll rate in the last call, rad/s; NaN before the first call
     wy: float
     integral_z: float
     k_r_z: float  # yaw gains, counts per unit of eR and per rad/s
@@ -152,7 +152,7 @@ class PaperLoop:
         """Return the set-point at which the loop, at rest, commands ``force`` (world, N).
 
         ``counts_per_n``: thrust counts per newton; the loop uses the nominal value; ``moments``: without
-        effect here.
+        effect on this loop.
         """
         del moments
         scale = counts_per_n / self.record.counts_per_n

@@ -1,9 +1,9 @@
 """Legacy power distribution and the thrust map: counts to rotor speed commands.
 
 It follows firmware power_distribution_quadrotor.c and motors.c: the excess of a motor above full duty is
-subtracted from all four. In the firmware's map, counts are linear in thrust (65535 = THRUST_MAX). Below
-THRUST_MIN a motor stops. With a map to volts (``Rotor.volt_map``) counts are converted to volts and limited
-to the battery voltage; without one they are limited to 65535.
+subtracted from all four motors. In the firmware's map, counts are linear in thrust (65535 = THRUST_MAX).
+Below THRUST_MIN a motor stops. A map to volts (``Rotor.volt_map``) converts counts to volts, limited to the
+battery voltage; without this map counts are limited to 65535.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from sim.plant.rotors import Four
 
 COUNTS_MAX = 65535.0
 VOLTS_FIRST = 3.0  # initial value of Newton's method, V
-NEWTON_STEPS = 6  # from 3 V to any result between 0.5 and 6 V; error below 1e-9 V
+NEWTON_STEPS = 6  # number of steps from 3 V to any result from 0.5 to 6 V; error below 1e-9 V
 OFF: Four = (0.0, 0.0, 0.0, 0.0)
 
 
 @jitted
 def spread(thrust: float, moments: tuple[int, int, int]) -> Four:
-    """Return counts of M1..M4, without limits, from thrust and moment counts about body x, y, z (FLU)."""
+    """Return unlimited counts of M1..M4 from thrust and moment counts about body x, y, z (FLU)."""
     mx, my, mz = moments
     r, p = int(mx / 2), int(my / 2)  # halves as int16, truncated
     return (thrust - r - p - mz, thrust - r + p + mz, thrust + r + p - mz, thrust + r - p + mz)
@@ -76,7 +76,7 @@ def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
 
 @jitted
 def motor_volts(m: MapRecord, counts: float) -> float:
-    """Return the commanded voltage; 0 where the motor stops."""
+    """Return the commanded voltage; 0: the motor stops."""
     if counts < m.off_below:
         return 0.0
     k, share, volts = m.volt_map, counts / COUNTS_MAX, VOLTS_FIRST

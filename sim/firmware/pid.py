@@ -2,11 +2,11 @@
 
 It follows firmware position_controller_pid.c, attitude_pid_controller.c, controller_pid.c and pid.c, with
 gains of platform_defaults_cf2.h. Angles are in degrees, as in the firmware. All axes are FLU: the firmware's
-inverted pitch cancels. Position set-points use the position loop, velocity set-points do not; the velocity of
-a position set-point is ignored. A set-point of the other kind changes the mode. As in the firmware, the
+inverted pitch cancels. Position set-points use the position loop, velocity set-points do not; the velocity in
+a position set-point is ignored. A change between the two kinds changes the mode. As in the firmware, the
 velocity loop has an integral limit of 5000 (so it winds up), thrust in flight is at least 20000 counts, and
-the D-term uses the measurement. A change of mode or zero thrust resets all integrals, and the last rate of
-the rate loops, so their derivative has one peak.
+the D-term uses the measurement. A change of mode or zero thrust resets all integrals and the last rate in
+the rate loops, so the rate loops' derivative has one peak.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from sim.firmware.geometric import Counts
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S, Params
 
-POSITION_EVERY = 5  # control steps per position step; firmware stabilizer_types.h: POSITION_RATE 100 Hz
+POSITION_EVERY = 5  # number of control steps per position step; stabilizer_types.h: POSITION_RATE 100 Hz
 POSITION_STEP_S = POSITION_EVERY * CONTROL_STEP_S
-LATE_MAX = 60  # maximum number of set-points within the dead time of a loop, 0.6 s
-SPEED_MAX_M_S = 1.1 * 1.0  # limit of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX (y, z: the same)
+LATE_MAX = 60  # maximum number of set-points in the dead time of a loop, 0.6 s
+SPEED_MAX_M_S = 1.1 * 1.0  # speed limit of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX, each axis
 TILT_MAX_DEG = 20.0  # PID_VEL_ROLL_MAX, PID_VEL_PITCH_MAX
 THRUST_BASE = 36000.0  # counts, PID_VEL_THRUST_BASE
 THRUST_MIN = 20000.0  # counts, PID_VEL_THRUST_MIN
@@ -74,22 +74,22 @@ def pid_record(
 class CascadeRecord(Record):
     """The twelve PIDs and their common state."""
 
-    x: PidRecord  # position to velocity; x and y in the frame turned by yaw
+    x: PidRecord  # loop from position to velocity; x and y in the frame turned by yaw
     y: PidRecord
     z: PidRecord
-    vx: PidRecord  # body velocity to tilt, degrees
+    vx: PidRecord  # loop from body velocity to tilt, degrees
     vy: PidRecord
-    vz: PidRecord  # velocity to thrust
-    roll: PidRecord  # angle to rate, degrees
+    vz: PidRecord  # loop from velocity to thrust
+    roll: PidRecord  # loop from angle to rate, degrees
     pitch: PidRecord
     yaw: PidRecord
-    roll_rate: PidRecord  # rate to counts
+    roll_rate: PidRecord  # loop from rate to counts
     pitch_rate: PidRecord
     yaw_rate: PidRecord
-    calls: int  # calls since the last reset
+    calls: int  # number of calls since the last reset
     mode: int  # LEVEL, FREE, TO_POSITION or UNKNOWN
     late: Annotated[F64, 2 * LATE_MAX]  # ring buffer of horizontal set-points, one for each call of the loop
-    late_calls: int  # calls between a set-point and its effect
+    late_calls: int  # number of calls between a set-point and its effect
     response: float  # ratio of the loop's target velocity to the set-point
     tilt_share: float  # gain of the low-pass on the tilt command; 1: no low-pass
     roll_wanted: float  # commanded roll, degrees

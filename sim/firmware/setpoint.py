@@ -10,8 +10,8 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Axes, Quaternion, Record, Vector, cell, scalars
 from flightstack.core.types import Vec3
 
-ROOM = 256  # maximum set-points in transit: twice the number at 0.1 s of delay and 1 kHz
-WIDTH = 12  # numbers of a row: arrival time, then the fields of a set-point
+ROOM = 256  # maximum number of set-points in transit: twice the number at 0.1 s of delay and 1 kHz
+WIDTH = 12  # values per row: arrival time, then the fields of a set-point
 _ROW = struct.Struct(f"={WIDTH}d")
 
 
@@ -70,7 +70,7 @@ class SensedState(Record):
 class InboxRecord(Record):
     """Ring buffer of set-points in transit."""
 
-    rows: Annotated[F64, ROOM * WIDTH]  # times are integer milliseconds, which doubles represent exactly
+    rows: Annotated[F64, ROOM * WIDTH]  # arrival times in whole ms, and set-points
     first: int  # number of the oldest row that has not arrived
     end: int  # number of the next row
     taken_ms: int  # arrival time of the current set-point
@@ -100,7 +100,7 @@ class Inbox:
         self._setpoint = cell(setpoint)
 
     def send(self, setpoint: Setpoint, arrives_ms: int) -> None:
-        """Send a set-point; if the buffer is full, it replaces the last one."""
+        """Send a set-point; in a full buffer it replaces the newest set-point."""
         end = self._end[0]
         if end - self._first[0] >= ROOM:
             end -= 1
@@ -108,7 +108,7 @@ class Inbox:
         self._end[0] = end + 1
 
     def set(self, setpoint: Setpoint, since_ms: int) -> None:
-        """Apply a set-point now and drop those in transit."""
+        """Apply a set-point now and drop the set-points in transit."""
         self._first[0] = self._end[0]
         self._taken_ms[0] = since_ms
         self._setpoint[0] = setpoint.fields()

@@ -1,4 +1,4 @@
-"""The whole firmware: set-points in, rotor speed commands out."""
+"""The whole firmware model: computes rotor speed commands from set-points."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def oversee(f: FirmwareRecord, now_ms: int, accel: F64) -> None:
 
 @jitted
 def forget(f: FirmwareRecord) -> None:
-    """Reset the velocity loop and the last rates, because the next flight does not continue this one."""
+    """Reset the velocity loop and the last rates between two flights."""
     if f.loop == PAPER:
         paper_reset(f.paper)
         f.paper.attitude.wx = math.nan
@@ -155,7 +155,7 @@ class Firmware:
         self._inbox.send(setpoint, now_ms + self._delay_ms)
 
     def arm(self, now_ms: int, battery_v: float) -> str | None:
-        """Arm. Return None if accepted, else the reason of the rejection."""
+        """Arm. Return None if the vehicle is armed, else the reason of the rejection."""
         if not self.estimator.valid:
             return "no motion-capture samples"
         if self.estimator.sensed.axes[8] < TILT_MAX_COS:
@@ -164,7 +164,7 @@ class Firmware:
             return f"battery at {battery_v:.2f} V, at least {BATTERY_MIN_V} V are needed"
         fresh = not self.supervisor.motors_allowed
         refused = self.supervisor.arm(now_ms)
-        if refused is None and fresh:  # drop earlier set-points
+        if refused is None and fresh:  # earlier set-points no longer apply
             self._inbox.set(STOP, now_ms)
             self.controller.reset()
             self._mellinger.reset()

@@ -3,9 +3,9 @@
 It follows firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated at 25 Hz, for a build
 that requires arming. It omits the checks before arming and the spin-up (part of DISARMED), emergency stop and
 deck faults, and the intermediate states before DISARMED and LOCKED. A disarm command acts immediately and
-also ends CRASHED; the firmware has a separate request for that.
+also ends CRASHED; the firmware has a separate request to end CRASHED.
 
-Compiled code evaluates it in flight with a table of numbers, where a state is its index in ``STATES``.
+In flight, compiled code evaluates the table in numeric form, where a state is its index in ``STATES``.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import Record, new, scalars
 
 PERIOD_MS = 40  # period of the supervisor, 25 Hz
-WARNING_MS = 500  # set-point age that levels out; supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
-TIMEOUT_MS = 2000  # set-point age that locks; supervisor.c: COMMANDER_WDT_TIMEOUT_SHUTDOWN
+WARNING_MS = 500  # set-point age at which it levels out; supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
+TIMEOUT_MS = 2000  # set-point age at which it locks; supervisor.c: COMMANDER_WDT_TIMEOUT_SHUTDOWN
 FLYING_HYSTERESIS_MS = 2000  # supervisor.c: IS_FLYING_HYSTERESIS_THRESHOLD
 READY_TIMEOUT_MS = 30_000  # platform_defaults.h: preflight timeout
 LANDED_TIMEOUT_MS = 3000  # platform_defaults.h: landing timeout
 TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # platform_defaults.h
 TUMBLE_UPSIDE_DOWN_G, TUMBLE_UPSIDE_DOWN_MS = -0.2, 100
-FREE_FALL_G = 0.1  # supervisor.c: free fall resets the tumble timers
+FREE_FALL_G = 0.1  # acceleration of free fall, which resets the tumble timers; supervisor.c
 
 
 class State(Enum):
@@ -78,7 +78,7 @@ MOTORS_ALLOWED = frozenset({State.READY, State.FLYING, State.LEVEL_OUT, State.LA
 
 STATES = tuple(State)
 _WIDEST = max(map(len, TRANSITIONS.values()))
-_NEVER = (Condition(0), State.DISARMED)  # fills the shorter rows of the table: a condition that is never true
+_NEVER = (Condition(0), State.DISARMED)  # a condition that is never true fills the shorter rows of the table
 _TABLE = np.array(
     [
         [(condition.value, STATES.index(to)) for condition, to in (*row, *[_NEVER] * (_WIDEST - len(row)))]
@@ -103,7 +103,7 @@ class SupervisorRecord(Record):
     motors_last_ms: int
     tilted_since_ms: int
     motors_allowed: bool
-    level: bool  # command zero roll and pitch; the vertical set-point remains active (supervisor.c)
+    level: bool  # whether roll and pitch are zero; the vertical set-point remains active (supervisor.c)
 
 
 @jitted
@@ -120,7 +120,7 @@ def flies(s: SupervisorRecord) -> bool:
 
 @jitted
 def tumbled(s: SupervisorRecord, now_ms: int, ax: float, ay: float, az: float) -> bool:
-    """Return whether it is upside down or tilted for too long (supervisor.c: isTumbledCheck)."""
+    """Return whether the vehicle is inverted or tilted for too long (supervisor.c: isTumbledCheck)."""
     if abs(ax) < FREE_FALL_G and abs(ay) < FREE_FALL_G and abs(az) < FREE_FALL_G:
         s.tilted_since_ms = _UPRIGHT
     if az >= TUMBLE_TILTED_G:
@@ -189,7 +189,7 @@ class Supervisor:
         self._enter(State.FLYING, 0)
 
     def arm(self, now_ms: int) -> str | None:
-        """Arm. Return None if armed (already), else the reason of the rejection."""
+        """Arm. Return None if the vehicle is armed, else the reason of the rejection."""
         if self.motors_allowed:
             return None
         if self.state is not State.DISARMED:

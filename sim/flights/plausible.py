@@ -20,13 +20,13 @@ from scipy.spatial.transform import Rotation
 from sim.flights.recording import QUANTITIES, Floats, Group, Recording, RecordingError
 
 FAR = 6.0  # allowed factor between two quantities; any two units differ by more
-STEP_S = (0.5e-3, 0.1)  # allowed sample period: it must show a quadrotor's motion
+STEP_S = (0.5e-3, 0.1)  # allowed sample period, s; longer periods do not show a quadrotor's motion
 ROOM_M = 50.0  # largest extent of a flight
 CELL_V = 3.7  # typical voltage of a LiPo cell
 DUTY = 0.5  # typical duty cycle in flight, within a factor of 2
 TILT_MAX_DEG = 60.0  # largest median tilt of a flight
 OPPOSITE = -0.5  # correlation below which an axis has the wrong sign
-# smallest motion that is compared, SI units; less is only noise
+# smallest motion that is compared, SI units; smaller motions are noise
 MOVES = {"attitude": 0.05, "position": 0.05, "velocity": 0.05, "tilt": 0.01}
 
 
@@ -45,7 +45,7 @@ def check(recording: Recording, columns: Mapping[str, Group]) -> None:
         scale = _Scale("time", recording.step_s / 0.01, f"samples are {recording.step_s:.3g} s apart")
         raise RecordingError(_wrong(scale, columns) + f"; {low:g} to {high:g} s are allowed")
     far = [scale for scale in _scales(recording) if not 1.0 / FAR <= scale.ratio <= FAR]
-    # a quantity without a fitting unit is a consequence of another one's wrong unit
+    # a quantity without a fitting unit results from the wrong unit of another quantity
     far = [scale for scale in far if _fits(scale, columns)] or far
     found = [_wrong(scale, columns) for scale in far] + list(_turned(recording))
     if found:
@@ -141,7 +141,7 @@ def _matrix(r: Recording) -> Floats:
 
 
 def _roll_pitch(r: Recording) -> Floats:
-    """Return (n, 2) roll and pitch from motion capture; NaN where it is missing."""
+    """Return (n, 2) roll and pitch from motion capture; NaN: no pose."""
     w, x, y, z = r.attitude.T
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     return np.stack([roll, np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))], axis=1)

@@ -1,7 +1,7 @@
 """A recorded flight of a real vehicle, read from Parquet or CSV by a table of columns, in SI units.
 
-World axes have z up; the horizontal axes are those of the room (ENU if its x is called east). The body is
-FLU.
+World axes have z up and the horizontal axes of the room (ENU if the room's x is called east). The body frame
+is FLU.
 """
 
 from __future__ import annotations

@@ -22,9 +22,9 @@ Mask = NDArray[np.bool_]
 GAP_FACTOR = 5.0  # sample distance that counts as a gap, in periods
 SPEED_MAX_M_S = 6.0  # largest speed between two motion-capture samples; no Crazyflie in a room is faster
 FROZEN_S = 0.05  # duration after which a repeated pose counts as frozen: motion capture lost the body
-ESTIMATE_OFF_M = 0.3  # an estimate this far from motion capture has diverged; good flights stay within 0.2 m
-CLOCKS_OFF_S = 0.05  # allowed clock offset: 5 cm at 1 m/s, as large as the compared errors
-CLOCKS_S = 0.5  # minimum duration of a clock offset; a shorter one is chance
+ESTIMATE_OFF_M = 0.3  # distance from motion capture above which an estimate has diverged; good flights: 0.2 m
+CLOCKS_OFF_S = 0.05  # allowed clock offset: 5 cm at 1 m/s equal the compared errors
+CLOCKS_S = 0.5  # minimum duration of a clock offset; a shorter offset is chance
 VOLTAGE_V = (2.5, 4.4)  # voltage range of one LiPo cell under load
 ABOVE_GROUND_M = 0.15  # height of flight without ground effect (3 propeller diameters)
 START_S = 0.5  # time after lift-off and before landing in which contact is possible
@@ -117,7 +117,7 @@ def _highest_m(r: Recording) -> float:
 
 
 def _damage(r: Recording) -> Iterator[tuple[str, Mask]]:
-    """Yield failures of the vehicle's link or estimator, each with the samples that show it."""
+    """Yield failures of the vehicle's link or estimator, each with the samples that show the failure."""
     with np.errstate(invalid="ignore"):
         yield "motor commands outside 0 to 65535", np.any((r.duty < 0.0) | (r.duty > 1.0 + 1e-6), axis=1)
         low, high = VOLTAGE_V
@@ -148,7 +148,7 @@ def _steps(r: Recording) -> NDArray[np.float64]:
 
 
 def _frozen(r: Recording) -> Mask:
-    """Return the samples at which a pose stays exactly equal for ``FROZEN_S``."""
+    """Return the samples at which the pose does not change for ``FROZEN_S``."""
     same = np.concatenate([[False], np.all(np.diff(r.position_m, axis=0) == 0.0, axis=1)])
     return _lasting(same, FROZEN_S, r.step_s)
 

@@ -1,7 +1,7 @@
 """Error tapes: errors of the on-board estimate in recorded flights, sample by sample.
 
-The estimate follows the true path with a varying delay. So each error is split into this delay and a
-remainder, and both can be replayed on any other path.
+The estimate follows the true path with a varying delay. Each error is therefore split into this delay and a
+remainder, and both can be replayed on any path.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from sim.flights.screening import Screened, load
 FLIGHTS = "FLIGHTSTACK_FLIGHTS"  # environment variable with the folder of recorded flights
 DELAY_S = (-0.1, 0.2)  # range of an estimate's delay; outside it the clocks differ
 SPEED_MIN_M_S = 0.3  # rms speed below which a delay has no visible effect
-SLOW_M_S = 0.1  # far below this speed the delay is the flight's mean, and the remaining error is an offset
-STILL_M_S = (0.16, 0.54)  # error along and across the velocity = share * (speed + this speed); fitted
+SLOW_M_S = 0.1  # well below this speed the flight's mean delay is used, and the remaining error is an offset
+STILL_M_S = (0.16, 0.54)  # speeds s in: error along / across the velocity = fraction * (speed + s); fitted
 CUT_S = 0.3  # time cut from both ends of a piece, because there the delayed truth is outside the piece
 
 
@@ -110,7 +110,7 @@ def _delay_s(truth: Floats, estimate: Floats, pieces: list[slice], step_s: float
 
 
 def _earlier(values: Floats, piece: slice, samples: Floats) -> Floats:
-    """Return the values ``samples`` before each sample of a piece, with linear interpolation."""
+    """Return the values that are ``samples`` earlier than each sample of a piece, interpolated linearly."""
     at = np.arange(piece.start, piece.stop) - samples
     return np.stack([np.interp(at, np.arange(len(values)), column) for column in values.T], axis=1)
 
@@ -140,7 +140,7 @@ def read_tape(path: Path) -> Tape | None:
 
 
 def draw_tape(folder: Path, rng: np.random.Generator) -> Tape:
-    """Draw flights until one gives a tape; the others are not read.
+    """Draw flights until a flight gives a tape; do not read the remaining flights.
 
     Raises RecordingError: the folder does not exist, or no flight in it gives a tape.
     """
@@ -158,7 +158,7 @@ def draw_tape(folder: Path, rng: np.random.Generator) -> Tape:
 
 
 def tape_folder(name: str) -> Path:
-    """Return the folder of a tape: ``name`` if it is a folder, else the one in ``FLIGHTSTACK_FLIGHTS``.
+    """Return the folder of a tape: ``name`` if it is a folder, else the folder in ``FLIGHTSTACK_FLIGHTS``.
 
     Raises RecordingError: neither is a folder.
     """

@@ -1,4 +1,4 @@
-"""Downwash: the velocity of one vehicle's rotor jet at another vehicle, and the resulting forces.
+"""Downwash: air velocity at a vehicle from another vehicle's rotor jet, and the resulting forces.
 
 The wakes of the four rotors merge into one turbulent jet along the thrust. The model of its mean velocity is
 from Bauersfeld, Muller, Ziegler, Coletti and Scaramuzza, "Robotics meets Fluid Dynamics: A Characterization
@@ -7,9 +7,9 @@ of the Induced Airflow below a Quadrotor as a Turbulent Jet" (arXiv 2403.13321),
     U(s, r) = U_c (1 + (sqrt(2) - 1) (r / b)^2)^-2     U_c = U_H DECAY / (s/l - ORIGIN)
     U_H = sqrt(T / (2 rho 4 pi R^2))                   b = SPREAD (s/l - ORIGIN) l
 
-s is the distance along the jet, r the distance from its axis, T the thrust, R the rotors' radius and l the
+s is the distance along the jet, r the distance from the jet's axis, T the thrust, R the rotors' radius, l the
 distance between two opposite motors. The published model starts 2.5 l below the rotors; closer to the rotors,
-the value at 2.5 l applies.
+the value at 2.5 l is used.
 
 A vehicle in a jet loses thrust according to its drag along body z, a quarter at each rotor. The rotor drag
 acts sideways. The body has the drag of a plate of its board's size (C_D = 1.18, as in Jain, Fortmuller, Byun,
@@ -28,10 +28,10 @@ from sim.plant.rotors import POSITION_X, POSITION_Y
 
 AIR_KG_M3 = 1.204  # air density at 20 degrees C and sea level
 DECAY = 10.11  # decay of the velocity on the axis; DECAY, ORIGIN and SPREAD are from Bauersfeld et al.
-ORIGIN = -5.817  # virtual origin of the jet, in lengths l below the rotors; a negative value is above them
-SPREAD = 0.07668  # half width of the jet per distance from its virtual origin
-NEAR = 2.5  # distance from the rotors, in lengths l, at which the four wakes have merged
-EDGE = 4.0  # outer radius of the jet, in half widths; the velocity fades to zero over the last one
+ORIGIN = -5.817  # virtual origin of the jet below the rotors, divided by l; negative: above the rotors
+SPREAD = 0.07668  # half width of the jet, divided by the distance from its virtual origin
+NEAR = 2.5  # distance from the rotors at which the four wakes have merged, divided by l
+EDGE = 4.0  # outer radius of the jet, divided by its half width; the velocity fades out from 3 to 4
 PLATE_DRAG = 1.18  # drag coefficient of a flat plate across the flow
 _NARROWS = math.sqrt(2.0) - 1.0
 
@@ -40,15 +40,15 @@ JET = 8
 
 
 class DownwashRecord(Record):
-    """Air velocity at a vehicle from others' jets; ``air`` and ``along`` are valid if ``on``."""
+    """Air velocity at a vehicle from other vehicles' jets; ``air`` and ``along`` are valid if ``on``."""
 
     on: bool
     air: Vector  # air velocity at the centre of mass, world ENU, m/s
     along: Motors  # air velocity along body z at the rotors, m/s
-    loss: float  # thrust loss of each rotor per air velocity, N s/m
+    loss: float  # thrust loss of each rotor divided by the air velocity, N s/m
     across: float  # rotor drag across body z, N s/m
-    moment: float  # moment of that drag about the centre of mass, N m per m/s
-    plate: float  # drag of the body per squared velocity, N s^2/m^2
+    moment: float  # moment of the rotor drag about the centre of mass, N m per m/s
+    plate: float  # drag of the body divided by the squared velocity, N s^2/m^2
     arm: float  # distance of the rotor axes from the centre along body x and y, m
     above: float  # height of the rotor plane above the centre of mass, m
     inertia: float  # 2 rho A of all rotors, kg/m; thrust = inertia * (induced velocity)^2
@@ -59,7 +59,7 @@ class DownwashRecord(Record):
 def jet_speed(along_m: float, beside_m: float, hover_m_s: float, size_m: float) -> float:
     """Return the air velocity in a jet, m/s.
 
-    ``along_m``: distance from the rotors along the jet; ``beside_m``: distance from its axis; ``hover_m_s``:
+    ``along_m``: distance from the rotors along the jet; ``beside_m``: distance from the axis; ``hover_m_s``:
     induced velocity U_H; ``size_m``: distance l between two opposite motors.
     """
     lengths = along_m / size_m
@@ -71,7 +71,7 @@ def jet_speed(along_m: float, beside_m: float, hover_m_s: float, size_m: float) 
         return 0.0
     fade = min(1.0, EDGE - ratio)
     profile = 1.0 / (1.0 + _NARROWS * ratio * ratio)
-    begins = min(1.0, lengths)  # keeps the velocity continuous at the rotor plane
+    begins = min(1.0, lengths)  # factor that makes the velocity continuous at the rotor plane
     return hover_m_s * DECAY / grown * profile * profile * fade * fade * (3.0 - 2.0 * fade) * begins
 
 
@@ -145,7 +145,7 @@ def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> N
 
 @jitted
 def press(d: DownwashRecord, axes: Nine, force: F64, torque: F64) -> None:
-    """Add the effect of this air velocity to ``force`` (3,), world, N, and ``torque`` (3,), body, N m."""
+    """Add the effect of the jets to ``force`` (3,), world, N, and ``torque`` (3,), body, N m."""
     zx, zy, zz = axes[6], axes[7], axes[8]
     u, a = d.air, d.along
     along = u[0] * zx + u[1] * zy + u[2] * zz

@@ -16,7 +16,7 @@ from sim.plant.rotation import Nine
 from sim.plant.rotors import POSITION_X, POSITION_Y
 
 HEIGHT_MIN_M = 0.020
-UPRIGHT_COS = 0.5  # cosine of 60 degrees; there is no ground effect at a larger tilt
+UPRIGHT_COS = 0.5  # cosine of the largest tilt with ground effect, 60 degrees
 
 
 class GroundRecord(Record):
@@ -45,7 +45,7 @@ def thrust_increase(g: GroundRecord, height_m: float) -> float:
 def ground_effect(
     g: GroundRecord, ex: float, ey: float, ez: float, pad_height_m: float, axes: Nine, factors: F64
 ) -> None:
-    """Compute the factors on the four thrusts, 1 without a surface nearby.
+    """Compute the factors on the four thrusts; a factor is 1 without a surface nearby.
 
     ``ex``, ``ey``, ``ez``: vehicle minus pad centre, ENU, m; ``pad_height_m``: height of the pad above the
     floor; ``axes``: body axes in the world.

@@ -1,4 +1,4 @@
-"""Gyro and accelerometer: a bias drawn from the seed, white noise, first-order filter, at the control rate.
+"""Gyro and accelerometer at the control rate, with a random bias, white noise and first-order filters.
 
 The filters have the group delay of the firmware's second-order Butterworth filters, sqrt(2) / (2 pi f).
 """
@@ -30,7 +30,7 @@ class ImuRecord(Record):
     accel_sigma: float
     gyro_gain: float  # gain of the filter
     accel_gain: float
-    per_step: float  # measurements per second
+    per_step: float  # number of measurements per second
     gravity: float
     noise: TapeRecord
 

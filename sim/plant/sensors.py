@@ -18,8 +18,8 @@ from sim.scenarios.scenario import OdometryLink
 NS = 1_000_000_000
 NS_PER_MS = 1_000_000
 NEVER_NS = 1 << 62
-NO_NOISE = -0.0  # adding this zero does not change the sign of a zero
-BLOCK = 1024  # numbers per draw; single draws from numpy take twenty times as long per number
+NO_NOISE = -0.0  # zero noise; adding -0.0 does not change the sign of a zero
+BLOCK = 1024  # numbers per draw; numpy's single draws take twenty times as long for each number
 
 
 def ms_from(time_ns: int) -> int:

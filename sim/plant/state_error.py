@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from sim.flights.tape import Piece, Tape
 
 # columns of a row of errors
-DELAY = 0  # delay of the position, s; a negative one predicts the position
+DELAY = 0  # delay of the position, s; negative: prediction
 VELOCITY_DELAY = 1  # delay of the velocity, s
 POSITION = 2  # first of three columns: error of the position, ENU, m
-AHEAD, ASIDE = 5, 6  # velocity error along and left of the horizontal velocity, as shares of the speed
+AHEAD, ASIDE = 5, 6  # velocity error along and left of the horizontal velocity, divided by the speed
 STILL_AHEAD, STILL_ASIDE = 7, 8  # additional velocity error at any speed, along and left, m/s
 VELOCITY = 9  # first of three columns: velocity error in world axes, ENU, m/s
 TURN = 12  # first of three columns: rotation vector from true to measured attitude, body FLU, rad
@@ -32,11 +32,11 @@ WIDTH = 15
 
 PAST = 128  # number of stored states: 0.25 s at 500 Hz
 DELAY_MAX_S = 0.2
-DELAY_MIN_S = -0.1  # limit of the prediction at constant velocity
-CUT_S = (3.0, 8.0)  # shortest and longest segment cut from a recorded flight
-FADE_S = 0.2  # transition from one segment to the next
-SMOOTH_S = 0.02  # smoothing time; recorded errors' correlation is smooth at zero: 0.98 to 0.99 after 10 ms
-SETTLED = 12.0  # settling time of the noise before its use, in time constants
+DELAY_MIN_S = -0.1  # smallest delay, s: longest prediction at constant velocity
+CUT_S = (3.0, 8.0)  # shortest and longest segment of a recorded flight, s
+FADE_S = 0.2  # duration of the transition between two segments, s
+SMOOTH_S = 0.02  # smoothing time, s; the correlation of recorded errors is 0.98 to 0.99 after 10 ms
+SETTLED = 12.0  # settling time of the noise before its use, divided by its time constant
 
 
 class PastRecord(Record):
@@ -50,7 +50,7 @@ class PastRecord(Record):
 
 @jitted
 def _recall(past: PastRecord, delay_s: float, first: int) -> None:
-    """Write three numbers of the state ``delay_s`` (>= 0) ago."""
+    """Write three components of the state ``delay_s`` (>= 0) ago."""
     back = max(0.0, min(delay_s * past.rate, float(min(past.count, PAST) - 1)))
     whole = int(back)
     share = back - whole
@@ -133,7 +133,7 @@ class Noise:
 
     def take(self, count: int) -> F64:
         """Return the next samples, (count, width)."""
-        from scipy.signal import lfilter  # late import: it takes 0.5 s; few flights need it
+        from scipy.signal import lfilter  # late import: it takes 0.5 s, few flights need it
 
         white = self._gain * self._rng.standard_normal((count, self._width))
         out, self._state = lfilter([1.0], self._lag, white, axis=0, zi=self._state)
@@ -164,7 +164,7 @@ class ModelRows:
         self._slow_s = spec.delay_slow_s * math.exp(spec.delay_slow_varies * _within(slow))
         self._turn = np.array((spec.tilt_rad, spec.tilt_rad, spec.yaw_rad)) * rng.standard_normal(3)
         self._scale = spec.velocity_scale * _within(float(rng.standard_normal()))
-        one, two, three = rng.spawn(3)  # separate streams: the rows do not depend on the size of the blocks
+        one, two, three = rng.spawn(3)  # separate streams, so that rows do not depend on the block size
         fast_s, slow_s = spec.delay_fast_time_s, spec.delay_slow_time_s
         self._fast, self._slow = Noise(one, 1, fast_s, fast_s, step_s), Noise(two, 1, slow_s, slow_s, step_s)
         self._state = Noise(three, len(_NOISY), spec.error_time_s, SMOOTH_S, step_s)
@@ -196,11 +196,11 @@ def _within(draw: float) -> float:
 
 
 class TapeRows:
-    """Errors of one recorded flight: random segments of it, joined."""
+    """Errors of one recorded flight: joined random segments of the flight."""
 
     def __init__(self, tape: Tape, rng: np.random.Generator, rate_hz: float) -> None:
         self._rng = rng
-        self._step = 1.0 / (rate_hz * tape.step_s)  # recorded samples per simulated sample
+        self._step = 1.0 / (rate_hz * tape.step_s)  # number of recorded samples per simulated sample
         self._pieces = [_rows(piece) for piece in tape.pieces]
         lengths = np.array([len(piece) for piece in self._pieces], dtype=np.float64)
         self._shares = lengths / lengths.sum()

@@ -33,19 +33,19 @@ class Truth(NamedTuple):
     h_min_m: float
     h_min_outside_pad_m: float  # smallest h outside the pad's radius; +inf if no step was outside
     contacts: int  # bits CONTACT_*
-    first_touch_relative_position_enu_m: Vec3  # NaN before the first touch
+    first_touch_relative_position_enu_m: Vec3  # position at the first touch; NaN before it
     first_touch_relative_velocity_enu_m_s: Vec3
-    first_touch_time_s: float  # NaN before the first touch
+    first_touch_time_s: float  # time of the first touch; NaN before it
     motors_running: bool
     battery_v: float
     wind_enu_m_s: Vec3
 
 
-TRUTH = 41  # numbers of a true state
+TRUTH = 41  # number of values of a true state
 
 
 def truth_of(row: Any) -> Truth:
-    """Return the state with these ``TRUTH`` numbers, in the order of its fields; arrays give arrays."""
+    """Return the state with these ``TRUTH`` values in the order of its fields; columns give arrays."""
     return Truth(
         row[0], row[1:4], row[4:7], row[7:11], row[11:14], row[14:18], row[18:21], row[21:24], row[24],
         row[25], row[26], row[27], row[28], row[29:32], row[32:35], row[35], row[36], row[37], row[38:],

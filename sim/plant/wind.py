@@ -1,4 +1,4 @@
-"""Time-correlated noise on three axes, for gusts and disturbance torques; wind: a constant mean and gusts.
+"""Wind (mean and gusts), and the time-correlated noise on three axes for gusts and disturbance torques.
 
 Each axis is an Ornstein-Uhlenbeck process, dg = -g/T dt + rms sqrt(2/T) dW, with the first-order spectrum of
 Dryden's longitudinal gusts. ``crazyflie20.toml`` has T and the vertical ratio.
@@ -18,7 +18,7 @@ from sim.scenarios.scenario import Wind
 
 
 class NoiseRecord(Record):
-    """State of the noise on three axes; values in units of their standard deviation."""
+    """State of the noise on three axes; each value is divided by its standard deviation."""
 
     now: Vector
     decay: Vector  # factor on the value in one step

@@ -7,9 +7,9 @@ command of 1 by 1, and a thrust command of 1 sets all motors to 1 (ControlAlloca
     J dw/dt = k u,  k = 4 sqrt(1/2) F l (roll, pitch)  or  4 F c (yaw, c = torque / thrust)
     T s^2 + (1 + D k/J) s + P k/J = 0
 
-PX4 removes an axis from the allocation if no motor has an effectiveness above 0.05. With PX4's own thrust
-coefficient a small vehicle's moments are below this limit. Only ratios count, because all four coefficients
-are equal; so a larger coefficient is used.
+PX4 removes an axis from the allocation if no motor's effectiveness is above 0.05. With PX4's own thrust
+coefficient the effectiveness of a small vehicle is below this limit. Because all four coefficients are equal,
+only ratios count, so this module uses a larger coefficient.
 
 The gains set the natural frequency to 1.3 / T with a damping of 0.8; the attitude loop is slower by a factor
 of 4.
@@ -29,7 +29,7 @@ OFF: Four = (0.0, 0.0, 0.0, 0.0)
 
 
 def share(control: float) -> float:
-    """Return an output limited to 0 to 1; PX4 sends NaN for a stopped motor, and NaN gives 0."""
+    """Limit an output to 0 to 1; NaN, which PX4 sends for a stopped motor, gives 0."""
     return min(1.0, max(0.0, control)) if math.isfinite(control) else 0.0
 
 
@@ -37,7 +37,7 @@ def rotor_speeds(controls: Sequence[float], armed: bool, rotor: Rotor) -> Four:
     """Return the commanded speeds of M1..M4, rpm.
 
     With THR_MDL_FAC = 0 an output is a fraction of the highest thrust, as in PX4's allocation. Below the
-    smallest thrust a motor stops. So the vehicle's thrust map gives the speed, as for the simulated firmware.
+    smallest thrust a motor stops. The vehicle's thrust map gives the speed, as for the simulated firmware.
     ``controls``: four or more outputs in PX4's order (HIL_ACTUATOR_CONTROLS).
     """
     if not armed:
@@ -52,11 +52,11 @@ THRUST_COEFFICIENT = 20.0
 _MOTOR_1 = 101  # value of PX4's output function Motor1
 _NATURAL = 1.3  # product of the rate loop's natural frequency and the motor lag
 _DAMPING = 0.8
-_SLOWER = 4.0  # ratio of this natural frequency to the attitude loop's bandwidth
+_SLOWER = 4.0  # ratio of the rate loop's natural frequency to the attitude loop's bandwidth
 _INTEGRAL_1_S = 1.3  # ratio of I to P, as in PX4's defaults 0.2 and 0.15
 _YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths of yaw rate and yaw
 _THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # an output is a fraction of the highest thrust
-# values that the pre-flight check requires of every PX4 in a simulation without a radio
+# parameters that the pre-flight check requires of every PX4 in a simulation without a radio
 SAFE_PARAMETERS: dict[str, float] = {
     "COM_RC_IN_MODE": 4,  # no stick input
     "COM_OBL_RC_ACT": 4,  # land when the set-points stop; the pre-flight check requires this
@@ -90,7 +90,7 @@ def torque_over_thrust_m(params: Params) -> float:
 
 
 def parameters(params: Params, mocap: OdometryLink | None = None) -> dict[str, float]:
-    """Return the PX4 parameters that differ from its defaults, with v1.16 names; integers where PX4 has them.
+    """Return the parameters that differ from PX4's defaults, with v1.16 names and PX4's types.
 
     With ``mocap`` the position comes from motion capture instead of satellites.
     """
@@ -127,9 +127,9 @@ def _rate_gains(axis: str, per_command: float, lag_s: float) -> dict[str, float]
     }
 
 
-# Ways to pass parameters to PX4: environment variables of its start script (rcS), an airframe file, its
-# console. The environment cannot pass PX4's own default where the simulation's default differs
-# (SYS_FAILURE_EN).
+# Formats that pass parameters to PX4: environment variables of its start script (rcS), an airframe file, its
+# console. The environment cannot set a parameter to PX4's own default if the simulation has a different
+# default (SYS_FAILURE_EN).
 FORMATS = {
     "env": "export PX4_PARAM_{}={}",
     "airframe": "param set-default {} {}",

@@ -1,4 +1,4 @@
-"""TCP server of PX4's simulator: PX4 connects to it, one connection at a time."""
+"""TCP server of PX4's simulator; it accepts one PX4 at a time."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class FrameStream:
     """Splits received bytes into messages; keeps fewer than ``FRAME_MAX`` bytes between calls."""
 
     def __init__(self) -> None:
-        self.garbage_bytes = 0  # bytes outside of any frame
-        self.bad = 0  # frames with a correct checksum that could not be decoded
+        self.garbage_bytes = 0  # number of bytes outside of any frame
+        self.bad = 0  # number of frames with a correct checksum that cannot be decoded
         self._rest = b""
         self._version_1 = dialect.MAVLink(None)
 
@@ -93,7 +93,7 @@ def _timeval(seconds: float) -> bytes:
 class Px4Link:
     def __init__(self, connected: socket.socket) -> None:
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # Time-outs of the operating system: those of Python need two system calls per message.
+        # The operating system's time-outs are used, because Python's need two system calls per message.
         connected.settimeout(None)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(_SEND_MAX_S))
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(SLICE_S))
@@ -127,7 +127,7 @@ class Px4Link:
         return self.stream.feed(data)
 
     def close(self) -> None:
-        with contextlib.suppress(OSError):  # PX4 may already have closed it
+        with contextlib.suppress(OSError):  # PX4 may already have closed the connection
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
@@ -150,7 +150,7 @@ class Px4Server:
         return int(self._socket.getsockname()[1])
 
     def accept(self) -> Px4Link | None:
-        """Return the next connection; None if there is none within ``SLICE_S``."""
+        """Return the next connection; None: no PX4 has connected within ``SLICE_S``."""
         if not select.select([self._socket], [], [], SLICE_S)[0]:
             return None
         return Px4Link(self._socket.accept()[0])

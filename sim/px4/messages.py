@@ -24,8 +24,8 @@ from sim.px4.plant import Body
 from sim.px4.sensors import Fix, Readings
 from sim.scenarios.scenario import OdometryLink
 
-RATE_MAX_HZ = 50.0  # the same limit as in the bridge for motion capture
-_SIGMA_MIN_M, _SIGMA_MIN_RAD = 1e-4, 1e-3  # minimum; EKF2 would not correct an estimate of variance zero
+RATE_MAX_HZ = 50.0  # maximum rate of poses, Hz; equal to the mocap bridge's
+_SIGMA_MIN_M, _SIGMA_MIN_RAD = 1e-4, 1e-3  # minimum standard deviations; EKF2 needs a variance
 
 
 class Px4Mocap:
@@ -67,7 +67,7 @@ ACCEL, GYRO, MAG, BARO = 0b111, 0b111000, 0b111000000, 0b1101000000000
 
 HIL_STATE_QUATERNION = 115
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
-_LOCKSTEP = 1  # bit of HIL_ACTUATOR_CONTROLS.flags
+_LOCKSTEP = 1  # bit of HIL_ACTUATOR_CONTROLS.flags that shows lockstep
 _EPH_CM, _EPV_CM, _SATELLITES = 2, 4, 20
 _INT16 = 32767
 _COG_UNKNOWN = 65535
@@ -80,7 +80,7 @@ class Answer(NamedTuple):
     time_us: int  # time on PX4's clock
     controls: tuple[float, ...]  # outputs 1 to 16
     armed: bool
-    lockstep: bool  # PX4's clock is the simulator's clock
+    lockstep: bool  # whether PX4's clock is the simulator's clock
 
 
 def answer_of(message: Message) -> Answer:

@@ -1,7 +1,7 @@
-"""The simulated vehicle without firmware: rotor speeds in, true state out, in steps of 1 ms.
+"""The simulated vehicle without firmware: computes the true state from rotor speeds in steps of 1 ms.
 
-World, rotors, battery, wind, ground effect and deck are the same as in ``VehicleSim``, with the same
-functions; PX4 replaces the firmware. The result depends only on scenario, seed and commands.
+World, rotors, battery, wind, ground effect and deck use the functions of ``VehicleSim``; PX4 replaces the
+firmware. The result depends only on scenario, seed and commands.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import CONTROL_EVERY_MS, VehicleRecord, apply_ground_effect, move, push, surround
 from sim.vehicle.physics import Physics
 
-SUPPLY_MS = 1000  # time for which random numbers are drawn: one every 5 ms, at least 340 are available
+SUPPLY_MS = 1000  # time for which random numbers are drawn in advance: at least 340, one is used every 5 ms
 
 
 class Body(NamedTuple):
-    """True state of the vehicle; its position is that of the centre of mass."""
+    """True state of the vehicle; the position is the position of the centre of mass."""
 
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
@@ -49,7 +49,7 @@ def fly_commanded(vehicle: Cell[VehicleRecord], wanted: F64, begin_ms: int, end_
 
 
 def start_position(scenario: Scenario, params: Params, pad_enu_m: Vec3) -> Vec3:
-    """Return the start position: the scenario's start on the ground, or the floor below its hover start."""
+    """Return the start position on the floor: the scenario's ground start, or the point below its hover."""
     z = -params.geometry.foot_bottom_m - 1e-5
     if scenario.start.kind is StartKind.GROUND:
         return (*scenario.start.ground_position_m, z)
@@ -102,5 +102,5 @@ class Px4Plant:
         return Body(b[:3], b[3:6], b[6:10], b[10:13])
 
     def truth(self) -> Truth:
-        """Return the current true state, and extremes and contacts since the last call, then reset these."""
+        """Return the current true state, and extremes and contacts since the last call; reset the latter."""
         return self._physics.truth(self._ms)

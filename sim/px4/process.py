@@ -33,7 +33,7 @@ from sim.scenarios.scenario import Scenario
 
 SPEED_MAX = 100.0
 _LOG_EVERY = 3  # steps between two logged true states: 83 Hz
-_BEHIND_MAX_NS = 50_000_000  # largest offset between the log times of the truth and of the onboard process
+_BEHIND_MAX_NS = 50_000_000  # largest difference of the log times of true state and onboard process
 _NS_PER_STEP = STEP_MS * 1_000_000
 
 
@@ -67,7 +67,7 @@ class Px4Node:
         now_ns = flight.steps * _NS_PER_STEP
         behind_ns = self._clock.unix_ns() - self.log.epoch_ns - now_ns
         if self._deck is not None and abs(behind_ns) > _BEHIND_MAX_NS:
-            self.log.epoch_ns += behind_ns  # PX4's start, or a busy machine, delayed this process
+            self.log.epoch_ns += behind_ns  # this process is late because of PX4's start or a busy machine
         truth = flight.plant.truth()
         self.log.truth(flight.steps // _LOG_EVERY, now_ns, truth)
         if self._deck is not None:
@@ -127,7 +127,7 @@ def _run(scenario: Scenario, options: Px4SimOptions, stop: Stop, stack: ExitStac
     host, port = parse_endpoint(options.tcp, allow_unsigned=options.allow_unsigned)
     with_robot = bool(options.connect or options.listen or options.zenoh_config is not None)
     _check_speed(speed, with_robot and options.clock is None)
-    Px4Plant(scenario, options.seed).advance(STEP_MS)  # checks the scenario and compiles
+    Px4Plant(scenario, options.seed).advance(STEP_MS)  # checks the scenario and compiles the code
     session = None
     if with_robot:
         session = zenoh_link.open_session(
@@ -170,7 +170,7 @@ def _check_speed(speed: float, with_robot: bool) -> None:
 
 
 def _serve(flight: Px4Session, link: Px4Link, node: Px4Node, stop: Stop, duration_s: float | None) -> bool:
-    """Run one PX4 until it disconnects; return whether ``duration_s`` is over."""
+    """Serve one PX4 until it disconnects; return whether ``duration_s`` is over."""
     try:
         flight.greet()
         node.begin()

@@ -1,4 +1,4 @@
-"""PX4's software in the loop as a child process; every wait has a time-out."""
+"""Runs PX4's software in the loop as a child process; every wait has a time-out."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from typing import NamedTuple
 from flightstack.common.processes import LaunchError, ended, tied
 from sim.autopilot.ground import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 
-INSTANCES = range(10)  # above 9 PX4 sends the MAVLink of all instances to one port (px4-rc.mavlink)
+INSTANCES = range(10)  # instance numbers; above 9, PX4 sends all MAVLink to one port (px4-rc.mavlink)
 BOOT_MAX_S = 90.0  # default time-out of wait_ready, wall time
 CONSOLE_MAX_S = 10.0  # time-out of one command at PX4's console
 END_MAX_S = 5.0  # time-out of PX4's orderly end
@@ -27,14 +27,14 @@ ROOM_WGS84 = (ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, 0.0)
 _BOOTED = "Startup script returned successfully"
 _POSITIONED = "Ready for takeoff!"  # PX4 prints this when all its estimators have a position in the room
 _CHECKED = "Preflight check: OK"
-_LOOK_S = 0.05  # period of reading the output
-_ASK_S = 0.2  # period of repeated console commands
+_LOOK_S = 0.05  # time between two reads of the output, s
+_ASK_S = 0.2  # time between two repeated console commands, s
 _LAST_LINES = 12
 _SAME_PLACE_DEG = 1e-5  # 1 m; PX4 prints its reference with six decimals
 _REFERENCE = re.compile(r"^\s*(ref_lat|ref_lon): (\S+)", re.MULTILINE)
 _ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
-# rcS multiplies these by the speed, for clients that run in real time; our clients run at the simulation's
-# speed. PX4 1.18 has no COM_OBC_LOSS_T: its value there is always 5 s.
+# rcS multiplies these time-outs by the speed, for clients in real time; our clients run at the simulation's
+# speed. PX4 1.18 has a fixed value of 5 s instead of COM_OBC_LOSS_T.
 _SCALED_WITH_SPEED = ("COM_DL_LOSS_T", "COM_RC_LOSS_T", "COM_OF_LOSS_T", "COM_OBC_LOSS_T")
 # Waits for the program. SIGHUP, sent when this process is killed, immediately kills the whole group: during
 # its start script PX4 ignores SIGTERM, and the script's commands would wait for a killed PX4 without end.
@@ -158,7 +158,7 @@ class Px4Program:
         self.ground_port = 18570 + instance
         self._parameters = dict(parameters or {})
         self._speed, self._model, self._origin = speed, model, origin_wgs84
-        self.absent: list[str] = []  # requested parameters that this PX4 release lacks; set by wait_ready
+        self.absent: list[str] = []  # requested parameters that this release lacks; set by wait_ready
         self._bin = self.folder / "bin"
         self.output = self.folder / "px4.txt"
         self._lay_out(files)
@@ -176,7 +176,7 @@ class Px4Program:
                 tied(["sh", "-c", _END_TOGETHER, "sh", *program], signal.SIGHUP),
                 cwd=self.folder, env=self._environment(),
                 stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-                start_new_session=True,  # so that the children of its start script end with it
+                start_new_session=True,  # the children of the start script end with PX4
             )  # fmt: skip
 
     def _lay_out(self, files: Px4Files) -> None:

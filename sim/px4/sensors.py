@@ -18,9 +18,9 @@ from sim.plant.rotation import rotation_axes
 from sim.plant.sensors import NoiseRows
 from sim.px4.plant import Body
 
-STEP_MS = 4  # ms between two IMU readings
-SLOW_EVERY = 5  # IMU readings between two readings of magnetometer and barometer: 50 Hz
-GPS_EVERY = 25  # IMU readings between two satellite fixes: 10 Hz
+STEP_MS = 4  # time between two IMU readings, ms
+SLOW_EVERY = 5  # number of IMU readings per reading of magnetometer and barometer: 50 Hz
+GPS_EVERY = 25  # number of IMU readings per satellite fix: 10 Hz
 
 # World magnetic model 2020 at the room's origin, 47.397742 N 8.545594 E, interpolated from PX4's tables
 # (geo_magnetic_tables.hpp, 2023.6), with which EKF2 compares the magnetometer.
@@ -33,7 +33,7 @@ SEA_LEVEL_HPA, SEA_LEVEL_K, LAPSE_K_M, EXPONENT = 1013.25, 288.15, 0.0065, 5.255
 ZERO_CELSIUS_K = 273.15
 BARO_NOISE_HPA = 0.012  # Bosch BMP388 data sheet: 1.2 Pa rms
 
-# receiver with a base station (RTK fix), which a pad of 0.1 m requires; assumed standard deviations
+# assumed standard deviations of a receiver with base station (RTK fix), which a pad of 0.1 m requires, m
 GPS_NOISE_M = (0.010, 0.010, 0.020)
 GPS_NOISE_M_S = (0.03, 0.03, 0.05)
 
@@ -127,7 +127,7 @@ class Px4Sensors:
             _within(frd_from_flu(self._imu.accel), ACCEL_MAX_M_S2),
             _within(frd_from_flu(self._imu.gyro), GYRO_MAX_RAD_S),
             self._read_slow(body) if count % SLOW_EVERY == 0 else None,
-            self._read_gps(body) if count % GPS_EVERY == GPS_EVERY - 1 else None,  # PX4's clock runs by then
+            self._read_gps(body) if count % GPS_EVERY == GPS_EVERY - 1 else None,  # PX4's clock runs already
         )
 
     def _read_slow(self, body: Body) -> Slow:

@@ -1,4 +1,4 @@
-"""One PX4 from its first message to its last, in lockstep with the simulated vehicle.
+"""Runs one PX4, from its first to its last message, in lockstep with the simulated vehicle.
 
 Each step is 4 ms of simulated time: send the sensor readings, receive the motor outputs, advance the vehicle.
 """
@@ -31,8 +31,8 @@ class Lockstep:
     """Matches answers to steps: call ``sent`` with every HIL_SENSOR, ``take`` with every answer."""
 
     def __init__(self) -> None:
-        self.started = False  # PX4 has sent an answer
-        self.old = 0  # ignored answers to an earlier HIL_SENSOR
+        self.started = False  # whether PX4 has sent an answer
+        self.old = 0  # number of ignored answers to an earlier HIL_SENSOR
         self.newest_us = -1  # time in the newest answer; -1 before the first one
         self._sent_us: int | None = None
         self._before_us = -1  # ``newest_us`` when the last HIL_SENSOR was sent
@@ -41,7 +41,7 @@ class Lockstep:
 
     @property
     def expected_us(self) -> list[int]:
-        """Times that the answer to the last HIL_SENSOR may contain."""
+        """Return the times that the answer to the last HIL_SENSOR may contain, us."""
         sent_us = self._sent_us
         return [] if sent_us is None else [sent_us - behind_us for behind_us in self._behind_us]
 
@@ -85,10 +85,10 @@ class Lockstep:
 STEP_US = STEP_MS * 1000
 STEP_S = STEP_MS * 1e-3
 HELLO_MAX_S = 10.0  # time-out of PX4's first message, wall time; PX4 sends it on connection
-BOOT_MAX_S = 60.0  # time-out of its first motor outputs, wall time
+BOOT_MAX_S = 60.0  # time-out of PX4's first motor outputs, wall time
 NUDGE_S = 1.0  # wall time after which one step runs without an answer: PX4 may wait for a sensor
 STATE_MAX_US = 1_000_000  # longest interval of HIL_STATE_QUATERNION; a longer one turns it off
-_BEHIND_MAX_S = 0.1  # delay after which simulated time does not catch up with wall time
+_BEHIND_MAX_S = 0.1  # largest delay that simulated time catches up, s
 
 
 class NotPx4Error(RuntimeError):
@@ -110,7 +110,7 @@ class Px4Session:
 
     ``stop`` ends every wait. ``speed``: ratio of simulated to wall time; 0: as fast as PX4 replies.
     ``silent_max_s``: wall time without an answer after which PX4 counts as dead. ``tell``: called at every
-    event. ``mocap``: source of poses, used instead of satellites.
+    event. ``mocap``: source of poses, which replaces satellites.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class Px4Session:
         self.steps = 0
         self.nudges = 0  # steps without an answer
         self._armed = self._paused = False
-        self._state_every_us = 0  # 0: PX4 has not requested it
+        self._state_every_us = 0  # period of HIL_STATE_QUATERNION; 0: not requested
         self._state_due_us = 0
         self._start_s = self._connected_s = self._answered_s = time.monotonic()
 

@@ -6,8 +6,8 @@ recording: battery voltage, ratio of motor thrust to the vehicle file, and diffe
 vehicle file has all other parameters. The on-board estimate gets random errors as in recorded flights.
 
 The real vehicles received positions without velocities, except during take-off and landing, where the
-firmware's commander adds velocities: only with these do simulated Mellinger flights climb and hover as
-recorded.
+firmware's commander adds velocities. Simulated Mellinger flights climb and hover as recorded only with these
+velocities.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from sim.scenarios.scenario import (
 )
 from sim.vehicle.vehicle import VehicleSim
 
-SETTLE_S = 0.2  # time on the floor before the first set-point
+SETTLE_S = 0.2  # time on the floor before the first set-point, s
 AWAY_M = 100.0  # distance of the ground robot to the east, out of reach
 SATURATED = 1.0 - 1e-6  # duty cycle from which a motor counts as saturated
 SIDEWAYS_M = 0.005  # horizontal change of the set-point that ends the take-off
@@ -77,7 +77,7 @@ class Track(NamedTuple):
 
 
 def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
-    """Fly the set-points of a flight; None if it has none, or if they do not start on the ground.
+    """Fly the set-points of a flight; return None without set-points or if they do not start on the ground.
 
     Only the usable pieces are compared. The noise is drawn from ``seed`` and the name of the flight.
     """
@@ -181,7 +181,7 @@ def _airframe(r: Recording, start: int, compared: Mask, params: Params) -> Plant
 
 
 def _fed_forward(r: Recording, span: slice) -> Floats:
-    """Return the take-off's velocity set-points; zero after its end, the first horizontal step."""
+    """Return the take-off's velocity set-points; they are zero from the first horizontal step on."""
     assert r.setpoint_position_m is not None
     out = np.zeros_like(r.setpoint_position_m)
     setpoints = r.setpoint_position_m[span]
@@ -193,7 +193,7 @@ def _fed_forward(r: Recording, span: slice) -> Floats:
 
 
 def _up(r: Recording) -> Floats:
-    """Return the z component of the body's z axis; 1 where it is level."""
+    """Return the z component of the body's z axis; 1: level."""
     x, y = r.attitude[:, 1], r.attitude[:, 2]
     up: Floats = 1.0 - 2.0 * (x * x + y * y)
     return up

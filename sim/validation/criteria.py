@@ -1,7 +1,7 @@
 """Limits on the simulator compared with recorded flights, each with its reason, and the verdict.
 
-Every number is a statistic over flights with a 95 % interval from bootstrap over flights: flights of one day
-are correlated, so the samples of a flight do not count as independent.
+Every number is a statistic over flights with a 95 % interval from bootstrap over flights, because the samples
+of one flight are correlated.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sim.validation.sensing import SPEED_EDGES_M_S
 RESAMPLES = 999
 CONFIDENCE = 0.95
 MET, OPEN, MISSED = "met", "open", "missed"
-SHARE_MIN = 0.01  # lower limit of a share in a ratio; rarer saturation does not change a flight
+SHARE_MIN = 0.01  # lower limit of a fraction in a ratio; rarer saturation does not change a flight
 TRACKING_WITHIN = 0.25  # relative difference of two tracking errors that counts as agreement
 
 Statistic = Callable[..., Any]  # function of arrays of the same shape along ``axis``
@@ -38,7 +38,7 @@ class Estimate(NamedTuple):
 
 
 def over_flights(statistic: Statistic, *samples: Sequence[float]) -> Estimate | None:
-    """Return a statistic of numbers per flight; flights with NaN are ignored. None: no flights."""
+    """Return a statistic of values per flight; flights with NaN are ignored. None: no flights."""
     table = np.array(samples, dtype=np.float64)
     table = table[:, np.isfinite(table).all(axis=0)]
     if not table.shape[1]:
@@ -54,7 +54,7 @@ def over_flights(statistic: Statistic, *samples: Sequence[float]) -> Estimate | 
 
 
 def number(flight: Compared, path: str) -> float:
-    """Return the number at a path such as ``closed_loop.recorded.duty``; NaN if a part is missing."""
+    """Return the value at a path such as ``closed_loop.recorded.duty``; NaN if a part is missing."""
     found: Any = flight
     for step in path.split("."):
         if found is None:
@@ -73,7 +73,7 @@ def median_ratio(a: Floats, b: Floats, axis: int) -> Any:
 
 
 def ratio_of_means(a: Floats, b: Floats, axis: int) -> Any:
-    """Return the ratio of two mean shares; a mean below ``SHARE_MIN`` counts as ``SHARE_MIN``."""
+    """Return the ratio of two mean fractions; a mean below ``SHARE_MIN`` counts as ``SHARE_MIN``."""
     return np.maximum(a.mean(axis=axis), SHARE_MIN) / np.maximum(b.mean(axis=axis), SHARE_MIN)
 
 
@@ -107,7 +107,7 @@ class Criterion:
     statistic: Statistic
     paths: tuple[str, ...]  # paths of its numbers in a flight
     cause: str | None = None  # text of a failure, with the value as placeholder; None: ``text``
-    by_chance: bool = False  # random result: it fails only if the whole interval is outside the limits
+    by_chance: bool = False  # whether the result is random: it fails only if the whole interval is outside
     scale: float = 1.0  # factor from the value to the printed number
     unit: str = ""  # unit of the printed number
 
@@ -148,7 +148,7 @@ def judge(flights: Sequence[Compared]) -> list[Verdict]:
 
 
 def _word(criterion: Criterion, found: Estimate | None, part_covered: bool) -> str:
-    """Return the result word: without flights it is open, or missed if its whole part has no flights."""
+    """Return the result; without flights: ``OPEN``, or ``MISSED`` if the whole part has no flights."""
     if found is None:
         return OPEN if part_covered else MISSED
     if criterion.low <= found.value <= criterion.high:
@@ -183,7 +183,7 @@ MEANING = {
 }
 _HALF = "a model that knows the motor commands must halve the error of one that does not know them"
 _TORQUE = "unknown torque is integrated twice: 0.63 was reached, 0.25 with the recorded attitude"
-OPEN_LOOP_MAX = {  # largest errors over those of constant velocity: position, velocity
+OPEN_LOOP_MAX = {  # largest ratios to the errors of constant velocity: position, velocity
     0.1: ((0.5, _HALF), (0.5, _HALF)),
     0.25: ((0.5, _HALF), (0.5, _HALF)),
     0.5: ((0.5, _HALF), (0.75, _TORQUE)),

@@ -1,4 +1,4 @@
-"""Predicts recorded flights from their motor commands and battery voltage: the error of the plant alone.
+"""Predicts recorded flights from motor commands and battery voltage, to find the error of the plant alone.
 
 Every ``EVERY_S`` the plant starts from the true state: position, velocity and attitude from motion capture,
 rates from the gyro. After the start its only inputs are the recorded commands and voltages. Before each start
@@ -6,14 +6,14 @@ three quantities are calibrated from earlier samples:
 
 - thrust: one factor, such that the last ``CALIBRATION_S`` reproduce the recorded change of velocity;
 - marker misalignment: two angles, from the same change of velocity;
-- torque: an observer follows the gyro and estimates the torque that the plant lacks. Its slow part is
-  constant in the prediction (unequal motors, an offset centre of mass), its fast part decays.
+- torque: an observer follows the gyro and estimates the torque that the plant lacks. The slow part of this
+  torque is constant in the prediction (unequal motors, offset centre of mass), the fast part decays.
 
 The recorded commands contain the controller's reaction to the missing torque, so the missing torque opposes
 the rates that the commands alone would cause. ``ANSWER_1_S`` models this.
 
-The result is compared with two simpler predictions: an ideal rigid body without motor lag, drag and battery
-sag, with the same calibration; and a motion with the velocity and the body rates of the start.
+The result is compared with two simpler predictions: a calibrated ideal rigid body without motor lag, drag and
+battery sag; and a motion with the velocity and body rates of the start.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ STEPS = 10  # plant steps per sample
 CALIBRATION_S = 1.0
 BACK = round(CALIBRATION_S / SAMPLE_S)
 COMMAND_DELAY_MS = 8  # delay from a logged command to the gyro, in addition to the motors' lag; fitted
-# gains of the observer, which minimise the errors after 0.5 s; the minimum is flat
-RATE_GAIN = 1.4  # correction of the rate per rate error in a sample; above 1 because of the gyro's filter
+# gains of the observer; they minimise the errors after 0.5 s, with a flat minimum
+RATE_GAIN = 1.4  # correction of the rate divided by its error in a sample; above 1 due to the gyro's filter
 FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # gains of the missing angular acceleration's fast and slow part, 1/s
 FADES_S = 0.1  # correlation time of the fast part
 ANSWER_1_S = 9.0  # angular acceleration against a body rate, divided by that rate, 1/s
@@ -71,7 +71,7 @@ class OpenLoop:
     """Result for one flight."""
 
     horizons: tuple[Horizon, ...]  # errors at ``HORIZONS_S``
-    thrust_ratio: float  # ratio of the plant's thrust to the recorded one, mean over the starts
+    thrust_ratio: float  # ratio of the plant's thrust to the recorded thrust, mean over the starts
     starts: int  # number of predictions
 
 
@@ -87,7 +87,7 @@ class Piece(NamedTuple):
 
 
 def pieces(flight: Screened) -> Iterator[Piece]:
-    """Yield the usable pieces, resampled because logs have missing rows."""
+    """Yield the usable pieces, resampled because rows of the logs are missing."""
     r = flight.recording
     attitude = _continuous(r.attitude)
     for part in flight.pieces:
@@ -129,7 +129,7 @@ def commanded_rpm(params: Params, duty: F64, battery_v: F64) -> F64:
 def _follow(
     vehicle: Cell[VehicleRecord], commands: F64, rates: F64, rpm: F64, thrust: F64, torque: F64
 ) -> None:
-    """Simulate the rotors along a piece: speeds at each sample, mean thrust and torque until the next."""
+    """Simulate the rotors: speeds at each sample, mean thrust and torque until the next sample."""
     r = vehicle[0].rotors
     for k in range(4):
         r.rpm[k] = commands[0, k]
@@ -338,7 +338,7 @@ def _constant(piece: Piece, starts: I64, ends: I64) -> F64:
 
 
 def _shuffled(usable: list[Piece], chance: np.random.Generator) -> list[Piece]:
-    """Return the pieces with the flight's motor commands in random order."""
+    """Return the pieces with their motor commands in random order, as a control experiment."""
     duty = np.concatenate([p.duty for p in usable])
     chance.shuffle(duty)
     ends = np.cumsum([len(p.duty) for p in usable])[:-1]

@@ -1,4 +1,4 @@
-"""The page of a comparison: criteria, left-out flights, and figures; one HTML file that needs no network."""
+"""The page of a comparison: one HTML file, without links, of criteria, left-out flights and figures."""
 
 from __future__ import annotations
 

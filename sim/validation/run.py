@@ -1,6 +1,6 @@
 """Compares the simulator with each flight of a folder, in worker processes.
 
-A flight that cannot be read or used is listed with the reasons; the others are compared.
+A flight that cannot be read or used is listed with its reasons and not compared.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Compared:
     name: str  # name of the file without suffix
     used_s: float  # compared time; 0 if the flight is left out
     left_out: tuple[Reason, ...]  # unused parts, or the whole flight, with the reasons
-    # None if the flight is left out or lacks the columns:
+    # Results; None: the flight is left out or lacks the required columns.
     open_loop: OpenLoop | None = None
     closed_loop: ClosedLoop | None = None
     sensing: Sensing | None = None
@@ -49,7 +49,7 @@ class Compared:
 
 
 def compare(path: Path, columns: dict[str, Group], params: Params, options: ValidateOptions) -> Compared:
-    """Compare one flight; its random numbers depend on its name, not on the other files of the folder."""
+    """Compare one flight; the random numbers depend only on the flight's name and the seed."""
     try:
         flight = load(path, columns)
     except RecordingError as error:

@@ -22,7 +22,7 @@ from sim.scenarios.scenario import StateError
 
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # edges of the speed bands around 0.2, 0.5, 0.75 and 1 m/s
 DRAWS = 6  # number of simulated estimates per flight; the model's errors differ between flights
-SLOWEST = 10.0  # fraction of the slowest samples that determine the offset, percent
+SLOWEST = 10.0  # fraction of the samples, the slowest ones, that determine the offset, percent
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Error:
     """Error of an estimate in a flight."""
 
     delay_s: float  # delay of the estimate behind the truth with the best fit
-    # rms of the horizontal error without delay and offset by ``SPEED_EDGES_M_S``, m or m/s; NaN: not flown
+    # rms horizontal error without delay and offset in each band of speed, m or m/s; NaN: speed not flown
     by_speed: tuple[float, ...]
 
 
@@ -97,10 +97,10 @@ class Sensing:
 
 
 def compare(flight: Screened, seed: int, error: StateError | None = None) -> Sensing | None:
-    """Compare simulated estimates with the recorded one; None if the flight has no usable estimate.
+    """Compare simulated estimates with the recorded estimate; return None without a usable estimate.
 
     The model's only input is the true path of the flight: delay and size of the errors are drawn for each of
-    ``DRAWS`` estimates. So single flights differ from it; over many flights both agree if the model is right.
+    ``DRAWS`` estimates. Single flights therefore differ; over many flights both agree if the model is right.
     ``error``: parameters, or a tape; None: the defaults.
     """
     r = flight.recording
@@ -143,6 +143,6 @@ def _errors(flight: Screened, pieces: list[slice], estimates: list[Floats]) -> E
 
 
 def _mean(errors: list[Error]) -> Error:
-    """Return the mean delay, and the root mean square of each size."""
+    """Return the mean delay, and the root mean square of the errors in each band of speed."""
     sizes = np.sqrt(np.mean(np.square([error.by_speed for error in errors]), axis=0))
     return Error(float(np.mean([error.delay_s for error in errors])), tuple(sizes.tolist()))

@@ -1,4 +1,4 @@
-"""Result of a comparison as one object, for ``--json`` and the page."""
+"""Builds one object with the results of a comparison, for ``--json`` and the page."""
 
 from __future__ import annotations
 
