@@ -142,7 +142,7 @@ class Loop:
 
 
 def check_uri(uri: str) -> None:
-    """Reject a URI that cflib would try to open without end."""
+    """Reject a URI with which cflib would try to connect without a time-out."""
     if not _URI.match(uri):
         raise ValueError(
             f"Crazyflie URI {uri!r} is not understood: allowed is radio://DONGLE/CHANNEL/RATE or "

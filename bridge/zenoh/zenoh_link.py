@@ -189,7 +189,7 @@ def _endpoints_of_role(config: Any, kind: str) -> list[str]:
 
 
 def _reason(error: zenoh.ZError) -> str:
-    return str(error).partition(" at /")[0]  # without the source path of the build machine
+    return str(error).partition(" at /")[0]  # the text after " at /" is a source path
 
 
 def blocking_publisher(session: Session, key: str, encoding: str | None = None) -> Publisher:

@@ -187,7 +187,7 @@ _OWN = (
     fixed("GF_ACTION", 0),  # there is no fence
     fixed("GF_MAX_HOR_DIST", 0.0, REAL32),
     fixed("GF_MAX_VER_DIST", 0.0, REAL32),
-    whole("SYS_FAILURE_EN", 0, 0, 1),  # 1: command 420 may inject failures
+    whole("SYS_FAILURE_EN", 0, 0, 1),  # whether command 420 may inject failures
     real("MIS_TAKEOFF_ALT", 0.5, 0.1, 20.0, in_flight=True),  # height above the take-off position, m
     real("MPC_TKO_SPEED", 0.5, 0.1, 1.0, in_flight=True),  # climb speed of the take-off, m/s
     real("MPC_LAND_SPEED", 0.3, 0.1, 0.8, in_flight=True),  # sink speed of the landing, m/s

@@ -127,7 +127,7 @@ class Pilot:
     """Computes velocity set-points for the firmware from mode, estimate and received set-point."""
 
     def __init__(self, vehicle: VehicleSim, parameters: Parameters) -> None:
-        self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last set-point to the firmware, None: no set-point
+        self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last set-point to the firmware; None: none
         self._vehicle = vehicle
         self._parameters = parameters
         self._hold = PositionHold(vehicle.trim_velocity_enu_m_s)

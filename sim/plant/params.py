@@ -22,7 +22,7 @@ class Body:
     """Rigid body of the vehicle.
 
     The drag acts ``drag_above_com_m`` above the centre of mass, along body z. ``rate_damping_n_m_s`` is a
-    torque against roll and pitch rates: a rotor that moves down has more thrust.
+    torque against roll and pitch rates, because a rotor that moves down has more thrust.
     """
 
     mass_kg: float
@@ -37,7 +37,7 @@ class Rotor:
     """One motor with its propeller.
 
     ``volt_map``: the firmware's map from mean motor voltage V to the fraction of full counts, which is the
-    sum of volt_map[k] V^k. The firmware commands V over the battery voltage, so a low battery saturates.
+    sum of volt_map[k] V^k. The duty cycle is V divided by the battery voltage; a low battery saturates it.
     None: the map is exact, counts are linear in thrust, and the battery limits only the speed.
     """
 
@@ -61,7 +61,7 @@ class Rotor:
         return max(0.0, (self.thrust_linear_n_rpm + self.thrust_square_n_rpm2 * rpm) * rpm)
 
     def rpm(self, thrust_n: float) -> float:
-        """Return the rotor speed, rpm, for a static thrust (inverse of ``thrust_n``); 0 for no thrust."""
+        """Return the rotor speed, rpm, for a static thrust (inverse of ``thrust_n``); no thrust gives 0."""
         if thrust_n <= 0.0:
             return 0.0
         a, b = self.thrust_square_n_rpm2, self.thrust_linear_n_rpm
@@ -166,8 +166,8 @@ class TorqueNoiseShape:
 class VelocityGains:
     """Gains of the PID loop from velocity to tilt (degrees) and to thrust (thousands of counts).
 
-    Defaults: Crazyflie firmware, platform_defaults_cf2.h, PID_VEL_X and PID_VEL_Z. The other numbers model an
-    autopilot that filters attitude commands: a later horizontal response and another steady velocity.
+    Defaults: Crazyflie firmware, platform_defaults_cf2.h, PID_VEL_X and PID_VEL_Z. The other fields model an
+    autopilot that filters attitude commands: a later horizontal response and a different steady velocity.
     """
 
     xy_p: float = 25.0
@@ -198,7 +198,7 @@ class Params:
 
 @dataclass(frozen=True, slots=True)
 class Plant:
-    """Ratios of this vehicle's parameters to the nominal ones; the firmware uses the nominal values."""
+    """Ratios of this vehicle's parameters to the nominal parameters, which the firmware uses."""
 
     mass: float = 1.0
     motor_lag: float = 1.0

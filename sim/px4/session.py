@@ -133,7 +133,7 @@ class Px4Session:
         self.steps = 0
         self.nudges = 0  # steps without an answer
         self._armed = self._paused = False
-        self._state_every_us = 0  # period of HIL_STATE_QUATERNION; 0: not requested
+        self._state_every_us = 0  # period of HIL_STATE_QUATERNION, us; 0: not requested
         self._state_due_us = 0
         self._start_s = self._connected_s = self._answered_s = time.monotonic()
 

@@ -62,7 +62,7 @@ class LockstepVehicle:
     """One vehicle, with its companion and its robot.
 
     ``robot``: None for a deck that does not move; ``radio_s``: delay of set-points to the vehicle; ``words``:
-    messages between the companion and other members of its fleet; None: no fleet.
+    link between the companion and the other members of its fleet; None: no fleet.
     """
 
     def __init__(

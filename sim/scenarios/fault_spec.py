@@ -204,7 +204,7 @@ class Fault:
     kind: Kind
     start_s: Annotated[float, span(0.0, 3600.0)] = 0.0
     after: After = After.TIME
-    duration_s: Annotated[float, span(0.001, 3600.0)] | None = None  # None: until the end of the run
+    duration_s: Annotated[float, span(0.001, 3600.0)] | None = None  # duration; None: end of the run
     motor: Annotated[int, span(1, 4)] | None = None  # number of the motor, as in the firmware
     value: float | None = None  # unit and range depend on component and kind
     period_s: float | None = None

@@ -238,7 +238,7 @@ class Scenario:
     odometry: TargetLink = field(default_factory=TargetLink)
     vehicle: VehicleSpec = field(default_factory=VehicleSpec)
     wind: Wind = field(default_factory=Wind)
-    judge: Judge | None = None  # None: the verdict uses the flown barrier
+    judge: Judge | None = None  # barrier of the verdict; None: the flown barrier
     fault: tuple[Fault, ...] = ()  # [[fault]], in any order
 
     def __post_init__(self) -> None:

@@ -69,7 +69,7 @@ class Senders:
     _notices: list[str] = field(default_factory=list)
 
     def begin(self, now_s: float) -> None:
-        """Change to another clock; the known sender remains and counts as received now."""
+        """Change to a new clock; the known sender remains and counts as received at ``now_s``."""
         if self._kind is not None:
             self._beat_s = now_s
         self.ignored, self._due, self._now_s, self._known_s = 0, 1, now_s, -math.inf

@@ -58,7 +58,7 @@ def split_frames(
 
     Frames extend from marker to checksum, or to the end of the signature. ``counters`` counts skipped bytes
     and candidates. ``unknown`` is called with each frame of an unknown message: its header is plausible, it
-    contains no checked frame, and the end or frames up to a checked one or the end follow it.
+    contains no checked frame, and it is followed by the end of the data, a checked frame, or unknown frames.
     """
     yield from _scan(datagram, counters if counters is not None else FrameCounters(), unknown, None)
 
@@ -74,7 +74,7 @@ class StreamFramer:
     def __init__(self, counters: FrameCounters) -> None:
         self._counters = counters
         self._rest = b""
-        self.in_sync = True  # a frame may start at the first buffered byte
+        self.in_sync = True  # whether a frame may start at the first buffered byte
 
     def push(self, piece: bytes, unknown: Callable[[bytes], None] | None = None) -> Iterator[bytes]:
         """Add a chunk; yield frames as ``split_frames`` does."""
@@ -82,7 +82,7 @@ class StreamFramer:
         self._rest = data[(yield from _scan(data, self._counters, unknown, self)) :]
 
     def worth_waiting(self, data: bytes, pos: int, size: int) -> bool:
-        """Whether to wait for the rest of a possible frame at ``pos``."""
+        """Whether to wait for the remaining bytes of a possible frame at ``pos``."""
         left = size - pos
         if left > REST_MAX:
             return False

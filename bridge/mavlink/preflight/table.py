@@ -207,7 +207,7 @@ class Table:
 
 
 def minor(release: str) -> tuple[int, int]:
-    """Return major and minor number of a release such as ``4.7``. Raises ValueError: not this form."""
+    """Return major and minor number of a release such as ``4.7``. Raises ValueError: not MAJOR.MINOR."""
     major, dot, number = release.partition(".")
     if not (dot and major.isdecimal() and number.isdecimal()):
         raise ValueError(f"found {release!r}, a release such as '4.7' is needed")

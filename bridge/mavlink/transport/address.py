@@ -65,7 +65,7 @@ def baud_of(url: str) -> int | None:
 
 
 def parse_peer(text: str) -> Peer:
-    """Return the address of a peer ``HOST:PORT``. Raises ValueError: not this form, or no IPv4 address."""
+    """Return the address of a peer ``HOST:PORT``. Raises ValueError: bad text, or no IPv4 address."""
     match = _PEER.match(text)
     if "[" in text or "::" in text:
         raise ValueError(f"MAVLink peer {text!r} has an IPv6 address; MAVLink links here use IPv4 alone")

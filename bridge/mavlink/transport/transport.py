@@ -54,7 +54,7 @@ class EndpointCounters(FrameCounters):
         return ", ".join(f"{name} {n}" for name, n in counts.items() if n and name not in _PASSED)
 
 
-_RECEIVED_MAX = 4096  # largest datagram, bytes; longer than an Ethernet frame
+_RECEIVED_MAX = 4096  # largest datagram, bytes; more than an Ethernet frame
 _DATAGRAM_MAX = 1400  # longest sent datagram, bytes; PX4's buffer has 1600 (mavlink_receiver.cpp)
 _SOCKET_BUFFER = 1 << 20  # requested size of the buffer, bytes; the kernel may grant less
 
