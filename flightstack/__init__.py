@@ -43,7 +43,7 @@ _HOME = {
 }
 __all__ = sorted(_HOME)
 
-# pip extra of this package that installs each module
+# module -> pip extra of this package that installs it
 _EXTRAS = {
     "mujoco": "sim",
     "numba": "sim",
@@ -78,6 +78,6 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-# Gymnasium, if imported before, knows the short name immediately; else ``flightstack.api.env`` registers it.
+# If Gymnasium was imported before, its short name is registered now; else ``flightstack.api.env`` does it.
 if "gymnasium" in sys.modules:
     sys.modules["gymnasium"].register("flightstack/Landing-v0", "flightstack.api.env:LandingEnv")

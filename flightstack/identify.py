@@ -1,16 +1,16 @@
-"""Identification of a vehicle's velocity loop, and of noise, rate and motion of measurements, from flights.
+"""Identification from flights: the vehicle's velocity loop, and noise, rate and motion of measurements.
 
 The model of one axis of the velocity loop has a gain, a second-order low-pass and a dead time:
 
     v(s) = gain exp(-theta s) w^2 / (s^2 + 2 zeta w s + w^2) u(s) + disturbance.
 
-Command and velocity first pass the same high-pass, which removes wind and weight and does not change the loop
+One high-pass filters both command and velocity; it removes wind and weight and does not change the loop
 between them. The initial state of each segment is free. The parameters minimise the squared difference of
-model and flight. Their standard errors come from the scores of blocks of one second, since gusts correlate
+model and flight. Their standard errors are computed from blocks of one second, since gusts correlate
 neighbouring differences.
 
-Noise is the residual of a parabola in a short window, which follows any real motion. Correlated noise (of an
-estimator, or a slow drift) is not visible, so the values are lower bounds.
+Noise is the residual of a parabola in a short window; the parabola follows any real motion. Correlated noise
+(of an estimator, or a slow drift) has no residual, so the values are lower bounds.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ Floats = NDArray[np.float64]
 
 HIGH_PASS_S = 2.0  # time constant of the high-pass, s; slower changes count as disturbance
 BLOCK_S = 1.0  # duration for which differences count as correlated, s
-SEGMENT_MIN_S = 1.5  # shortest segment, s; shorter ones depend mostly on their initial state
-TIME_MIN_S = 3.0  # shortest time of all segments together, s
+SEGMENT_MIN_S = 1.5  # minimum length of a segment, s; shorter ones depend mostly on their initial state
+TIME_MIN_S = 3.0  # minimum total length of all segments, s
 EXCITATION_MIN_M_S = 0.04  # minimum standard deviation of the high-passed command, m/s
 EXPLAINED_MIN = 0.6  # minimum fraction of the velocity's variance that the model must explain
 ERROR_MAX = 0.2  # largest relative standard error of the lag
@@ -38,7 +38,7 @@ DEAD_TIME_MIN_S = 0.12
 
 
 class TooLittleError(ValueError):
-    """The flight does not show the parameters; the text says how to fly."""
+    """The flight does not identify the parameters; the text describes a flight that does."""
 
 
 class Segment(NamedTuple):
@@ -58,21 +58,21 @@ class Loop(NamedTuple):
     lag_s: float  # 2 damping / rate + dead time: group delay at low frequency
     errors: tuple[float, float, float, float, float]
     explained: float  # fraction of the velocity's variance that the model explains
-    time_s: float  # duration that was compared, s
+    time_s: float  # total length of the compared segments, s
 
     @property
     def model_dead_time_s(self) -> float:
-        """Dead time of the stack's model; 0 if a second-order model with the same lag suffices."""
+        """Dead time of the stack's model; 0 if a second-order model with this lag is sufficient."""
         return self.dead_time_s if self.dead_time_s >= DEAD_TIME_MIN_S else 0.0
 
     @property
     def model_rate_1_s(self) -> float:
-        """Rate of the stack's model with the same lag."""
+        """Natural frequency of the stack's model with this lag."""
         return 2.0 * self.damping / (self.lag_s - self.model_dead_time_s)
 
 
 def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:
-    """Identify the loop of an axis, or of several equal ones; ``axis`` is its name in errors.
+    """Identify the velocity loop of an axis, or of several equal axes; ``axis``: name in error texts.
 
     Raises TooLittleError: too short, too little excitation, or the model does not explain the flight.
     """
@@ -124,7 +124,7 @@ def _high_pass(column: Floats, period_s: float) -> Floats:
 
 
 def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
-    """Return measured minus modelled velocity, without the part that the segment's initial state explains."""
+    """Return measured minus modelled velocity, without the response to the segment's initial state."""
     gain, rate, damping, dead_time = parameters
     plant = ([rate * rate], [1.0, 2.0 * damping * rate, rate * rate])
     numerator, denominator, _ = signal.cont2discrete(plant, period_s, method="zoh")
@@ -147,7 +147,7 @@ def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
 
 
 def _covariance(jacobian: Floats, difference: Floats, block: int) -> Floats:
-    """Return the covariance of least squares whose differences are correlated within blocks."""
+    """Return the covariance of least-squares parameters if differences are correlated within blocks."""
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     scores = jacobian * difference[:, None]
     starts = np.arange(0, len(scores), block)
@@ -156,10 +156,10 @@ def _covariance(jacobian: Floats, difference: Floats, block: int) -> Floats:
     return np.asarray(few * inverse @ (sums.T @ sums) @ inverse, dtype=np.float64)
 
 
-NOISE_SAMPLES = 9  # number of samples in a window for noise
+NOISE_SAMPLES = 9  # number of samples in a window for the noise
 MOTION_S = 0.6  # window for velocity and acceleration, s
 SAMPLES_MIN = 100
-OFTEN = 99.0  # percentile that counts as the largest value, since single windows are noise
+OFTEN = 99.0  # percentile used as the largest value, since single windows contain noise
 MAD_TO_SIGMA = 1.4826  # ratio of standard deviation and median absolute value of a normal distribution
 
 
@@ -168,8 +168,8 @@ class Link(NamedTuple):
 
     rate_hz: float
     loss: float  # fraction of missing samples
-    delay_spread_s: float  # 95 % quantile of the delay above its minimum
-    delay_s: float | None  # minimum delay; None if the clocks disagree
+    delay_spread_s: float  # 95th percentile of the delay minus its minimum
+    delay_s: float | None  # minimum delay; None: the clocks differ
     position_noise_m: float  # standard deviation on an axis
     velocity_noise_m_s: float
 
@@ -183,7 +183,7 @@ class Motion(NamedTuple):
 
 
 def noise(time_s: Floats, values: Floats) -> float:
-    """Return the standard deviation of a column around parabolas of ``NOISE_SAMPLES`` samples; robust.
+    """Return a robust standard deviation of values around parabolas of ``NOISE_SAMPLES`` samples.
 
     ``time_s``: (n,) increasing; ``values``: (n,) or (n, axes); all axes are combined.
     Raises ValueError: there are too few samples.
@@ -202,7 +202,7 @@ def noise(time_s: Floats, values: Floats) -> float:
 
 
 def motion(time_s: Floats, position_m: Floats) -> Motion:
-    """Return the largest speeds and acceleration, from parabolas over ``MOTION_S``.
+    """Return the largest speeds and acceleration from parabolas in windows of ``MOTION_S``.
 
     ``time_s``: (n,) increasing; ``position_m``: (n, 3).
     Raises ValueError: there are too few samples.

@@ -1,6 +1,6 @@
-"""A running flight as another process sees it: newest data with their age, and the view in the terminal.
+"""Observation of a running flight from another process: newest data with their age, and the terminal view.
 
-A sample counts as new only if its tick differs from the last one: a sender that only repeats a tick counts as
+A sample counts as new only if its tick differs from the last one, so a sender that repeats a tick counts as
 silent. Old data is never shown as new.
 """
 
@@ -25,9 +25,9 @@ from flightstack.core.types import FilterStatus, Landed, Mode, Phase
 from logs.schema.rows import ControllerStepRow, HealthRow, LoopTimingRow
 
 STALE_S = 1.0  # age above which data is stale, s; the slowest key is published every 0.2 s
-_TIMINGS = 20  # number of timings in a second, for the mean period
+_TIMINGS = 20  # number of stored loop timings (one second), for the mean period
 _NOT_HEALTH = ("stamp_ns", "tick", "finished")  # fields that the step already contains
-_RING = 8  # number of samples stored between two polls
+_RING = 8  # maximum number of samples stored between two polls
 REFRESH_HZ = 8.0
 _STYLE: Mapping[int, str] = {
     Phase.WAIT: "dim",
@@ -41,8 +41,8 @@ _STYLE: Mapping[int, str] = {
     Phase.ABORT: "bold red",
     Phase.LEAVE: "green",
 }
-_BAR = 40  # length of the bar in characters
-_H_LOW_M, _H_HIGH_M = -0.2, 1.0  # values of h at both ends of the bar
+_BAR = 40  # length of the bar, characters
+_H_LOW_M, _H_HIGH_M = -0.2, 1.0  # values of h at the ends of the bar, m
 _LOUD = "bold white on red"
 
 
@@ -55,7 +55,7 @@ class News(Enum):
 
 
 class Watch:
-    """Subscriber to the live keys of one onboard process; the caller polls it, and flights ignore it."""
+    """Subscriber to the live keys of one onboard process; the caller polls it, the flight ignores it."""
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class Watch:
         self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)  # loop timing of the last second
         self.new_steps: list[ControllerStepRow] = []  # steps of the last poll
         self.new_timings: list[LoopTimingRow] = []  # loop timing of the last poll
-        self.refused = 0  # number of samples of a wrong type for their key
+        self.refused = 0  # number of samples with a type that is wrong for their key
         self._began_s = clock()
         self._step_s = self._health_s = math.nan
 
@@ -117,16 +117,16 @@ class Watch:
     @property
     def health_fresh(self) -> bool:
         """Whether the newest health is fresh."""
-        return self._clock() - self._health_s <= STALE_S  # False if the time is NaN
+        return self._clock() - self._health_s <= STALE_S  # also False for a NaN
 
     @property
     def connections(self) -> int:
-        """Number of open Zenoh connections; 0: the other end is unreachable or rejects the connection."""
+        """Number of open Zenoh connections; 0: the remote end is unreachable or rejects the connection."""
         return zenoh_link.transports(self._session)
 
     @property
     def past_router(self) -> bool:
-        """Whether this session is a router's peer: the router does not forward data of its other peers."""
+        """Whether this session is a peer of a router, which then does not forward data of its other peers."""
         return self._role is zenoh_link.Role.PEER and zenoh_link.knows_router(self._session)
 
     @property
@@ -140,13 +140,13 @@ class Watch:
     def _decode(self, unpack: Callable[[bytes], Any], payload: bytes) -> Any:
         try:
             return unpack(payload)
-        except ValueError:  # another version, or a foreign publisher on this key: it is counted and shown
+        except ValueError:  # the publisher is foreign or has another version: count and report this
             self.refused += 1
             return None
 
 
 def snapshot(watch: Watch) -> dict[str, Any]:
-    """Return the newest values for scripts: ``None`` if unknown; ``fresh``: whether they are recent."""
+    """Return the newest values for scripts; None: unknown value; ``fresh``: whether the values are recent."""
     step, health = watch.step, watch.health
     values: dict[str, Any] = {
         "fresh": watch.news is News.FRESH,
@@ -181,7 +181,7 @@ def snapshot(watch: Watch) -> dict[str, Any]:
 
 
 def name_of(kind: type[IntEnum], number: int) -> str:
-    """Return the name of an enumeration's value; an unknown number is returned as text."""
+    """Return the name of an enumeration's value; for an unknown value, return its number as text."""
     return kind(number).name if number in kind._value2member_map_ else str(number)
 
 
@@ -199,7 +199,7 @@ def _vector(values: Sequence[float]) -> list[float] | None:
 
 
 class LiveView:
-    """View of the flight of one vehicle, or of several with a line each; no flight depends on it."""
+    """Terminal view of one vehicle, or of several with a line each; no flight depends on it."""
 
     def __init__(self, watches: Mapping[str, Watch], title: str, console: Console, whom: str = "") -> None:
         self._watches, self._title, self._whom = watches, title, whom
@@ -227,7 +227,7 @@ def draw_fleet(watches: Mapping[str, Watch], title: str) -> Panel:
 
 
 def _line(watch: Watch) -> tuple[str | Text, ...]:
-    """Return phase, relative height, distance, h, overruns, filter and reason of a vehicle, if known."""
+    """Return the table line of a vehicle: phase, height, distance, h, overruns, filter and reason."""
     step = watch.step
     if step is None:
         return (watch.news.value,)
@@ -245,7 +245,7 @@ def _line(watch: Watch) -> tuple[str | Text, ...]:
 
 
 def draw(watch: Watch, title: str, whom: str = "") -> Panel:
-    """Return the view of the known values and their ages."""
+    """Return the view of one vehicle with the known values and their ages."""
     style = "none" if watch.news is News.FRESH else "red"
     parts: list[RenderableType] = [banner(watch, whom)]
     if watch.step is not None:
@@ -258,7 +258,7 @@ def draw(watch: Watch, title: str, whom: str = "") -> Panel:
 
 
 def banner(watch: Watch, whom: str) -> Text:
-    """Return the first line, with the age of the data; it is highlighted when the data is old."""
+    """Return the first line with the age of the data; the line is highlighted if the data is old."""
     refused = f"   {watch.refused} samples not readable" if watch.refused else ""
     if watch.news is News.FRESH:
         tick = watch.step.tick if watch.step is not None else 0
@@ -321,7 +321,7 @@ def _velocities(step: ControllerStepRow, fresh: bool) -> Table:
 
 
 def _health(health: HealthRow, fresh: bool) -> Table:
-    """Return ages and states; those that the onboard process counts as lost are red."""
+    """Return a table of ages and states; a value that the onboard process counts as lost is red."""
     grid = Table.grid(padding=(0, 3))
     grid.add_row(
         _age("own state", health.own_age_s, health.own_valid, fresh),

@@ -1,4 +1,4 @@
-"""Campaigns of many seeded landings on all cores, of one scenario or a grid of its keys, as tables."""
+"""Campaigns: many landings with different seeds on all cores, of one scenario or a grid of its keys."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from sim.vehicle.declared import judged_apart, not_proven
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-_HIDDEN = ("cells",)  # columns of a row that are not shown
+_HIDDEN = ("cells",)  # columns that tables omit
 _RATES = ("landed", "violations")
 
 
@@ -43,7 +43,7 @@ class Campaign:
     """Landings of one scenario.
 
     Attributes:
-        rows: one row for each seed, in their order: outcome, violation, lowest h, touchdown error, times.
+        rows: one row for each seed, in seed order: outcome, violation, lowest h, touchdown error, times.
         scenario: scenario that was flown.
         wall_s: wall time of the campaign.
     """
@@ -54,7 +54,7 @@ class Campaign:
 
     @cached_property
     def table(self) -> Any:
-        """DataFrame with a line for each seed, see ``frame``; lengths in m, times in s."""
+        """DataFrame with a row for each seed, see ``frame``; lengths in m, times in s."""
         return frame({f.name: [getattr(row, f.name) for row in self.rows] for f in _shown()})
 
     @cached_property
@@ -93,7 +93,7 @@ class Sweep:
 
     @cached_property
     def table(self) -> Any:
-        """DataFrame with a line for each point and seed: the swept keys, then those of ``Campaign.table``."""
+        """DataFrame with a row for each point and seed: swept keys, then columns of ``Campaign.table``."""
         lines = [(values, row) for values, campaign in self.points for row in campaign.rows]
         swept = {key: [values[k] for values, _ in lines] for k, key in enumerate(self.keys)}
         return frame(swept | {f.name: [getattr(row, f.name) for _, row in lines] for f in _shown()})
@@ -118,7 +118,7 @@ class Sweep:
         return "\n".join(("Sweep(", *lines, ")"))
 
     def plot(self) -> go.Figure:
-        """Return a figure of the shares of landings and of barrier violations over the first key.
+        """Return a figure of the fractions of landings and of barrier violations against the first key.
 
         Each combination of the other keys has its own line.
 
@@ -149,8 +149,8 @@ def campaign(
 ) -> Campaign:  # fmt: skip
     """Fly many seeds of a scenario with one or several vehicles, with a progress bar.
 
-    Workers receive a class of a notebook or function by fork; if that is not safe (other threads, no Linux),
-    by cloudpickle; if that is not installed, this process flies the seeds.
+    Workers receive a class that is defined in a notebook or function by fork. If a fork is not safe (other
+    threads, no Linux), cloudpickle is used; without cloudpickle, this process flies the seeds.
 
     Args:
         name: name, file or object of the scenario.
@@ -204,7 +204,7 @@ def _shown() -> list[Any]:
 
 
 def _team(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> TeamScenario:
-    """Return a checked scenario; changes are made for each vehicle."""
+    """Return a checked scenario with the changes made for each vehicle."""
     team = TeamScenario.of(name) if isinstance(name, Scenario) else load(name)
     team = replace(team, member=tuple(scenario(each, changes, filter=filter) for each in team.member))
     found = dict.fromkeys(problem for each in team.member for problem in problems(each.onboard))
@@ -216,7 +216,7 @@ def _team(name: str | Path | Scenario, changes: Changes | None, filter: FilterLi
 def _flown(
     points: Sequence[tuple[tuple[Any, ...], TeamScenario]], given: Iterable[int], workers: int | None
 ) -> list[tuple[tuple[Any, ...], Campaign]]:
-    """Fly the seeds at all points."""
+    """Fly the seeds at all points; return a campaign for each point."""
     if not isinstance(given, Iterable) or not (seeds := [whole("seeds", seed) for seed in given]):
         raise ConfigError(f"seeds: found {given!r:.60}; whole numbers from 0 on are needed, one at least")
     if twice := [seed for seed, times in Counter(seeds).items() if times > 1]:

@@ -1,8 +1,8 @@
 """Gymnasium environment: the agent chooses the nominal velocity of the landing in each tick.
 
 The flight is that of ``fs.land``: the same simulator, autopilot, connections, phase machine, gate and
-verdict. It runs in a greenlet that stops where the stack requests the nominal velocity, and continues with
-the agent's action.
+verdict. The flight runs in a greenlet that stops when the stack requests the nominal velocity, and
+continues with the agent's action.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from sim.runners.landing import Companion, warm_up
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario
 
-# Rewards. A tick costs little beside the approach, or an agent learns to crash soon instead of to approach.
+# Rewards. The cost of a tick is small compared with the approach; else an agent learns to crash early.
 APPROACH_REWARD_1_M = 10.0  # for each metre that the distance to the landing spot decreases
-STEP_REWARD = -0.001  # of each tick
-VIOLATION_REWARD = -0.1  # of each tick with a negative barrier value outside the pad
-END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}  # at the end, by outcome
+STEP_REWARD = -0.001  # reward of each tick
+VIOLATION_REWARD = -0.1  # reward of each tick with a negative barrier value outside the pad
+END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}  # reward at the end, by outcome
 OTHER_END_REWARD = -5.0
-_SPEED_FAR_M = 1e3  # bound of the observations, in m and m/s
+_SPEED_FAR_M = 1e3  # bound of the observations, m and m/s
 
 ENV_ID = "flightstack/Landing-v0"
 
 
-_FILTERS = {None: "paper", "paper": "paper", "robust": "robust"}  # filter that flies, by the argument
+_FILTERS = {None: "paper", "paper": "paper", "robust": "robust"}  # argument -> filter of the stack
 
 
 class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  # gymnasium is an extra
@@ -83,7 +83,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
             raise ConfigError(f"filter: found {filter!r}, allowed: None, 'paper', 'robust'")
         self.render_mode = render_mode
         self.scenario = _scenario(scenario, changes, filter=_FILTERS[filter])
-        self._enforces = filter is not None  # the barrier; else only the limits
+        self._enforces = filter is not None  # whether the barrier is enforced; False: only the limits
         most = np.array(self.scenario.onboard.limits.velocity_max_m_s)
         self.action_space = spaces.Box(-most, most, dtype=np.float64)
         self.observation_space = spaces.Box(-_SPEED_FAR_M, _SPEED_FAR_M, (13,), np.float64)
@@ -121,7 +121,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         return self._observed(at), {"seed": flown}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Fly with this velocity until the stack requests the next one, or the flight is over.
+        """Fly with this velocity until the stack requests the next one or the flight is over.
 
         Args:
             action: nominal velocity, (3,), m/s ENU.
@@ -153,13 +153,13 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     def builtin_action(self) -> np.ndarray:
         """Return the nominal velocity that the stack itself would choose in this tick, m/s ENU, (3,).
 
-        It may exceed the action space. Flown in each step, it gives the flight of ``fs.land``, bit by bit.
+        The velocity may exceed the action space. If each step uses it, the flight equals that of ``fs.land``.
         """
         return np.array(self._builtin)
 
     @property
     def truth(self) -> Truth:
-        """True states of the flight that is over, as in ``Landing.truth``.
+        """True states of the finished flight, as in ``Landing.truth``.
 
         Raises:
             RuntimeError: no flight is over.
@@ -172,10 +172,10 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         """End the flight."""
         flight, self._flight = self._flight, None
         if flight is not None:
-            flight.throw()  # raises GreenletExit in the flight
+            flight.throw()  # raises GreenletExit inside the flight
 
     def _ask(self, at: Relative, own: Vec3) -> Vec3:
-        """Stop the flight until the agent has chosen a velocity."""
+        """Suspend the flight until the agent has chosen a velocity; return this velocity."""
         self._builtin = own
         flight, companion = self._flight, self._companion
         assert flight is not None
@@ -219,5 +219,5 @@ def _info(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-if ENV_ID not in gymnasium.registry:  # ``import flightstack`` registers the environment after Gymnasium
+if ENV_ID not in gymnasium.registry:  # not yet registered if Gymnasium was imported after flightstack
     gymnasium.register(ENV_ID, "flightstack.api.env:LandingEnv")

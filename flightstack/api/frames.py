@@ -15,7 +15,7 @@ from flightstack.common.text import pip_install
 from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import FilterStatus, Phase, Request
 
-# columns of a landing: numbers that are names in a table, and what follows from other columns
+# columns of a landing whose numbers become names, and columns that are computed from others
 _NAMED = {"phase": Phase, "request": Request, "filter_status": FilterStatus, "gate": GateVerdict}
 _DERIVED = ("e_m", "d_m")
 _AXES = {3: "xyz", 4: "xyzw"}
@@ -25,7 +25,7 @@ def frame(columns: Any) -> Any:
     """Return a table with a column per array; an array (n, 3) becomes the columns ``_x``, ``_y``, ``_z``.
 
     The table of a landing's arrays also has ``e_m``, the position relative to the landing spot, and ``d_m``,
-    its horizontal length. Phase, request, state of the filter and verdict of the gate are names in it.
+    its horizontal length; phase, request, filter status and gate verdict are names instead of numbers.
 
     Args:
         columns: arrays of a landing (``landing.log``, ``landing.truth``), a dict of arrays, or a list of
@@ -67,11 +67,11 @@ def _made(flat: dict[str, Any]) -> Any:
         text = f"a table needs pandas or polars, neither is installed: {pip_install('export')}"
         raise ModuleNotFoundError(text, name="pandas")
     columns = {name: _plain(values) for name, values in flat.items()}
-    return import_module("polars").DataFrame(columns)  # polars is no dependency of an extra
+    return import_module("polars").DataFrame(columns)  # no extra depends on polars
 
 
 def _plain(values: Any) -> Any:
-    """Replace enums in a list by their values, since arrow has no enums."""
+    """Replace enums in a list by their values, since Arrow has no enums."""
     if isinstance(values, list):
         return [each.value if isinstance(each, Enum) else each for each in values]
     return values

@@ -53,7 +53,7 @@ class Landing:
 
     @property
     def truth(self) -> Truth | None:
-        """True states of the simulator: ``t_s``, ``h_m`` (n,), ``position_enu_m`` (n, 3), and more."""
+        """True states from the simulator: ``t_s``, ``h_m`` (n,), ``position_enu_m`` (n, 3), and more."""
         return self.flight.truth
 
     def plot(self) -> go.Figure:
@@ -114,7 +114,7 @@ def land(
 
     try:
         done = runner.land(flown, seed, on_step=on_step)
-    except ConfigError as error:  # of the robot's function: the traceback shows that function, then this call
+    except ConfigError as error:  # the traceback shows the robot's function, then this call
         raise error.with_traceback(None) from error.__cause__
     steps = columns(Steps, rows, since(np.array(times_ns, dtype=np.int64), times_ns[0]))
     seen, limits = done.seen, flown.onboard.limits

@@ -48,13 +48,13 @@ def scenario(
         for step in reversed(_path(key)):
             part = {step: part}
         table = over(table, part)
-    if _PAD not in map(_path, changes):  # the value follows from the robot's pad
+    if _PAD not in map(_path, changes):  # the configuration's value follows that of the robot's pad
         del table["onboard"]["touchdown"]["pad_radius_m"]
     return from_table(Scenario, one_pad(table))
 
 
 def whole(what: str, found: object, low: int = 0) -> int:
-    """Return a whole number, of numpy too. Raises ConfigError: it is none, or below ``low``."""
+    """Return a Python or numpy integer as int. Raises ConfigError: it is no integer, or below ``low``."""
     number = None if isinstance(found, bool) or not hasattr(found, "__index__") else index(found)
     if number is None or number < low:
         raise ConfigError(f"{what}: found {found!r:.60}, a whole number from {low} on is needed")
@@ -62,7 +62,7 @@ def whole(what: str, found: object, low: int = 0) -> int:
 
 
 def filter_name(filter: str | type[Any]) -> str:
-    """Return the name of a filter in a configuration. Raises ConfigError: it is no filter."""
+    """Return the name of a filter for the configuration. Raises ConfigError: it is no filter."""
     name = filter if isinstance(filter, str) else give(filter)
     look_here(name)
     strategy_class(name)
@@ -78,7 +78,7 @@ def _path(key: str) -> tuple[str, ...]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value in the form that TOML has; numpy arrays become lists."""
+    """Return a value as TOML can store it; numpy arrays become lists."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return [_plain(each) for each in value] if isinstance(value, tuple | list) else value

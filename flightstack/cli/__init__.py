@@ -14,7 +14,7 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 
 if os.path.basename(sys.argv[0]) in ("flightstack", "-m"):  # noqa: PTH119
-    # During the start of the command itself no other process runs, so a signal needs no traceback.
+    # While only this command starts, no other process runs yet: a signal may end it without a traceback.
     for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP):
         if signal.getsignal(_number) is not signal.SIG_IGN:
             signal.signal(_number, _end)

@@ -54,7 +54,7 @@ def crazyflie(options: CrazyflieOptions) -> None:
 
 
 def _drag_1_s(airframe: str) -> Vec3 | None:
-    """Return rotor drag over mass along the body axes, 1/s.
+    """Return the ratio of rotor drag to mass along the body axes, 1/s.
 
     Raises ConfigError: there is no such vehicle file, or one of its keys is wrong.
     """

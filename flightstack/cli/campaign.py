@@ -75,7 +75,7 @@ def campaign(options: CampaignOptions) -> None:
 def _print(
     console: Terminal, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
 ) -> int:
-    """Write the page, and print the table or JSON; return the exit status."""
+    """Write the report page, and print the table or JSON; return the exit status."""
     from sim.campaign.rows import failed_rows
     from sim.campaign.run import PAGE, ROWS
     from sim.campaign.summary import apart
@@ -95,7 +95,7 @@ def _print(
             from sim.campaign.page import write_page
 
             write_page(folder / PAGE, wanted, flown)
-        except ReportError as error:  # the numbers are valid without a page
+        except ReportError as error:  # the printed results are valid without a page
             click.echo(f"flightstack: {error}", err=True)
             with_report = False
     if as_json:

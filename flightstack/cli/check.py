@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from flightstack.verify.types import Check
 
 PROVEN, NOT_PROVEN = 0, 1
-STEP_S = 0.01  # s between two calls of a function that drives the robot
+STEP_S = 0.01  # time between two calls of the robot's function, s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ def check(options: CheckOptions) -> None:
 
 
 def _summary(parts: Sequence[Part]) -> str:
-    """Return the last line of the output: all is proven, or the claims that are not."""
+    """Return the last line of the output: all claims are proven, or the names of the unproven ones."""
     every = [(part.of, result) for part in parts for result in part.checks]
     found = [f"{result.name}{of}" for of, result in every if not result.proven]
     if not found:
@@ -79,7 +79,7 @@ def _summary(parts: Sequence[Part]) -> str:
 
 
 class Part(NamedTuple):
-    """Part of a check: one configuration, or those of all vehicles together."""
+    """Part of a check: one configuration, or all vehicles together."""
 
     filter: str
     checks: Sequence[Check]
@@ -89,7 +89,7 @@ class Part(NamedTuple):
 
 
 def _parts(name_or_file: str, name: str | None) -> list[Part]:
-    """Check a configuration, or those of a scenario, with the filter of this name or their own."""
+    """Check a configuration, or those of a scenario, with this filter; None: with the configured one."""
     from flightstack.verify.certificate import checks
 
     config = _configuration(name_or_file)
@@ -121,7 +121,7 @@ def _part(config: FlightConfig, found: list[Check], members: list[str], more: st
 
 
 def _worst(found: Iterable[Check]) -> list[Check]:
-    """Return each check once, where it has the smallest distance to its limit."""
+    """Return each check once, with its smallest distance to the limit."""
     worst: dict[str, Check] = {}
     for each in found:
         if each.name not in worst or each.room < worst[each.name].room:
@@ -130,7 +130,7 @@ def _worst(found: Iterable[Check]) -> list[Check]:
 
 
 def _configuration(name_or_file: str) -> FlightConfig | None:
-    """Return the configuration of this name or file; None: it is a scenario."""
+    """Return the configuration of this name or file; None: the name or file is that of a scenario."""
     path = path_of(name_or_file) if name_or_file in names() else Path(name_or_file)
     if not path.is_file():
         return None

@@ -115,7 +115,7 @@ def target(options: TargetOptions) -> None:
     """
     from flightstack.compiled.jit import OFF
 
-    # The robot computes only a hundred short steps a second: loading numba would take longer than it saves.
+    # The robot computes only 100 short steps per second: loading numba would take longer than it saves.
     if "numba" not in sys.modules:
         os.environ.setdefault(OFF, "1")
     from sim.runners.published_robot import target_main

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 DONE, BROKEN = 0, 1
 LANDED, NOT_LANDED = 0, 1
-DIFFERENCES_MAX = 20  # largest number of printed differences; the first ones are the most useful
+DIFFERENCES_MAX = 20  # maximum number of printed differences; the first ones are the most useful
 
 _log = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
 _member = click.option("--member", metavar="NAME", help="Only the part of this member of a fleet, e.g. cf2.")

@@ -1,4 +1,4 @@
-"""The command ``flightstack``: it finds and runs a subcommand; the other packages contain the functions."""
+"""The command ``flightstack``: it finds and runs a subcommand, whose functions are in other packages."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from flightstack.common.text import plain
 
 INTERRUPTED, WRONG_INPUT = 1, 2
 
-# Matrices here are small: numpy's threads would only delay each process by 0.1 s at its start.
+# The stack's matrices are small: numpy's threads would only delay the start of each process by 0.1 s.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
 
 class Verb(NamedTuple):
-    """A subcommand: module and function, loaded only when it is called, and its line in ``--help``."""
+    """A subcommand: module and function, which are loaded when it is called, and its line in ``--help``."""
 
     place: str
     help: str
@@ -74,7 +74,7 @@ VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()
 
 
 def _hidden(error: BaseException) -> str | None:
-    """Return a sentence if an import failed because another project's package hides this one's; else None."""
+    """Return an error text if a package of another project hides one of this project; else None."""
     name = (getattr(error, "name", None) or "").partition(".")[0]
     if not isinstance(error, ImportError) or name not in ("bridge", "logs", "sim"):
         return None
@@ -95,8 +95,8 @@ class Verbs(click.Group):
     verb = ""  # name of the called subcommand
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """Run the command: a closed reader of its output does not end it, and no early signal is lost."""
-        if streams.guard():  # False in the process of a test
+        """Run the command; it continues if the reader of its output ends, and no early signal is lost."""
+        if streams.guard():  # False if a test runs the command
             hangup.start()
         try:
             return super().main(*args, **kwargs)
@@ -136,7 +136,7 @@ class Verbs(click.Group):
         except click.exceptions.Exit:
             raise
         except (hangup.CalledOffError, Exception) as error:
-            called_off = hangup.called_off()  # a library that is loading converts the signal to its own error
+            called_off = hangup.called_off()  # a loading library may have converted the signal to an error
             hidden = _hidden(error)
             known = isinstance(error, (ConfigError, ValueError, OSError, LaunchError))
             if called_off is None and hidden is None and not known:

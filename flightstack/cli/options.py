@@ -1,4 +1,4 @@
-"""Conversion of a dataclass's options (``flightstack.common.options``) to those of a click command."""
+"""Conversion of the options of a dataclass (``flightstack.common.options``) to click options."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 class Number(click.FloatRange):
-    """A finite number in an optional range; without this check, NaN would pass the comparisons."""
+    """Finite number in an optional range; NaN, which would pass comparisons, is rejected."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Convert a text to a number."""
@@ -31,7 +31,7 @@ class Number(click.FloatRange):
 
 
 class File(click.Path):
-    """Path of an ordinary file; a file that never ends, or waits for a writer, is rejected."""
+    """Path of an ordinary file; devices and pipes, which may never end, are rejected."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Convert a text to the path."""
@@ -42,7 +42,7 @@ class File(click.Path):
 
 
 def takes(cls: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
-    """Give a command its options (required ones first) and arguments as one object of the class ``cls``."""
+    """Return a decorator that passes options (required ones first) and arguments as one object of ``cls``."""
     parameters = sorted(declared(cls), key=lambda each: each.default is not MISSING)
 
     def decorate(verb: Callable[[T], None]) -> Callable[..., None]:
@@ -111,12 +111,12 @@ def _callback(read: Callable[[Any], Any]) -> Callable[..., Any]:
 
 
 def without(error: ModuleNotFoundError, text: str, *packages: str) -> Exception:
-    """Return the error to raise if one of these packages is missing; any other error is unchanged."""
+    """Return an error with this text if one of the packages is missing, else the given error."""
     package = (error.name or "").partition(".")[0]
     return ValueError(text.format(package)) if package in packages else error
 
 
 def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
-    """Return the error to raise if the command or option ``what`` cannot import a viewer."""
+    """Return the error for a command or option ``what`` that cannot import Rerun."""
     text = f"`{what}` needs Rerun: {pip_install('view')}; "
     return without(error, text + "or open the log itself in another viewer (docs/how_to/viewing.md)", "rerun")

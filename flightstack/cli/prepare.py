@@ -32,7 +32,7 @@ def config(name: str | None) -> None:
 
 
 def _first_line(text: str) -> str:
-    """Return the first comment of a configuration, which gives its purpose."""
+    """Return the first comment line of a configuration, which states its purpose."""
     return text.partition("\n")[0].removeprefix("#").strip()
 
 
@@ -115,7 +115,7 @@ def router(options: RouterOptions) -> None:
 
     config_file = options.zenoh_config
     ends = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # Zenoh's later threads inherit this
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # inherited by Zenoh's threads, started later
     role = zenoh_link.Role.ROUTER
     try:
         if config_file is not None and zenoh_link.dialled(config_file=config_file, role=role)[0] is not role:

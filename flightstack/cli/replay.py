@@ -1,4 +1,4 @@
-"""Command ``replay``: compares the decisions of today's controller with a log, or tries other settings."""
+"""Command ``replay``: compares decisions of the current controller with a log, or tries other settings."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def replay(options: ReplayOptions) -> None:
 
 
 def _members(log: Path) -> tuple[str, ...]:
-    """Return the members; an empty name for a log that cannot be read."""
+    """Return the names of the members in a log; one empty name if it cannot be read."""
     from logs.reader.reader import LogError, LogFile
 
     try:

@@ -75,7 +75,7 @@ def validate(options: ValidateOptions) -> None:
 
 
 def _page(path: Path, found: dict[str, Any]) -> Path | None:
-    """Write the page; return None if it cannot be written, since the printed numbers are sufficient."""
+    """Write the page and return its path; None if writing fails, since the printed numbers are sufficient."""
     from logs.report.page import ReportError, write
     from sim.validation.page import validation_page
 

@@ -95,7 +95,7 @@ def _live(flight: Watch, namespace: str, endpoint: str, stop: Stop) -> None:
 
 
 def _view(options: WatchOptions, where: str) -> Callable[[Watch, Stop], None]:
-    """Open the 3-D view, and return the function that draws in it until the user ends it.
+    """Open the 3-D view; return the function that draws a flight until the user ends it.
 
     Raises ConfigError: the configuration is wrong; ValueError: Rerun is not installed, or the output file is
     not allowed.

@@ -20,12 +20,12 @@ from typing import IO
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PR_SET_NAME = 15
-_NAME_BYTES = 15  # largest number of bytes of a thread's name
-_LAST_STREAM = 2  # number of standard error
+_NAME_BYTES = 15  # maximum length of a thread's name, bytes
+_LAST_STREAM = 2  # file descriptor of standard error
 
 
 def may_fork() -> bool:
-    """Whether a fork is safe: on Linux, without other threads, whose locks a child could not release."""
+    """Whether a fork is safe: only on Linux and without other threads; a child cannot release their locks."""
     if sys.platform != "linux" or threading.current_thread() is not threading.main_thread():
         return False
     return len(list(Path("/proc/self/task").iterdir())) == 1
@@ -50,7 +50,7 @@ def hand_on_niceness(pid: int) -> None:
     """
     steps = os.getpriority(os.PRIO_PROCESS, 0)
     if steps > 0:
-        with contextlib.suppress(OSError):  # no autogroups; or no root, and a second change within 0.1 s
+        with contextlib.suppress(OSError):  # no autogroups, or a second change within 0.1 s without root
             Path(f"/proc/{pid}/autogroup").write_text(str(steps))
 
 
@@ -74,7 +74,7 @@ class Forked(ForkProcess):
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
         os.close(self._output)
-        # the owner ends it in bounded time; multiprocessing would wait at exit without a limit
+        # the owner ends the child in bounded time; multiprocessing would wait for it at exit without a limit
         process._children.discard(self)  # type: ignore[attr-defined]
         self.stdout: IO[bytes] | None = os.fdopen(output, "rb")  # standard output of the child
 
@@ -83,7 +83,7 @@ class Forked(ForkProcess):
         end_with(self._parent_pid, self.name)  # type: ignore[attr-defined]
         leave_parent(self._output, self._errors)
         signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
-        gc.freeze()  # shared memory is then not scanned, and so not copied
+        gc.freeze()  # the collector does not scan shared memory, so it is not copied
         super().run()
 
     @property
@@ -96,7 +96,7 @@ class Forked(ForkProcess):
 
     def wait(self, timeout: float | None = None) -> int:
         """Wait for the exit status. Raises subprocess.TimeoutExpired: after ``timeout`` seconds."""
-        if self.exitcode is None and self.pid is not None:  # the pipe of ``join`` is closed
+        if self.exitcode is None and self.pid is not None:  # ``join`` cannot wait: its pipe is closed
             end = os.pidfd_open(self.pid)
             select.select((end,), (), (), timeout)
             os.close(end)
@@ -110,7 +110,7 @@ class Forked(ForkProcess):
 
 
 def leave_parent(output: int, errors: int) -> None:
-    """Separate a child from its parent after a fork: session, signal handlers, standard streams, files.
+    """Separate a forked child from its parent: new session, signal handlers, standard streams, files.
 
     ``output``, ``errors``: file numbers that become standard output and error.
     """
@@ -131,14 +131,14 @@ def forget_handlers() -> None:
 
 
 def _own_streams(output: int, errors: int) -> None:
-    """Give the child no input, these two outputs, and no other file of its parent."""
+    """Give the child an empty input and these two outputs, and close all other files of its parent."""
     nothing = os.open(os.devnull, os.O_RDONLY)
-    # descriptors may have the numbers of standard streams if the parent had none
+    # if the parent had no standard streams, these descriptors may have their numbers
     for place, number in enumerate([_above(each) for each in (nothing, output, errors)]):
         os.dup2(number, place)
     for number in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
         if number > _LAST_STREAM:
-            with contextlib.suppress(OSError):  # the descriptor of the listing is already closed
+            with contextlib.suppress(OSError):  # the descriptor of the directory listing is already closed
                 os.close(number)
     sys.stdin = os.fdopen(0, closefd=False)
     sys.stdout = os.fdopen(1, "w", closefd=False)
@@ -146,5 +146,5 @@ def _own_streams(output: int, errors: int) -> None:
 
 
 def _above(number: int) -> int:
-    """Duplicate a descriptor to a number above those of the standard streams."""
+    """Duplicate a descriptor to a number above 2, the last standard stream; return this number."""
     return fcntl.fcntl(number, fcntl.F_DUPFD, _LAST_STREAM + 1)

@@ -1,4 +1,4 @@
-"""Handling of signals that end a process: during its start, and after its terminal is lost in flight."""
+"""Handling of the signals that end a process: during its start, while it runs, and at a closed terminal."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class CalledOffError(KeyboardInterrupt):
     """A signal arrived during the start, before the process has its own handlers."""
 
 
-_COMPILER = "llvmlite"  # part of the paths of files whose callbacks drop exceptions
+_COMPILER = "llvmlite"  # callbacks in files with this part in their path drop exceptions
 _AGAIN_S = 0.01
 _came: list[CalledOffError] = []
 
 
 def start() -> None:
-    """Let a signal raise ``CalledOffError`` until the process has its own handlers. Main thread only.
+    """Let signals raise ``CalledOffError`` until the process has its own handlers. Main thread only.
 
     A signal is also stored for ``begun``, because some callbacks drop exceptions.
     """
@@ -35,18 +35,18 @@ def start() -> None:
 
 
 def called_off() -> CalledOffError | None:
-    """Return the newest signal during the start, even if its exception was dropped."""
+    """Return the error of the newest signal during the start, even if it was dropped; None: no signal."""
     return _came[-1] if _came else None
 
 
 def begun() -> None:
-    """Report that the process has its own handlers. Raises CalledOffError: an earlier one was dropped."""
+    """End the handling of the start: the process has its handlers. Raises CalledOffError: one was dropped."""
     if _came:
         raise _came[-1]
 
 
 def _call_off(number: int, frame: FrameType | None) -> None:
-    """Raise the exception; if it would be dropped here, try again a little later."""
+    """Raise the exception; inside a callback that would drop it, try again a little later."""
     if number != signal.SIGALRM:
         _came.append(CalledOffError(f"ended by {signal.Signals(number).name}"))
     while frame is not None:
@@ -91,7 +91,7 @@ def say(text: str) -> None:
 
 
 def handle(handlers: Mapping[signal.Signals, Callable[[], object]]) -> None:
-    """Call a function on each of these signals; an ignored SIGHUP (``nohup``) stays so. Main thread only."""
+    """Install a function for each signal; an ignored SIGHUP (``nohup``) remains ignored. Main thread only."""
     for number, handler in handlers.items():
         if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, partial(_call, handler))

@@ -39,7 +39,7 @@ class Option:
     choices: tuple[str, ...] = ()  # allowed texts; empty: any text
     path: str = "any"  # allowed kind of path: any, file or folder
     exists: bool = False  # whether the path has to exist
-    read: Callable[[Any], Any] | None = None  # function from the text, or all texts of a Mapping, to a value
+    read: Callable[[Any], Any] | None = None  # function that converts the text, or all texts of a Mapping
     bare: str | None = None  # value if the name is given without a value
     variable: str | None = None  # environment variable that is read if the option is not given
 
@@ -80,13 +80,13 @@ def declared(cls: type) -> tuple[Declared, ...]:
 
 
 def shared(source: object, cls: type[T], **others: Any) -> T:
-    """Return a ``cls`` from the fields that ``source`` also has, and from ``others``."""
+    """Return an object of ``cls`` with the fields of ``source`` that it also has, and with ``others``."""
     both = {f.name: getattr(source, f.name) for f in fields(cls) if hasattr(source, f.name)}  # type: ignore[arg-type]
     return cls(**{**both, **others})
 
 
 def argv(options: Any) -> list[str]:
-    """Return the command line for a process with these options; default values are left out."""
+    """Return the command-line arguments of these options; default values are omitted."""
     words: list[str] = []
     for name, option, _, many, number, default in declared(type(options)):
         value = getattr(options, name)

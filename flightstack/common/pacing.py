@@ -5,10 +5,10 @@ it to the time in the log. In lockstep this is simulated time after a fixed date
 equal logs. Functions for priority, memory and garbage collection, which prevent late ticks, are at the end.
 
 A simulator that paces itself shares its clock with the processes of its run in a file. It writes its time,
-which they use instead of wall time; each of them writes the time until which it sleeps, and the simulator
-waits for it there: a busy machine slows all processes equally. The file contains 64-bit integers in
-nanoseconds: Unix time of the clock's zero, simulated time, and for each follower the simulated time until
-which it sleeps.
+which the processes use instead of wall time. Each process (follower) writes the time until which it sleeps,
+and the simulator waits for it at this time: a busy machine slows all processes equally. The file contains
+64-bit integers in nanoseconds: Unix time of the clock's zero, simulated time, and for each follower the
+simulated time until which it sleeps.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from flightstack.common.streams import never_wait
 
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, zero of simulated clocks
 PAIR = struct.Struct("<qq")  # lockstep message on Zenoh: (tick, number), docs/how_it_works/lockstep.md
-RUN_AHEAD_TICKS = 20  # largest lead of the target before the onboard process sends a credit
-NO_GO = -1  # value of a credit with which the target may not drive yet
+RUN_AHEAD_TICKS = 20  # maximum ticks that the target computes without a credit of the onboard process
+NO_GO = -1  # value of a credit with which the target must not drive yet
 # Wall time in lockstep without a message after which a process counts as dead, s: on a busy computer a
 # running process may wait for the processor for many seconds.
 TARGET_SILENT_S = 60.0
 COMPANION_SILENT_S = 20.0  # time-out for the onboard process, s: UDP does not show whether it runs
-TARGET_LOOK_S = 0.5  # time without a message after which a connection is checked, s
-_LOOK_MAX_S = 0.1  # longest counted time between two calls of ``look``, s
+TARGET_LOOK_S = 0.5  # wall time without a message of the target after which its connection is checked, s
+_LOOK_MAX_S = 0.1  # maximum time that is counted between two calls of ``look``, s
 # priority under SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's threads
 PRIORITY = 10
 _DAY_NS = 86_400_000_000_000
 _LOCK_WHAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of Linux's mlockall(2)
 _ZERO, _NOW, _FIRST = 0, 1, 2  # positions in the file
-_ABSENT = -1  # value of a follower that has not started, or was given up
+_ABSENT = -1  # value of a follower that has not started or is ignored
 _NS = 1_000_000_000
 _ROUNDING_NS = 1_000  # larger than the rounding of seconds as float, smaller than any step
-_PAUSE_S = 50e-6  # time between two polls, s; about 0.1 ms with the timer slack of the system
-_FOLLOWER_MAX_S = 0.5  # longest wait for a follower, which may have been killed, s of wall time
+_PAUSE_S = 50e-6  # time between two polls, s; the system's timer slack makes it 0.1 ms
+_FOLLOWER_MAX_S = 0.5  # maximum wall time of a wait for a follower, which may have been killed, s
 _STALL_MAX_S = 2.5  # wall time without a step after which followers use wall time, s
 
 
@@ -62,7 +62,7 @@ class FastClock:
     speed: float = 1.0
 
     def monotonic(self) -> float:
-        """Return seconds since some time in the past."""
+        """Return the seconds since an arbitrary time in the past."""
         return time.monotonic() * self.speed
 
     def sleep(self, seconds: float) -> None:
@@ -88,7 +88,7 @@ class Tick(NamedTuple):
 
 
 class Silence:
-    """Time without a message of another process in lockstep, without pauses of the machine.
+    """Time without a message of another process in lockstep; pauses of the machine do not count.
 
     Each time between two calls of ``look`` counts, up to ``_LOOK_MAX_S``.
     """
@@ -149,7 +149,7 @@ class RealTimePacer:
 
 
 class LockstepClock:
-    """Ticks at times that the simulator sends."""
+    """Source of ticks at the times that the simulator sends."""
 
     def __init__(self, rate_hz: int) -> None:
         self.period_s = 1.0 / rate_hz
@@ -229,7 +229,7 @@ class FollowedClock:
             raise ValueError(f"{path} is not a simulator's clock: it has {size} bytes, a clock has {_SIZE}")
         self._cells, self._place, self._stopped = _opened(path), _FIRST + follower, stopped
         self._seen_ns, self._moved_s = self._cells[_NOW], time.monotonic()
-        self._ahead_s = 0.0  # lead over simulated time by past stalls
+        self._ahead_s = 0.0  # lead over simulated time by past stalls of the simulator
         self._stall_s = 0.0  # lead over simulated time by the current stall
         self._least_s = 0.0  # end of the last sleep
 
@@ -248,7 +248,7 @@ class FollowedClock:
     def sleep(self, seconds: float) -> None:
         """Sleep for a number of simulated seconds."""
         until_s = self.monotonic() + seconds
-        # The simulator waits at this time, so it counts as reached despite rounding.
+        # the simulator stops at this time, so it must count as reached despite rounding
         until_ns = int((until_s - self._ahead_s - self._stall_s) * _NS) - _ROUNDING_NS
         self._cells[self._place] = until_ns
         while self._cells[_NOW] < until_ns and self.monotonic() < until_s:
@@ -256,7 +256,7 @@ class FollowedClock:
         self._least_s = until_s
 
     def unix_ns(self) -> int:
-        """Return the Unix time of the run, which is the same for all its processes."""
+        """Return the Unix time of the run, which is equal in all its processes."""
         return self._cells[_ZERO] + round(self.monotonic() * _NS)
 
 
@@ -273,7 +273,7 @@ def chosen_clock(
 ) -> Clock:
     """Return the clock that the options of a process select.
 
-    ``speed``: stack time over wall time; ``file``: file of a simulator's clock, None for wall time;
+    ``speed``: ratio of stack time to wall time; ``file``: file of a simulator's clock, None for wall time;
     ``lockstep``: whether the simulator sends the ticks.
     Raises ValueError: options exclude each other, or the file is invalid; OSError: there is no such file.
     """
@@ -298,7 +298,7 @@ def ask_for_priority() -> bool:
 
 
 def give_up_priority() -> None:
-    """Return to ordinary priority: an overloaded process must not block a core."""
+    """Return to ordinary priority, since an overloaded process must not block a core."""
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
@@ -318,14 +318,14 @@ def keep_memory() -> bool:
 
 
 def run_promptly() -> None:
-    """Request priority and locked memory, if the system allows them, and never wait for output."""
+    """Request priority and locked memory, if the system allows them; from now on never wait for output."""
     never_wait()
     ask_for_priority()
     keep_memory()
 
 
 def quiet_garbage_collector() -> None:
-    """Prevent collections in the loop: existing objects are frozen, and the loop makes no cycles."""
+    """Prevent garbage collection in the loop: freeze existing objects; the loop makes no reference cycles."""
     gc.collect()
     gc.freeze()
     gc.disable()

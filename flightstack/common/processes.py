@@ -20,29 +20,29 @@ from typing import IO, Any, Protocol
 
 from flightstack.common.forked import PR_SET_PDEATHSIG, Forked, end_with, hand_on_niceness, may_fork
 
-# Limits for the start of a child, s: wall time without computing, and processor time; a slow computer needs
-# minutes for loading and compiling.
+# Limits for the start of a child, s: wall time in which it does not compute, and processor time. A slow
+# computer needs minutes to load and compile.
 START_TIME_MAX_S, START_WORK_MAX_S = 120.0, 1800.0
 _WORKING_S = 0.2  # processor time above which a process counts as computing, s
 _STAT_TIMES = slice(11, 13)  # fields after the name in /proc/PID/stat (proc(5)): user and system time, ticks
 CLI = "flightstack.cli.main"  # module of the command
 _WRONG_INPUT = 2  # exit status of every command after wrong input
-_PARENT = "FLIGHTSTACK_PARENT"  # environment variable: parent process id and child name
-# A function between fork and exec could wait forever for locks of the parent's threads (Zenoh). The new
-# process therefore calls the kernel itself before it becomes the program.
+_PARENT = "FLIGHTSTACK_PARENT"  # environment variable with parent process id and child name
+# A function between fork and exec could wait without end for locks of the parent's threads (Zenoh).
+# Therefore a small Python program calls the kernel before it executes the child's program.
 _TIE = (
     f"import ctypes, os, sys; ctypes.CDLL(None).prctl({PR_SET_PDEATHSIG}, int(sys.argv[1])); "
     "os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
 )
 END_TIME_MAX_S = 10.0  # time from SIGTERM to SIGKILL of a child, s
-CLOSE_TIME_MAX_S = 60.0  # time for the recorder to end, which may write to a slow disk, s
+CLOSE_TIME_MAX_S = 60.0  # maximum time for the recorder to end, s; it may write to a slow disk
 
 
-_SOCKET_PATH_MAX = 107  # largest number of bytes in the path of a unix socket (unix(7))
+_SOCKET_PATH_MAX = 107  # maximum length of the path of a Unix socket, bytes (unix(7))
 
 
 class LaunchError(RuntimeError):
-    """A process did not start, or could not be kept running; the text contains its output."""
+    """A process did not start, or ended too early; the text contains its output."""
 
     def __init__(self, text: str, code: int = 1) -> None:
         super().__init__(text)
@@ -51,7 +51,7 @@ class LaunchError(RuntimeError):
 
 
 def socket_folder() -> Path:
-    """Return a new private folder with a path short enough for sockets, which ``TMPDIR`` may exceed.
+    """Return a new private folder with a path short enough for sockets; one in ``TMPDIR`` may be too long.
 
     Raises LaunchError: no folder can be made.
     """
@@ -91,8 +91,8 @@ class Child:
     A command is forked from this process and need not load its modules again (``Forked``); if a fork is not
     possible, the command is started as a program.
 
-    ``name``: name of the process and its file; ``folder``: folder of that file; ``program``: words before the
-    arguments, None for ``flightstack``; ``works_in``: working folder of the process, None for this one's.
+    ``name``: name of the process and its file; ``folder``: folder of that file; ``program``: command before
+    the arguments, None for ``flightstack``; ``works_in``: working folder, None for that of this process.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class Child:
         self.pid = self.process.pid
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
-        self._read: list[str] = []  # lines that arrived together with the ``ready`` line
+        self._read: list[str] = []  # lines that arrived in one read with the ``ready`` line
 
     def _program(
         self,
@@ -129,7 +129,7 @@ class Child:
         if program is None:
             words, variables = [sys.executable, "-m", CLI], {_PARENT: f"{os.getpid()} {self.name}"}
         else:
-            words, variables = tied(program), {}  # a program would pass the variable on to its children
+            words, variables = tied(program), {}  # a program would pass the variable to its children
         process = subprocess.Popen(
             [*words, *arguments],
             cwd=works_in,
@@ -137,18 +137,18 @@ class Child:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=errors,
-            start_new_session=True,  # Ctrl-C reaches only the launcher, which ends the children in order
+            start_new_session=True,  # only the launcher receives Ctrl-C; it ends the children in order
         )
         hand_on_niceness(process.pid)
         return process
 
     def yield_to_others(self, steps: int) -> None:
         """Lower the priority of the process, so that it does not delay the flight."""
-        with contextlib.suppress(OSError):  # lower priority is optional
+        with contextlib.suppress(OSError):  # a failure is harmless
             os.setpriority(os.PRIO_PROCESS, self.pid, steps)
 
     def wait_ready(self) -> str:
-        """Wait for the line ``ready ...`` and return its rest. Raises LaunchError: the end, or too late."""
+        """Wait for the line ``ready ...``; return its remainder. Raises LaunchError: no such line in time."""
         until, worked_s = time.monotonic() + START_TIME_MAX_S, 0.0
         try:
             while time.monotonic() < until and worked_s < START_WORK_MAX_S:
@@ -161,7 +161,7 @@ class Child:
                     break
                 if (now_s := _processor_s(self.pid)) >= worked_s + _WORKING_S:
                     until, worked_s = time.monotonic() + START_TIME_MAX_S, now_s
-        except BaseException:  # after a signal, no other code ends this child
+        except BaseException:  # also after a signal: no other code would end this child
             self.end()
             raise
         hung, code = self.process.poll() is None, self.end()
@@ -169,7 +169,7 @@ class Child:
         raise LaunchError(f"{self.name} did not start: {why if hung else self.errors()}", code)
 
     def lines(self, timeout_s: float) -> list[str]:
-        """Return complete lines of output that arrived within a time."""
+        """Return the complete lines of output that arrive within a time."""
         assert self.process.stdout is not None
         read, self._read = self._read, []
         with selectors.DefaultSelector() as selector:
@@ -212,11 +212,11 @@ def ended(process: subprocess.Popen[Any] | Forked, within_s: float = END_TIME_MA
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(within_s)
         process.kill()
-    return -signal.SIGKILL  # the process is blocked in the kernel, for example by a disk without reply
+    return -signal.SIGKILL  # the process is blocked in the kernel, for example by a disk that does not reply
 
 
 def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM) -> list[str]:
-    """Return the words that start a program which receives this signal if this process is killed."""
+    """Return a command line that starts a program and sends it this signal if this process is killed."""
     if sys.platform != "linux":
         return [*map(str, program)]
     return [sys.executable, "-ISc", _TIE, str(int(number)), str(os.getpid()), *map(str, program)]
@@ -230,10 +230,10 @@ def end_with_parent() -> None:
 
 
 class Port:
-    """TCP port of loopback for a later server, reserved against other runs as long as this object is open.
+    """TCP port on loopback for a later server; as long as this object is open, other runs cannot take it.
 
-    A free port from a bind to port 0 is in the range of outgoing connections, and may be used a moment later.
-    The ports here are below that range; the reservation is the same number of UDP.
+    A port from a bind to port 0 is in the range of outgoing connections, which may use it a moment later. The
+    ports of this class are below that range; the reservation is a bound UDP port of equal number.
     """
 
     _RANGE = range(20_000, 32_000)  # Linux uses outgoing ports from 32768 on (ip_local_port_range)
@@ -256,7 +256,7 @@ class Port:
 
     @property
     def endpoint(self) -> str:
-        """The port as a Zenoh endpoint."""
+        """Return the port as a Zenoh endpoint."""
         return f"tcp/127.0.0.1:{self.number}"
 
     def close(self) -> None:

@@ -1,8 +1,8 @@
-"""Standard output and error that cannot end a flight.
+"""Standard output and error whose failure cannot end a flight.
 
 The reader may end (``| head``, a closed terminal) or stop reading, the disk may be full, and the streams may
-be closed at the start. Output is then lost without an exception, which a library could convert to an exit,
-and no other file gets the number of a standard stream.
+be closed at the start. In these cases output is lost without an exception, which a library could convert to
+an exit, and no other file gets the descriptor of a standard stream.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import select
 import sys
 from typing import Any
 
-# errors that are permanent, since the reader is gone; others (ENOSPC) may be temporary
+# permanent errors: the reader has ended; other errors (ENOSPC) may be temporary
 _GONE = (errno.EPIPE, errno.EIO, errno.EBADF)
-_PART = select.PIPE_BUF  # bytes that a ready pipe accepts without blocking
+_PART = select.PIPE_BUF  # number of bytes that a ready pipe accepts without blocking
 _NUMBERS = {"stdout": 1, "stderr": 2}
 
 
 class Stream(io.FileIO):
     """Standard stream that never raises an exception."""
 
-    waits = True  # whether to wait for a slow reader; False in a flight
+    waits = True  # whether to wait for a slow reader; False in flight
     lost: OSError | None = None  # error of the first lost output; None: no output was lost
 
     def write(self, data: Any) -> int:
@@ -40,18 +40,18 @@ class Stream(io.FileIO):
             if error.errno in _GONE:
                 _to_nothing(self.fileno())
             return size
-        return size if written is None else written  # None: a non-blocking stream is full
+        return size if written is None else written  # None: the stream is non-blocking and full
 
 
 def guard() -> bool:
     """Replace the standard streams; call this before any file is opened.
 
-    Replaced streams (in tests) remain; return whether standard output was that of the process.
+    Streams that a test has replaced remain. Return whether standard output was that of the process.
     """
     for number in range(3):
         try:
             os.fstat(number)
-        except OSError:  # if closed, the next file would get this number, and the output of libraries
+        except OSError:  # for a closed stream: the next file would get its number
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
     for name, number in _NUMBERS.items():
         old = getattr(sys, name)
@@ -65,7 +65,7 @@ def guard() -> bool:
             io.TextIOWrapper(
                 raw if at_once else io.BufferedWriter(raw),
                 encoding=old.encoding if old is not None else "utf-8",
-                # characters outside the terminal's encoding do not raise
+                # characters outside the terminal's encoding must not raise an error
                 errors=old.errors if old is not None and old.errors != "strict" else "backslashreplace",
                 line_buffering=number == 2 or (old is not None and old.line_buffering),
                 write_through=at_once,
@@ -75,7 +75,7 @@ def guard() -> bool:
 
 
 def never_wait() -> None:
-    """Drop output without a reader from now on, so that a flight does not wait for it."""
+    """From now on drop output that is not read, so that a flight does not wait for its reader."""
     Stream.waits = False
 
 
@@ -91,7 +91,7 @@ def problem() -> str | None:
 
 
 def reader_gone() -> bool:
-    """Whether the reader of standard output is gone."""
+    """Whether the reader of standard output has ended."""
     raw = _raw(sys.stdout)
     return isinstance(raw, Stream) and raw.lost is not None and raw.lost.errno in _GONE
 
@@ -105,12 +105,12 @@ def _raw(stream: object) -> object:
 def _number(stream: io.TextIOBase) -> int | None:
     try:
         return stream.fileno()
-    except (OSError, ValueError):  # the stream has no number, or is closed
+    except (OSError, ValueError):  # the stream has no descriptor, or is closed
         return None
 
 
 def _to_nothing(number: int) -> None:
-    """Redirect a stream to the null device, so that output of libraries and children does not fail."""
+    """Redirect a descriptor to the null device, so that output of libraries and children does not fail."""
     with contextlib.suppress(OSError):
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, number)

@@ -83,7 +83,7 @@ class Files(Generic[T]):
         return self.over_base(path, read_toml(path))
 
     def over_base(self, path: Path, table: dict[str, Any], above: tuple[Path, ...] = ()) -> dict[str, Any]:
-        """Merge a file's table over the one that its key ``base`` names; ``above``: files based on it."""
+        """Merge a table over that of the file in its key ``base``; ``above``: files based on this one."""
         if "base" not in table:
             return table
         base = self.named(path, "base", name := table.pop("base"))
@@ -92,7 +92,7 @@ class Files(Generic[T]):
         return over(self.over_base(base, read_toml(base), (*above, path.resolve())), table)
 
     def named(self, path: Path, key: str, name: object) -> Path:
-        """Return the file that a key of a file names: a file beside it, a known name, or a path.
+        """Return the file that the key of a file names: a file in its folder, a known name, or a path.
 
         Raises ConfigError: there is no such file.
         """
@@ -116,7 +116,7 @@ def not_found(kind: str, name_or_file: str | Path, names: Sequence[str], hint: s
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """Return a question with the known word that is nearest to an unknown one; empty: none is near."""
+    """Return a "did you mean" text with the known word nearest to ``word``; empty: none is near."""
     close = difflib.get_close_matches(word, list(known), n=1)
     return f"did you mean {close[0]}?" if close else ""
 
@@ -141,10 +141,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(data: bytes) -> dict[str, Any]:
-    """Parse TOML in UTF-8 or by its byte order mark. Raises ConfigError: not TOML or another encoding."""
+    """Parse TOML in UTF-8, or as its byte order mark says. Raises ConfigError: no TOML, or wrong encoding."""
     try:
         return tomllib.loads(decoded(data))
-    except (ValueError, RecursionError) as error:  # error of tomllib, or of the encoding
+    except (ValueError, RecursionError) as error:  # raised by tomllib or by the decoding
         raise ConfigError(f"not TOML: {error}") from error
 
 
@@ -163,7 +163,7 @@ def decoded(data: bytes) -> str:
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF32_LE, "utf-32"),  # the mark of UTF-32 starts with that of UTF-16
+    (codecs.BOM_UTF32_LE, "utf-32"),  # before UTF-16, whose mark is the start of this one
     (codecs.BOM_UTF32_BE, "utf-32"),
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
@@ -181,7 +181,7 @@ def from_table(cls: type[T], table: object, where: str = "") -> T:
     except msgspec.ValidationError as error:
         path = re.search(r" - at `\$\.?(.*)`$", str(error))
         at = ".".join(filter(None, (where, path and path[1])))
-        if error.__cause__ is not None:  # error of a ``__post_init__``
+        if error.__cause__ is not None:  # raised by a ``__post_init__``
             raise ConfigError(f"{at}: {error.__cause__}" if at else str(error.__cause__)) from None
         kind, found = places[at]
         raise ConfigError(f"{at or cls.__name__}: found {found!r}, allowed: {allowed(kind, at)}") from None
@@ -225,7 +225,7 @@ def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, t
 
 
 def allowed(kind: inspect.Type, at: str) -> str:
-    """Return the values that a type allows, as text."""
+    """Return a text with the values that a type allows."""
     match kind:
         case inspect.IntType(ge=low, le=high):
             return "an integer" if low is None else f"an integer, {low:g} to {high:g}"
@@ -247,7 +247,7 @@ def allowed(kind: inspect.Type, at: str) -> str:
 
 
 def _unknown(key: str, known: Sequence[str], inside: Sequence[str], where: str) -> str:
-    """Return the error for an unknown key; ``inside``: the same key in the tables of this table."""
+    """Return the error for an unknown key; ``inside``: places of this key in the sub-tables."""
     at = f"{where}.{key}" if where else key
     found, unit = stem(key)
     for name in known:
@@ -288,7 +288,7 @@ def _lines(table: dict[str, Any], prefix: str = "") -> Iterator[str]:
     below = {key: _tables(value) for key, value in table.items()}
     for key, value in table.items():
         if not below[key] and not isinstance(value, dict):
-            yield f"{key} = {json.dumps(value, ensure_ascii=False)}"  # a valid TOML value, too
+            yield f"{key} = {json.dumps(value, ensure_ascii=False)}"  # a JSON text is also valid in TOML
     for key, value in table.items():
         name = f"{prefix}.{key}" if prefix else key
         if isinstance(value, dict):
@@ -298,6 +298,6 @@ def _lines(table: dict[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _tables(value: Any) -> list[dict[str, Any]]:
-    """Return the tables of an array of tables; empty for anything else."""
+    """Return the tables of an array of tables; an empty list for any other value."""
     is_array = isinstance(value, list) and all(isinstance(item, dict) for item in value)
     return value if is_array else []

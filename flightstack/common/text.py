@@ -17,35 +17,35 @@ ROBOT_FAILED, FILTER_FAILED = "the robot's function", "the filter returned no ve
 
 
 def labels(names: Sequence[str]) -> list[str]:
-    """Return the names to show beside several things; a single one is shown without its name."""
+    """Return the names to print beside the members of a fleet; a single member is printed without a name."""
     return list(names) if len(names) > 1 else [""] * len(names)
 
 
 def outline(shared: Mapping[str, object], key: str, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the JSON object of several things: what they share, and each of them below ``key``.
+    """Return the JSON object of a fleet: shared values, and the values of each member under ``key``.
 
-    A single one is the object itself.
+    For a single member, return the object of this member.
     """
     (only, *others) = entries.values()
     return {**shared, key: entries} if others else only
 
 
 def pip_install(extras: str) -> str:
-    """Return the command that installs extras for the running Python, from an index or into a checkout."""
+    """Return the pip command that installs extras for the running Python, from an index or a checkout."""
     return f"{shlex.quote(sys.executable)} -m pip install 'crazyflie-flightstack[{extras}]'"
 
 
 def failed_code(reason: str) -> str:
-    """The part of a reason that names code of the user that failed; empty: none did."""
+    """Return the part of a reason that names failed code of the user; empty: no such code failed."""
     found = [at for what in (ROBOT_FAILED, FILTER_FAILED) if (at := reason.find(what)) >= 0]
     return reason[min(found) :] if found else ""
 
 
 def plain(text: object) -> str:
-    """Return a text with visible control characters: it cannot set colours, move the cursor or overwrite."""
+    """Return a text in which control characters are visible and have no effect on the terminal."""
     return _HIDDEN.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), str(text))
 
 
 def one_line(text: object) -> str:
-    """Return ``plain`` text without line breaks, so that a text cannot imitate further lines."""
+    """Return ``plain`` text without line breaks, so that a text cannot imitate other lines."""
     return plain(text).replace("\n", "\\n").replace("\t", "\\t")

@@ -1,4 +1,4 @@
-"""Choice of the code for a control step: plain Python, or compiled code if the configuration allows it."""
+"""Choice of the code that computes a control step: plain Python, or compiled code if that is possible."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
 class Core(Enum):
     """Code that computes a control step; the value is that of the option ``--core``."""
 
-    AUTO = "auto"  # compiled code in real time if its machine code is on disk
+    AUTO = "auto"  # in real time: compiled code if its machine code is on disk, else plain Python
     PLAIN = "plain"
     COMPILED = "compiled"
 
 
 def is_possible() -> bool:
-    """Whether numba is installed and not switched off."""
+    """Whether numba is installed and not disabled."""
     return not is_off() and find_spec("numba") is not None
 
 
 def suits(config: FlightConfig) -> bool:
-    """Whether the compiled landing kernel supports everything that a configuration uses."""
+    """Whether the compiled landing kernel supports all features of a configuration."""
     return config.filter in ("robust", "paper") and suits_but_filter(config)
 
 
 def suits_but_filter(config: FlightConfig) -> bool:
-    """Whether the compiled landing kernel supports everything except perhaps the filter."""
+    """Whether the compiled landing kernel supports all features except, perhaps, the filter."""
     return (
         config.fleet is None
-        and config.velocity_loop.dead_time_s == 0.0  # compiled code stores no queue of set-points
+        and config.velocity_loop.dead_time_s == 0.0  # compiled code has no queue of set-points
         and config.touchdown.rule is TouchdownRule.CONTACT
     )
 
@@ -47,7 +47,7 @@ def _stamp(config: FlightConfig) -> str:
 def chosen_core(core: Core, config: FlightConfig, *, lockstep: bool) -> Core:
     """Return the code to use: ``PLAIN`` or ``COMPILED``.
 
-    In lockstep, loading takes more time than a flight saves.
+    In lockstep the default is plain Python: loading compiled code takes longer than it saves in one flight.
 
     Raises ValueError: compiled code is requested but not possible.
     """
@@ -68,7 +68,7 @@ def chosen_core(core: Core, config: FlightConfig, *, lockstep: bool) -> Core:
 
 
 def compiled(config: FlightConfig) -> Controller:
-    """Return a controller with compiled ticks, or one in plain Python where these are not possible."""
+    """Return a controller with compiled ticks; if these are not possible, one in plain Python."""
     if is_off() or not suits(config) or not hypot_is_known():
         return Controller(config)
     from flightstack.compiled.tick import CompiledController

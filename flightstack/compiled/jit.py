@@ -32,7 +32,7 @@ SOURCES = (
     *(f"sim/{room}/*.py" for room in ("plant", "world", "firmware", "vehicle", "robot", "validation")),
     *(f"sim/runners/{name}.py" for name in ("ticks", "robot", "room")),
 )
-OFF = "NUMBA_DISABLE_JIT"  # numba's own environment variable
+OFF = "NUMBA_DISABLE_JIT"  # environment variable of numba that disables compilation
 _NEEDLESS = ("scipy.linalg", "coverage")
 
 
@@ -42,7 +42,7 @@ def is_off() -> bool:
 
 
 def _fingerprint() -> str:
-    """Return a hash of every source that compiled code can come from."""
+    """Return a hash of every source file that compiled code can come from."""
     digest, top = hashlib.sha256(), Path(__file__).parents[2]
     for path in [*sorted(HERE.glob("*.py")), *(each for one in SOURCES for each in sorted(top.glob(one)))]:
         digest.update(path.read_bytes())
@@ -50,7 +50,7 @@ def _fingerprint() -> str:
 
 
 def _usable(directory: Path) -> bool:
-    if str(directory).startswith("~"):  # there is no home directory
+    if str(directory).startswith("~"):  # the user has no home directory
         return False
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -63,9 +63,9 @@ def _usable(directory: Path) -> bool:
 def cache_directory() -> Path | None:
     """Return the directory for machine code; None if no directory is writable.
 
-    The first writable one is used: NUMBA_CACHE_DIR, a folder beside the sources, the user's cache, or a
-    folder of this user among the temporary files. Machine code beside sources that are not writable, such as
-    in an installation for all users, is copied from there.
+    The first writable directory is used: NUMBA_CACHE_DIR, a folder beside the sources, the user's cache, or a
+    temporary folder of this user. If the folder beside the sources is not writable, as in an installation for
+    all users, its machine code is copied to the directory.
     """
     name, beside, chosen = f"jit-{_fingerprint()}", HERE / "__pycache__", os.environ.get("NUMBA_CACHE_DIR")
     roots = [Path(chosen)] if chosen else []
@@ -80,7 +80,7 @@ def cache_directory() -> Path | None:
 
 
 def _own_folder() -> Path:
-    """Return a temporary folder that only this user can write, because its content is run as code."""
+    """Return a temporary folder that only this user can write, because its files are executed."""
     folder = Path(tempfile.gettempdir()) / f"flightstack-{os.getuid()}"
     with contextlib.suppress(OSError):
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -91,8 +91,8 @@ def _own_folder() -> Path:
 
 
 def _take_over(shipped: Path, found: Path) -> None:
-    """Copy machine code into an empty directory; other processes see all of it or none."""
-    with contextlib.suppress(OSError):  # after an error, the functions are compiled again
+    """Copy machine code into an empty directory in one step: other processes find all files or none."""
+    with contextlib.suppress(OSError):  # after an error, numba compiles the functions again
         if any(found.iterdir()):
             return
         with tempfile.TemporaryDirectory(dir=found.parent) as folder:
@@ -116,7 +116,7 @@ def jitted(function: F) -> F:
 
 
 def _guarded(machine: Any) -> Any:
-    """Let a function compile again where its file is damaged, and run unsaved where the disk is full.
+    """Compile a function again if its stored code is damaged, and run it without storage if the disk is full.
 
     Files are damaged by a loss of power or a full disk; numba raises whatever unpickling raises.
     """
@@ -128,7 +128,7 @@ def _guarded(machine: Any) -> Any:
             return load(*given)
         except Exception:  # damaged pickles raise errors of any class; the code is compiled again
             with contextlib.suppress(OSError):
-                cached.flush()  # an index that cannot be read could not be extended
+                cached.flush()  # an unreadable index could not be extended
             return None
 
     def saved(*given: Any) -> None:
@@ -143,16 +143,16 @@ _made: list[str] = []  # names of functions that are compiled at their first cal
 
 
 def is_kept(what: str) -> bool:
-    """Whether the machine code of a part is on disk, so that it is loaded in tenths of a second."""
+    """Whether the machine code of ``what`` is on disk; it then loads in tenths of a second."""
     folder = cache_directory()
     return folder is not None and (folder / what).exists()
 
 
 def keep(what: str) -> None:
-    """Record that all machine code of a part is on disk."""
+    """Record that all machine code of ``what`` is on disk."""
     folder = cache_directory()
     if folder is not None and not is_off():
-        with contextlib.suppress(OSError):  # the disk is full
+        with contextlib.suppress(OSError):  # the disk may be full
             (folder / what).touch()
 
 
@@ -161,7 +161,7 @@ def telling(what: str = "the simulator, about 25 s") -> Iterator[None]:
     """Print the progress of compilation in this block to standard error.
 
     ``what``: description and processor time of the compiled part; a slow computer takes longer. Each version
-    compiles once. The printed share counts the functions known so far, some of which may not be needed.
+    compiles once. The printed fraction counts the functions known so far; some of them may not be needed.
     """
     if is_off() or _told:
         yield
@@ -190,14 +190,14 @@ _told: dict[int, int] = {}  # functions whose compilation has started
 
 
 def _tell(begun: int, what: str) -> None:
-    """Report each tenth of the progress once."""
+    """Print the progress when it has reached another tenth."""
     tenth = min(9, 10 * begun // max(1, len(_made)))
     if not begun or tenth > min(9, 10 * (begun - 1) // max(1, len(_made))):
         _say(f"compiling {what}, once: {10 * tenth} %")
 
 
 def _say(text: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # standard error is closed
+    with contextlib.suppress(OSError, ValueError):  # standard error may be closed
         print(f"flightstack: {text}", file=sys.stderr, flush=True)
 
 
@@ -205,14 +205,14 @@ def _say(text: str) -> None:
 def load_numba() -> Any:
     """Return numba, loaded without optional imports that this package does not use.
 
-    This saves half a second (a sixth) of the load, and as much at the first machine code. Without
+    This saves half a second (a sixth) of the load time, and another half at the first machine code. Without
     scipy.linalg compiled code cannot multiply matrices.
     """
     absent = [name for name in _NEEDLESS if name not in sys.modules]
     sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # None: the import fails
     try:
         import numba
-        import numba.np.arraymath  # tries to import scipy.linalg
+        import numba.np.arraymath  # this import tries to import scipy.linalg
 
         return numba
     finally:

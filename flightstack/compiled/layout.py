@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hi
 
 from flightstack.core.numeric import ABSENT, UNSEEN
 
-WORD = 8  # bytes of each number: doubles and whole numbers have 64 bits
+WORD = 8  # size of a double or integer, bytes
 _texts: list[str] = [""]
 
 
@@ -51,7 +51,7 @@ class Kind(NamedTuple):
         return "d" if self.hint is float else "q"
 
     def taken(self, path: str) -> str:
-        """Return a Python expression for the numbers of a value."""
+        """Return a Python expression for the elements of a value, in the order of compiled memory."""
         if not self.parts:
             if self.hint is None:
                 return f"*none({path})"
@@ -63,7 +63,7 @@ class Kind(NamedTuple):
         return ", ".join(part.taken(f"{path}[{n}]") for n, part in enumerate(self.parts))
 
     def made(self, at: int, scope: dict[str, Any]) -> str:
-        """Return a Python expression for the value whose numbers start at ``v[at]``."""
+        """Return a Python expression for the value whose elements start at ``v[at]``."""
         if self.parts:
             if get_origin(self.hint) is tuple and set(self.format) == {"d"} and not self.parts[0].parts:
                 return f"v[{at}:{at + len(self.parts)}]"
@@ -114,13 +114,13 @@ def kind_of_hint(hint: Any) -> Kind | None:
 
 
 def is_state(cls: type) -> bool:
-    """Whether objects of a class are state, which changes: dataclasses that are not frozen."""
+    """Whether objects of a class are state that changes: dataclasses that are not frozen."""
     return dataclasses.is_dataclass(cls) and not cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
 
 
 @cache
 def fields_of(cls: Any) -> dict[str, tuple[Kind, int]]:
-    """Return the fields of a class that compiled code can hold, each with its position in numbers."""
+    """Return the fields of a class that compiled code can hold, each with the index of its first element."""
     found, at = {}, 0
     for name, hint in get_type_hints(cls, include_extras=True).items():
         if get_origin(hint) is typing.ClassVar or (kind := kind_of_hint(hint)) is None:
@@ -140,7 +140,7 @@ def objects_of(cls: Any) -> dict[str, Any]:
 
 @cache
 def reader_of(cls: Any) -> Callable[[Any, tuple[Any, ...]], None]:
-    """Return a function that sets the fields of an object from numbers, except fields that hold objects."""
+    """Return a function that sets the fields of an object, except objects, from elements of memory."""
     scope: dict[str, Any] = {"texts": _texts}
     lines = [f"    o.{n} = {k.made(at, scope)}" for n, (k, at) in fields_of(cls).items() if not k.is_object]
     exec("def read(o, v):\n" + "\n".join([*lines, "    return"]), scope)
@@ -149,7 +149,7 @@ def reader_of(cls: Any) -> Callable[[Any, tuple[Any, ...]], None]:
 
 @cache
 def taker_of(cls: Any) -> Callable[[Any, dict[int, int]], tuple[Any, ...]]:
-    """Return a function that returns the numbers of an object."""
+    """Return a function that returns the elements of an object in compiled memory."""
     parts = "".join(f"{kind.taken(f'o.{name}')}, " for name, (kind, _) in fields_of(cls).items())
     scope: dict[str, Any] = {"code": _code, "none": _none}
     exec(f"def take(o, at):\n    return ({parts})", scope)

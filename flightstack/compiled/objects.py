@@ -100,7 +100,7 @@ else:
             return types.IntEnumMember(kind.hint, types.int64)
         return types.int64 if kind.hint in (int, str) else _held(kind.hint, ())
 
-    @cache  # a new type would hash its long name in each call of compiled code
+    @cache  # cached: a new type would hash its long name in each call of compiled code
     def _held(cls: type, others: tuple[tuple[str, Any], ...]) -> Held:
         return _class_of(cls)(cls, others)
 
@@ -138,7 +138,7 @@ else:
         return choose
 
     def _raising(function: Any) -> Any:
-        """Return the compiled form of a rare function: it returns the tick to Python."""
+        """Return the compiled form of a rare function: it raises ``NotOrdinary``; Python runs the tick."""
         hint = get_type_hints(function).get("return")
         kind = None if hint in (None, type(None)) else kind_of_hint(hint)
         zero = _zero(types.none if kind is None else _numba_type(kind))
@@ -240,7 +240,7 @@ else:
     _known: set[Any] = set()
 
     def _register_named() -> None:
-        """Let compiled code use the marked methods of named tuples."""
+        """Register the marked methods of named tuples for compiled code."""
         for cls in [each for each in MARKED if isinstance(each, type) and each not in _known]:
             _known.add(cls)
             for name, one in vars(cls).items():
@@ -262,7 +262,7 @@ else:
         return _kind(one, {})
 
     def _kind(one: object, known: dict[int, Held]) -> Held:
-        """Type of an object; ``known``: types of the objects found so far, by identity."""
+        """Return the type of an object; ``known``: types of the objects found so far, by id."""
         if id(one) not in known:
             cls, others = class_of(one), []
             for name, hint in objects_of(cls).items():
@@ -305,7 +305,7 @@ class Objects:
 
     @property
     def handle(self) -> Handle:
-        """The object as an argument of compiled code; it does not change."""
+        """Object as an argument of compiled code; it remains valid as long as this object."""
         return Handle(None if is_off() else kind_of(self._root), self._at[id(self._root)])
 
     def write(self) -> bool:
@@ -320,16 +320,16 @@ class Objects:
         return True
 
     def numbers(self, one: object) -> tuple[Any, ...]:
-        """Return the numbers of an object in the order of compiled memory."""
+        """Return the elements of an object in the order of compiled memory."""
         return taker_of(class_of(one))(one, self._at)
 
     def write_one(self, one: object) -> None:
-        """Copy the state of one object from Python."""
+        """Copy the state of one object from Python to compiled memory."""
         at = (self._at[id(one)] - self.state.ctypes.data) // WORD
         struct.pack_into(f"={format_of(class_of(one))}", self.state.data, at * WORD, *self.numbers(one))
 
     def read(self) -> None:
-        """Copy the state back to Python's objects."""
+        """Copy the state from compiled memory to Python's objects."""
         numbers = self._struct.unpack_from(self.state.data)
         for one, read, part in self._readers:
             read(one, numbers[part])

@@ -49,7 +49,7 @@ def _field(hint: Any) -> object:
 
 @cache
 def layout(declaration: type[Record]) -> np.dtype[np.void]:
-    """Memory layout of a declared record.
+    """Return the memory layout of a declared record.
 
     Raises TypeError: records cannot hold a field of this kind; AttributeError: a field has the name of a
     method of numpy's records.
@@ -73,7 +73,7 @@ def new(declaration: type[R], values: tuple[object, ...] | None = None) -> R:
 
 
 class Cell(Protocol[R_co]):
-    """A record as an array of one element, the form that compiled code takes."""
+    """A record as an array of one element, in which form compiled code takes it."""
 
     @overload
     def __getitem__(self, key: int) -> R_co: ...
@@ -92,9 +92,9 @@ def cell(record: R) -> Cell[R]:
 
 
 def cell_of_numbers(record: R) -> Cell[R]:
-    """Return a cell for code that reads single numbers and no slices: it is as fast in plain Python.
+    """Return a cell for code that reads single numbers, but no slices: it is fast in plain Python, too.
 
-    Plain Python then reads the fields of the same memory by ctypes: 0.1 us each instead of numpy's 3 us.
+    In plain Python, ctypes reads the fields from the same memory, in 0.1 us each instead of numpy's 3 us.
     """
     one = cell(record)
     if not is_off():
@@ -104,7 +104,7 @@ def cell_of_numbers(record: R) -> Cell[R]:
 
 
 def _bare(kind: np.dtype[Any]) -> np.dtype[Any]:
-    """Return the same layout without numpy's record type, which ctypes does not support."""
+    """Return a layout without numpy's record type, which ctypes does not support."""
     if kind.names is None:
         return kind
     formats = [_bare(kind[name]) for name in kind.names]
@@ -116,15 +116,15 @@ Values = tuple[Any, ...]
 
 
 def scalars(record: Record, *names: str) -> list[Scalar]:
-    """Return views of scalar fields: ``view[0]`` reads and writes one, at a third of the cost of numpy's."""
+    """Return views of scalar fields: ``view[0]`` reads or writes the field in a third of numpy's time."""
     view = cell(record)
     return [view[name].data for name in names]
 
 
 def reader(source: Record | F64, skipping: str = "") -> Callable[[], Values]:
-    """Return a function that returns all numbers of a record, or array, in one flat tuple.
+    """Return a function that returns all elements of a record or array in one flat tuple.
 
-    A slice of this tuple is a tuple, too: this takes a fifth of the time of reading the fields one by one.
+    Slices of this tuple give the fields in a fifth of the time of single reads.
 
     ``source``: record or array to read; ``skipping``: field of the record that is omitted.
     """
@@ -136,7 +136,7 @@ def reader(source: Record | F64, skipping: str = "") -> Callable[[], Values]:
 
 
 def writer(record: Record) -> Callable[..., None]:
-    """Return a function that sets all numbers of a record, one argument each; it is four times as fast."""
+    """Return a function that sets all elements of a record, one argument each, in a quarter of the time."""
     array = np.asarray(cast(np.record, record)).reshape(1)
     return partial(struct.Struct("=" + _format(array.dtype)).pack_into, array.view(np.uint8).data, 0)
 

@@ -45,9 +45,9 @@ RULES: dict[Phase, I64] = {
     phase: np.array([(rule.when, rule.unless) for rule in TABLE[phase]], dtype=np.int64)
     for phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED)
 }
-_SAMPLES = 4  # largest number of target samples in a compiled tick
+_SAMPLES = 4  # maximum number of target samples in a compiled tick
 _OWN, _SAMPLE = struct.Struct("=12d"), struct.Struct("=10d")
-_NONE = -1.0  # number of samples that marks a call that only compiles
+_NONE = -1.0  # marks a call that only compiles, in place of the number of samples
 
 
 def _solve(one: Osqp, numbers: tuple[float, ...]) -> tuple[Vec3, bool, int]:
@@ -87,7 +87,7 @@ def take(kernel: LandingKernel, row: F64, arrival_s: float) -> None:
 
 @jitted
 def _landed(kernel: LandingKernel, given: F64, rules: I64) -> tuple[Landing, float]:
-    """Take the samples and run a tick; return its result and the thrust reserve."""
+    """Pass the samples to the kernel and run a tick; return its result and the thrust reserve."""
     if given[0] == _NONE:
         raise NotOrdinary
     kernel.track.memory.settled = True  # ``step`` sets ``settled`` from the take-off on
@@ -105,11 +105,11 @@ def _landed(kernel: LandingKernel, given: F64, rules: I64) -> tuple[Landing, flo
 class CompiledController(Controller):
     """Controller that computes an ordinary landing tick in one compiled call; see ``compiled``.
 
-    The next access to ``memory`` or ``state`` copies the state back: that is after the set-point was sent.
+    The state is copied back at the next access to ``memory`` or ``state``, after the set-point was sent.
     """
 
     def __init__(self, config: FlightConfig) -> None:
-        # whether compiled memory holds the newest state, and whether Python's objects are older than that
+        # whether compiled memory holds the newest state; whether Python's objects are older than this state
         self._held = self._behind = False
         super().__init__(config)
         self._objects = Objects(self)

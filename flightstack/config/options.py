@@ -11,15 +11,15 @@ from typing import Annotated
 from flightstack.common.options import BadOptionError, Option, declared
 from flightstack.core.parameters.filters import ALLOWED, look_here
 
-# copied here, so that a command need not load the packages that define them; a test compares both
+# copies of names, so that a command need not load the packages that define them; a test compares both
 AUTOPILOTS = ("auto", "sitl", "crazyflie", "px4", "ardupilot")
 TARGET_TYPES = ("odometry", "pose", "pose-covariance")
 CORES = ("auto", "plain", "compiled")
-WATCHED = "tcp/127.0.0.1:7448"  # endpoint of the onboard process in README and docs
+WATCHED = "tcp/127.0.0.1:7448"  # Zenoh endpoint of the onboard process in README and docs
 
 
 def _number(text: str) -> float | None:
-    """Return a finite number; None: the text is none."""
+    """Return a text as a finite number; None: the text is no finite number."""
     try:
         found = float(text)
     except ValueError:
@@ -28,7 +28,7 @@ def _number(text: str) -> float | None:
 
 
 def numbers(given: tuple[str, ...]) -> Mapping[str, float]:
-    """Convert each NAME=VALUE to an entry of a table. Raises BadOptionError: a text has another form."""
+    """Return a table from texts NAME=VALUE. Raises BadOptionError: a text is not NAME=VALUE."""
     found = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -42,7 +42,7 @@ def numbers(given: tuple[str, ...]) -> Mapping[str, float]:
 
 
 def _filter_name(given: str) -> str:
-    """Return the name of a safety filter, which must exist."""
+    """Return the name of a safety filter. Raises ConfigError: there is no such filter."""
     from flightstack.core.strategies.strategy import strategy_class
 
     look_here(given)
@@ -51,7 +51,7 @@ def _filter_name(given: str) -> str:
 
 
 def _configuration(given: str) -> Path:
-    """Return the file of a configuration by name or path."""
+    """Return the path of a configuration that is given by name or path."""
     from flightstack.config.files import path_of
 
     return path_of(given)
@@ -75,7 +75,7 @@ def json(help: str = "Print one JSON object.") -> Option:
 
 
 def seconds(name: str, help: str, low: float | None = None, high: float | None = None) -> Option:
-    """Return an option for a time in seconds."""
+    """Return an option whose value is a time in seconds."""
     return Option(name, help, metavar="S", span=(low, high))
 
 
@@ -164,7 +164,7 @@ class Simulator(Zenoh, Simulated):
 
 @dataclass(frozen=True, kw_only=True)
 class Piloted:
-    """Options about the autopilot of a vehicle."""
+    """Options for the autopilot of a vehicle."""
 
     autopilot: Annotated[str, Option(
         "--autopilot",
@@ -190,7 +190,7 @@ class Vehicle:
 
 @dataclass(frozen=True, kw_only=True)
 class Clocked:
-    """Options about the clock of a process in real time."""
+    """Options for the clock of a process in real time."""
 
     speed: Speed = 1.0
     clock: Annotated[Path | None, Option(
@@ -202,7 +202,7 @@ class Clocked:
 
 @dataclass(frozen=True, kw_only=True)
 class Signing:
-    """Options about the MAVLink senders that are accepted."""
+    """Options that select the accepted MAVLink senders."""
 
     signing_key: SigningKey = None
     allow_unsigned: AllowUnsigned = False
@@ -222,7 +222,7 @@ class Ros2:
 
 @dataclass(frozen=True, kw_only=True)
 class Repeated(Piloted):
-    """Options of ``sitl`` that change bytes or timing: the log contains them, and the report repeats them."""
+    """Options of ``sitl`` that change bytes or timing: the log contains them, and the report prints them."""
 
     speed: Speed = 1.0
     duration_s: Duration = None
@@ -240,7 +240,7 @@ class Repeated(Piloted):
 
 
 def repeated(described: Mapping[str, str]) -> list[str]:
-    """Return the command-line words of the logged options; a flag has no value."""
+    """Return the command-line arguments of the logged options; a flag has no value."""
     words: list[str] = []
     for name, option, kind, *_ in declared(Repeated):
         if name in described and isinstance(option, Option):
@@ -250,7 +250,7 @@ def repeated(described: Mapping[str, str]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Options about files and output of a flight."""
+    """Options for the files and output of a flight."""
 
     out: Annotated[Path | None, Option(
         "--out", "Folder for log and report; default: a new folder in runs/.", path="folder"
