@@ -1,1 +1,1 @@
-"""Information, repair, exports and comparison of logs."""
+"""Tools that summarise, compare and identify from logs."""

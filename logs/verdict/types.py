@@ -53,7 +53,7 @@ class Verdict:
     """Verdict on a flight; ``None`` for a value that does not apply or is unknown."""
 
     outcome: Outcome  # outcome of the flight
-    # h < -5 mm outside the pad in a run that began with h >= 0; ``None`` if data are missing
+    # whether h < -5 mm outside the pad, in a run that began with h >= 0; ``None`` if data are missing
     violation: bool | None
     h_min_m: float | None  # lowest h since the landing began
     h_min_outside_pad_m: float | None  # lowest h where d > pad radius
@@ -63,7 +63,7 @@ class Verdict:
     touchdown_speed_horizontal_m_s: float | None  # horizontal speed relative to the pad's surface
     time_to_land_s: float | None  # time from the start of the landing to first contact, if landed
     reason: str  # reason of the outcome, as text
-    started_safe: bool | None  # h >= 0 when the landing began; ``None`` if unknown
+    started_safe: bool | None  # whether h >= 0 at the start of the landing; ``None`` if unknown
     judged_from: str  # source of the verdict: ``TRUTH`` or ``ESTIMATE``
 
     @staticmethod

@@ -242,8 +242,8 @@ def fleet_result(
 ) -> dict[str, Any]:
     """Return the result of a log for JSON, with the keys of ``flightstack sitl --json``.
 
-    ``pages`` are the reports by member, the main page by ""; ``about`` describes the flight, by default from
-    the log.
+    ``pages``: path of each member's report, and of the main page under the key ""; ``about``: description of
+    the flight, by default from the log.
     """
     pages = pages or {}
     (first, only), *others = verdict.members.items()

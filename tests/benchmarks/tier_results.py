@@ -38,7 +38,7 @@ def campaign(name: str, kind: str, seed: int, runs: int, folder: Path) -> None:
 
 
 def row(tier: str, kind: str, s: dict) -> str:
-    """Return one row of the tiers' table."""
+    """Return the table row of one tier, with the results of its campaign."""
     error, time_s = s["touchdown_error_m"], s["time_to_land_s"]["median"]
     vertical, horizontal = (
         s["touchdown_speed_vertical_m_s"]["p95"],
@@ -77,7 +77,7 @@ def asked_row(tier: str, out: Path) -> str:
 
 
 def team_row(name: str, s: dict) -> str:
-    """Return one row of the teams' table."""
+    """Return the table row of one team, with the results of its campaign."""
     error = s["touchdown_error_m"]
     return (
         f"| `{name}`, robust | {s['runs']} | {s['vehicles_landed']} of {s['vehicles']} | {s['collisions']} "

@@ -41,7 +41,7 @@ class Point:
 
     @property
     def estimate(self) -> tuple[list[float], list[float]]:
-        """Estimated position and velocity, equal to the true ones."""
+        """Return the estimated position and velocity, which equal the true ones."""
         return self.position, self.velocity
 
     @property
@@ -66,7 +66,7 @@ class Point:
         return self.position[2] <= self.surface_m(*self.position[:2]) + 1e-6
 
     def setpoint(self, velocity: tuple[float, float, float], yaw_rate: float) -> None:
-        """Ignore a new set-point: ``command`` passes it at every step."""
+        """Ignore a new set-point, because ``command`` gets the set-point at every step."""
 
     def command(self, velocity: tuple[float, float, float], yaw_rate: float, level: bool) -> None:
         """Advance the flight; ``level``: the vehicle keeps zero tilt and controls only its height."""

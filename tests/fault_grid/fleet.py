@@ -45,7 +45,7 @@ def _lying(exchange: Words, from_tick: int) -> Exchange:
 
 
 def fly(way: Way, at_s: float, seed: int) -> FleetVerdict:
-    """Fly a cell and judge it."""
+    """Fly one cell of the grid; return the verdict on the fleet."""
     team, exchange = broken(load("fleet_3"), way, WHO, at_s), None
     if way is Way.LIES:
         exchange = _lying(Words(team, seed), round(at_s * team.rate_hz))

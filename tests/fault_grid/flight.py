@@ -49,9 +49,9 @@ class Flown:
 
     seen: Seen  # the flight's data, as in a log
     disturbed_at_s: float  # start of the disturbance; the other times are relative to it
-    noticed_s: float  # first phase HOLD, CLIMB or ABORT, or fail-safe of the autopilot
-    down_s: float  # final stop of the motors
-    failsafe_s: float  # first fail-safe of the autopilot
+    noticed_s: float  # start of the first phase HOLD, CLIMB or ABORT, or of the autopilot's fail-safe
+    down_s: float  # time at which the motors stopped for the last time
+    failsafe_s: float  # start of the autopilot's first fail-safe
     phases: tuple[Phase, ...]  # phases of the companion, in order
 
     @property

@@ -72,7 +72,7 @@ class Need:
     # fault does no harm
     within_s: float | None = WITHIN_S
     h_min_m: float = H_MIN_M  # lowest h outside the pad while the companion flies
-    undetectable: bool = False  # no process on board can detect it; the requirements limit the harm
+    undetectable: bool = False  # no process on board can detect the fault; only the harm is limited
     falls_short: str = ""  # reason of a failure that is known to occur by chance; empty: no such failure
     short_ends: frozenset[End] = frozenset()  # ends of the flight in this known failure
 

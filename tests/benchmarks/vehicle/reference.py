@@ -34,17 +34,17 @@ def bench_rpm(grams: float) -> float:
 
 
 def cheeseman_bennett(height: F64, radius: float = ROTOR.radius_m) -> F64:
-    """Return T/T0 of one rotor (Cheeseman and Bennett 1955)."""
+    """Return the thrust ratio T/T0 of one rotor in ground effect (Cheeseman and Bennett 1955)."""
     return 1.0 / (1.0 - (radius / (4.0 * height)) ** 2)
 
 
 def pybullet_drones(height: F64) -> F64:
-    """Return T/T0 in gym-pybullet-drones (BaseAviary.py), at a height of at least 37.8 mm."""
+    """Return the thrust ratio T/T0 in ground effect of gym-pybullet-drones (BaseAviary.py), above 37.8 mm."""
     return 1.0 + 11.36859 * (0.0231348 / (4.0 * np.maximum(height, 0.0378))) ** 2
 
 
 def sanchez_cuevas(height: F64, body_lift: float, radius: float = ROTOR.radius_m) -> F64:
-    """Return T/T0 of a whole quadrotor (Sanchez-Cuevas 2017): rotor distance 65 mm, diagonal 92 mm.
+    """Return the thrust ratio T/T0 of a quadrotor (Sanchez-Cuevas 2017): rotors 65 mm apart, diagonal 92 mm.
 
     ``body_lift``: K_b of the fountain below the body: 2 in the publication, not identified for so small a
     vehicle.

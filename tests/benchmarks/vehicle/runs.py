@@ -36,13 +36,13 @@ class Run:
     """Recorded values, one sample per millisecond; ENU, SI units."""
 
     t: F64
-    position: F64  # (n, 3)
+    position: F64  # position of the vehicle, (n, 3)
     velocity: F64
     roll: F64
     yaw: F64
-    rpm: F64  # (n, 4)
+    rpm: F64  # rotor speeds, rpm, (n, 4)
     ground_factor: F64  # mean ground-effect factor of the four rotors
-    relative: F64  # vehicle minus pad, (n, 3)
+    relative: F64  # position of the vehicle minus that of the pad, (n, 3)
     relative_velocity: F64
     pad_contact: npt.NDArray[np.bool_]
     battery_v: F64

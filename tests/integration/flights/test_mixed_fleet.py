@@ -1,4 +1,4 @@
-"""Three kinds of vehicles in one fleet in real time: simulated, PX4 if there is one, a Crazyflie's bridge."""
+"""A fleet of three kinds of vehicles in real time: simulated, PX4 if installed, Crazyflie with bridge."""
 
 import contextlib
 import itertools

@@ -1,4 +1,4 @@
-"""Watching a flight from outside: live keys and the verb ``watch``; old data is never shown as new."""
+"""Tests live keys and the verb ``watch``, which observes a flight; old data are never shown as new."""
 
 import io
 import json

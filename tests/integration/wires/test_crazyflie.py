@@ -1,4 +1,4 @@
-"""The Crazyflie bridge as a process, through cflib's own UDP driver."""
+"""Tests the process of the Crazyflie bridge with the UDP driver of cflib."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motion capture for a Crazyflie, and for vehicles with other autopilots."""
+"""Tests motion capture for a Crazyflie and for vehicles with other autopilots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled code gives the same results as interpreted Python, reproducibly, on shared records."""
+"""Compiled code and interpreted Python give equal, reproducible results on shared records."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Objects in compiled code: the same fields and methods, and the cases that Python must handle."""
+"""Tests objects in compiled code: equal fields and methods, and the cases left to Python."""
 
 from copy import deepcopy
 from dataclasses import fields

@@ -1,4 +1,4 @@
-"""Both barriers compared with their definition, derivatives with finite differences, eq. 7 in numbers."""
+"""Tests both barriers: their definition, derivatives by finite differences, and eq. 7 with numbers."""
 
 import math
 
@@ -91,7 +91,7 @@ def test_the_cones_angle_is_seen_from_the_landing_spot(height, angle, smoothing)
 
 
 def missed(barrier, e, moved, angle):
-    """Return how far h lies below its linear prediction after this motion."""
+    """Return the linear prediction of h minus h after this motion, m."""
     dx, dy = moved * math.cos(angle), moved * math.sin(angle)
     h, g, _ = barrier.evaluate(e, STILL)
     return h + g[0] * dx + g[1] * dy - barrier.h((e[0] + dx, e[1] + dy, e[2]))
@@ -110,7 +110,7 @@ def test_no_motion_misses_the_linear_prediction_by_more_than_is_said(barrier, e,
 
 @given(places, ways)
 def test_of_a_cone_some_motion_misses_by_all_that_is_said(d, moved):
-    """A barrier so wide that it is a cone of slope 2; the three cases of the bound meet continuously."""
+    """The barrier is so wide that it is a cone of slope 2; the three cases of the bound are continuous."""
     barrier = Barrier(1e-6, 2e6)
     worst = max(missed(barrier, (d, 0.0, 0.0), moved, math.pi * n / 2000) for n in range(2001))
     bound = barrier.linearisation_bound_m((d, 0.0, 0.0), moved)

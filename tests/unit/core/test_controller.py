@@ -1,4 +1,4 @@
-"""The controller: take-off by set-points, and what ends it; an immediate landing on command."""
+"""Tests the controller: a take-off by set-points and its ends, and an immediate landing on command."""
 
 import pytest
 
@@ -47,7 +47,7 @@ class Bench:
         return self.controller.step(Inputs(own, status, (sample,), operator), now_s)
 
     def wait(self, **said):
-        """Stand until the inputs have been good for long enough."""
+        """Stand on the ground until the inputs have been good for the required time."""
         while (out := self.step(**said)).phase is Phase.WAIT:
             assert self.tick * TICK_S < 2.0 * CONFIG.checks.recovery_time_s
         return out
@@ -132,7 +132,7 @@ def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():
 
 
 def test_a_take_off_that_does_not_rise_is_given_up_once_the_ramp_must_be_over():
-    """A vehicle that hops near the ground: commanded to climb and reported in the air, it never rises."""
+    """The vehicle hops near the ground: it reports that it is in the air, but does not climb."""
     bench = Bench()
     bench.wait(armed=True, mode=Mode.EXTERNAL)
     for tick in range(round(RISE_FREE_S / TICK_S) - 1):

@@ -45,7 +45,7 @@ def check(velocity=(0.1, 0.0, -0.1), yaw=0.0, setpoint=None, **changes):
 
 
 def ulps(value, count=5):
-    """Return the floats around a value: this many below and above, each with its offset."""
+    """Return ``count`` neighbouring floats below and above a value, each with its offset in floats."""
     low = high = value
     found = [(0, value)]
     for n in range(1, count + 1):

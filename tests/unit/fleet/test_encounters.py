@@ -15,7 +15,7 @@ BOTH = np.ones(2, dtype=np.int64)
 
 
 class Nearest(NamedTuple):
-    """Result of a pair."""
+    """Smallest distances and collision of a vehicle pair."""
 
     distance_m: float
     ellipsoid: float

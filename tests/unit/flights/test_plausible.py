@@ -1,4 +1,4 @@
-"""Values that contradict the table of columns; clocks that differ."""
+"""Tests the rejection of values that contradict the table of columns, and of clocks that differ."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recorded flights: read columns, rejected files, and left-out parts."""
+"""Tests which columns of recorded flights are read, and which files and parts are rejected."""
 
 from __future__ import annotations
 

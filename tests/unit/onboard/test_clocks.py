@@ -1,4 +1,4 @@
-"""Pacing with a test clock; ports, niceness and memory of processes."""
+"""Tests pacing with a test clock, and ports, niceness and memory of processes."""
 
 import subprocess
 import sys

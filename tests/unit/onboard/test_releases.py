@@ -1,4 +1,4 @@
-"""The pre-flight check with fake vehicles of every release in its tables."""
+"""Tests the pre-flight check with a fake vehicle for each autopilot release in its tables."""
 
 import pytest
 

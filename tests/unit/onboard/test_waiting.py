@@ -1,4 +1,4 @@
-"""Messages while a flight waits: each cause by name, and the setting that determines it."""
+"""Tests the messages during a wait: each names its cause, and the setting that limits the wait."""
 
 import math
 from dataclasses import replace

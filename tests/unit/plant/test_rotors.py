@@ -1,4 +1,4 @@
-"""Rotors compared with their maps, ground effect with its closed form, battery, gusts."""
+"""Tests rotors against their maps, ground effect against its closed form, battery and gusts."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""Measurement channel and IMU: statistics, order, determinism."""
+"""Tests statistics, order and determinism of the measurement channel and of the IMU."""
 
 import zlib
 

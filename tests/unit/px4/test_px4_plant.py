@@ -1,4 +1,4 @@
-"""The simulated vehicle under PX4: its parameters, motors and physics."""
+"""Tests the simulated vehicle that PX4 flies: parameters, motors and physics."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""One session over a real TCP connection, with a misbehaving PX4."""
+"""Tests a session over a real TCP connection with a PX4 that violates the protocol."""
 
 import itertools
 import threading

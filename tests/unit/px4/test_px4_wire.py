@@ -1,4 +1,4 @@
-"""Bytes, messages and times between PX4 and its simulator."""
+"""Tests bytes, messages and time stamps between PX4 and its simulator."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""Targets that send poses: velocity, and another point of the body."""
+"""Tests targets that send poses: their computed velocity, and a landing spot beside the tracked point."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Zenoh: odometry, sessions, and keys that may belong to a target."""
+"""Tests odometry over Zenoh, sessions, and the search for keys of a target."""
 
 import contextlib
 import json

@@ -1,4 +1,4 @@
-"""Ticks in compiled batches: landings equal those tick by tick to the last bit, also when alternating."""
+"""Landings in compiled batches of ticks equal landings tick by tick bit for bit, also if both alternate."""
 
 from dataclasses import fields, replace
 

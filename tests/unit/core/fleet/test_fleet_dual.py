@@ -1,4 +1,4 @@
-"""Confirmation of the exact solution; limits that silent vehicles cause."""
+"""Tests the confirmation of the exact solution, and the constraints that silent vehicles cause."""
 
 import math
 import random

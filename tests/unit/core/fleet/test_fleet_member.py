@@ -1,4 +1,4 @@
-"""A member of a fleet: when it sends messages, and configurations that are refused."""
+"""Tests when a fleet member sends messages, and which configurations are refused."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The program with several rows: exact solution against scipy, OSQP against it, and relaxed rows."""
+"""The program with several rows: the exact solution equals scipy's and OSQP's; rows are relaxed if needed."""
 
 import math
 
@@ -84,7 +84,7 @@ def test_the_exact_solution_is_that_of_scipy(nominal, found, box):
     assert slack <= 2e-9
     point, multipliers = exact
     assert missing(found, lower, upper, point) <= 1e-8
-    # optimality: the gradient is balanced by active rows and bounds
+    # optimality: active rows and bounds balance the gradient
     rest = [n - p for n, p in zip(nominal, point, strict=True)]
     for row, multiplier in zip(found, multipliers, strict=True):
         assert multiplier >= 0.0

@@ -1,4 +1,4 @@
-"""Contact with the pad: its detection, and that it is latched."""
+"""Tests that contact with the pad is detected and then remains set."""
 
 import math
 

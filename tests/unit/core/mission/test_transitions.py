@@ -1,4 +1,4 @@
-"""A change of phase is data; one place writes and reads its text."""
+"""A phase change is stored as data; one class writes its text and parses it."""
 
 from dataclasses import replace
 

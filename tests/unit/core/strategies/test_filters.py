@@ -1,4 +1,4 @@
-"""Properties of the robust filter: the required climb and the margin."""
+"""Tests the required climb and the margin of the robust filter."""
 
 import math
 

@@ -33,7 +33,7 @@ links = st.builds(
 
 
 def assumed(link, axis):
-    """Jerk, initial acceleration and its decay time for one axis."""
+    """Return the assumed jerk, initial acceleration and its decay time for one axis."""
     if axis == 2:
         return link.jerk_z_m_s3_sqrthz, link.acceleration_z_m_s2, math.inf
     return link.jerk_xy_m_s3_sqrthz, link.acceleration_xy_m_s2, link.acceleration_time_s

@@ -205,7 +205,7 @@ def test_a_yaw_that_is_no_number_turns_nothing(unknown):
     assert with_.memory.turn_rate_rad_s == 0.0
     assert with_.at(2.0) == without.at(2.0)
     with_.update(1.0, *circle(1.0), 3.0)
-    with_.update(1.02, *circle(1.02), -3.2)  # turned by 0.08 rad across the seam
+    with_.update(1.02, *circle(1.02), -3.2)  # the heading turns by 0.08 rad across +-pi
     assert 0.0 < with_.memory.turn_rate_rad_s < TURN_RATE_MAX_RAD_S
 
 
@@ -217,7 +217,7 @@ def test_numbers_of_a_target_that_is_stuck_are_the_last_also_at_rest(track):
 
 
 def test_a_robot_that_jumps_is_refused_whatever_its_velocity_says(track):
-    fast = (1.4, 0.0, 0.0)  # the mean explains 0.15 m
+    fast = (1.4, 0.0, 0.0)  # the mean velocity explains 0.15 m
     assert (
         track.accept(later(0.2, position_enu_m=(1.34, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.ACCEPTED
     )

@@ -1,4 +1,4 @@
-"""Damaged logs and other files: every verb ends with a clear message, and reads what is readable."""
+"""Damaged logs and invalid files: every verb reads the readable part and ends with a clear message."""
 
 import random
 import re

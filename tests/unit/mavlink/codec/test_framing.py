@@ -1,4 +1,4 @@
-"""Frames in datagrams and byte streams: split anywhere, with noise, with losses."""
+"""Tests frames in datagrams and byte streams that are split at any byte, noisy or incomplete."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""All command tables: both encodings, repeats, rejections, addresses."""
+"""Tests all command tables: both encodings, repetitions, rejections and addresses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Telemetry, parameters and the small protocols."""
+"""Tests telemetry, parameters and small MAVLink protocols of the server."""
 
 from __future__ import annotations
 
