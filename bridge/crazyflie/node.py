@@ -197,7 +197,7 @@ class Node(Server[Vehicle]):
         if late_s > LATE_MAX_S:
             self.late += 1
             return
-        state = decode_state(packet.values, boot_ms, at_s - late_s)  # the time when the state was measured
+        state = decode_state(packet.values, boot_ms, at_s - late_s)  # time of measurement
         restarts, self._restarts = self._restarts, self.clock.restarts
         self.vehicle.take_state(state, at_s, restarted=restarts != self.clock.restarts)
         snapshot = self.snapshot(state.at_s)  # the bridge's clock is as steady as the Crazyflie's

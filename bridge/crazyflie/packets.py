@@ -21,7 +21,7 @@ class Velocity(NamedTuple):
 
 class Pose(NamedTuple):
     position_enu_m: Vec3
-    quaternion: Quat  # order w, x, y, z; attitude of FLU in ENU
+    quaternion: Quat  # attitude of FLU in ENU, in the order w, x, y, z
 
 
 class Order(Enum):

@@ -24,7 +24,7 @@ CARRIED_MAX_M_S = 1.0  # largest velocity of a moving deck that the take-off fol
 # 0.05 m/s per second, until the vehicle climbs while the estimate shows a descent.
 UNPLACED_M_S = 0.4
 STOPPED_SHARE = 0.3  # fraction of the descent rate; a slower vehicle stands on something
-LANDING_MIN_S = 1.0  # time of a landing before a stop counts, s: a climb must end first
+LANDING_MIN_S = 1.0  # shortest landing after which a stop counts, s; a climb must end first
 STOPPED_TIME_S = 0.4  # time that the stop must last, s; longer than the descent takes to begin
 SINKING_M_S = -0.1  # least descent command, m/s; between this value and 0 a command may be a control error
 YAW_GAIN_1_S = 2.0  # yaw gain, 1/s; CRTP velocity set-points have a yaw rate but no yaw

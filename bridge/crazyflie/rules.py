@@ -34,7 +34,7 @@ SPEED_MAX_M_S = 1.0  # maximum speed of a forwarded set-point, m/s
 HEIGHT_RANGE_M = (0.1, 3.0)  # allowed take-off height above home, m
 IDLE_S = 10.0  # time armed on the ground after which the vehicle is disarmed, s; PX4's COM_DISARM_PRFLT
 KILL_KEPT_S = 10.0  # longest time that a kill without a link remains pending, s
-TAKEOFF_MAX_S = 15.0  # time-out of a take-off, s; 3 m take 8 s
+TAKEOFF_MAX_S = 15.0  # time-out of a take-off, s; a climb of 3 m takes 8 s
 TAKEOFF_M = 0.5  # default take-off height above home, m
 
 
@@ -94,7 +94,7 @@ class Settings:
     """Parameters to write, and their previous values."""
 
     def __init__(self, drag_1_s: Vec3 | None, *, restore: bool) -> None:
-        """``drag_1_s`` None leaves the firmware's value; ``restore`` writes the old values at the end."""
+        """``drag_1_s``: rotor drag, None leaves it unchanged; ``restore``: write old values at the end."""
         self._wanted = {ESTIMATOR: float(KALMAN)}
         if drag_1_s is not None:
             self._wanted.update(zip(DRAG, drag_1_s, strict=True))
@@ -114,7 +114,7 @@ class Settings:
         return packets, None if known else UNKNOWN_DRAG
 
     def leave(self, now_s: float) -> list[SetParam]:
-        """Return the packets that restore the previous values; only once."""
+        """Return the packets that restore the previous values; only the first call returns any."""
         if not self._restore or self._left_s < math.inf:
             return []
         self._left_s, self._open = now_s, set(self._found)

@@ -85,7 +85,7 @@ class CrazyflieState:
     boot_ms: int  # time on the firmware's clock, continuous
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
-    quaternion: Quat  # order w, x, y, z; attitude of FLU in ENU
+    quaternion: Quat  # attitude of FLU in ENU, in the order w, x, y, z
     angular_velocity_flu_rad_s: Vec3
     info: Info
     battery_v: float

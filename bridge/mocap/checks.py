@@ -92,7 +92,7 @@ class PoseChecks:
     _clock: SenderClock = field(init=False)
     _sent_s: float = -math.inf
     _resets: int = 0
-    _elsewhere: Passed | None = None  # newest pose of the series that follows a jump
+    _elsewhere: Passed | None = None  # newest pose of the series after a jump
     _elsewhere_since_s: float = 0.0
     _refused: Refusal | None = None
     _window_s: float = -math.inf

@@ -140,9 +140,9 @@ def codec(
 
 
 class _Compiler:
-    """Source text of both functions, which use the same names for their local variables.
+    """Builds the source text of encoder and decoder, which use equal names for their local variables.
 
-    A name joins field names by two underscores, helpers follow three: ROS allows neither in a field's name.
+    A variable's name joins field names by two underscores; helpers have three. ROS field names have neither.
     """
 
     def __init__(

@@ -31,7 +31,7 @@ from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import ZERO, Vec3
 
 TEXTS_MAX = 32  # maximum number of different warnings per flight; the counters continue
-OFFSET_MAX_M = 5.0  # largest offset of the landing spot per axis, m; a larger one has a wrong unit
+OFFSET_MAX_M = 5.0  # largest offset of the landing spot per axis, m; a larger offset has a wrong unit
 LOOK_EVERY = 100  # number of samples between two checks of frames and covariances
 CAPACITY = 1024  # maximum number of samples between two polls
 

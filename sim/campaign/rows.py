@@ -271,7 +271,7 @@ def _value(name: str, text: str) -> Any:
 def read_rows(path: Path) -> list[Row]:
     """Read a file of rows, without a truncated last line; if a seed has several rows, return the last.
 
-    Raises RowsError: the file has another format, or a damaged line.
+    Raises RowsError: the file has a wrong format or a damaged line.
     """
     rows: list[Row] = []
     with path.open(newline="", encoding="utf-8-sig") as file:

@@ -139,7 +139,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
 
     ``workers``: number of processes, unused on a cluster; ``cluster``: address of a Dask scheduler, None:
     this machine; ``on_row``: called with each row, including rows of earlier calls. Raises RowsError: the
-    folder has other content, or another campaign runs there; WorkersError: no worker can be kept running;
+    folder has other content, or another campaign runs there; WorkersError: workers end before they fly;
     ClusterError: the cluster cannot be used.
     """
     began_s = time.monotonic()

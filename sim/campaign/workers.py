@@ -104,7 +104,7 @@ def code_fingerprint() -> str:
 
 
 class WorkersError(LaunchError):
-    """No worker can be kept running."""
+    """Workers end repeatedly before they fly a landing."""
 
 
 class _Worker:

@@ -19,7 +19,7 @@ Rewrite = Callable[[Any, int], None]  # function of message and time (ns) that c
 _By = Callable[[Running, Any, int], None]  # a ``Rewrite`` with the running fault as first argument
 
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
-_SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # the only message with a 32-bit time in microseconds
+_SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # only this message has a 32-bit time in us
 _HEARTBEAT_FIELDS = ("base_mode", "custom_mode", "system_status")
 _VELOCITY_FIELDS = ("vx", "vy", "vz")
 _MODE_BITS, _STATES = 1 << 26, 9  # upper limits of random custom_mode and system_status

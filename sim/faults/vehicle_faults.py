@@ -185,7 +185,7 @@ def faults_of(unit: int, kind: int, instance: int) -> list[Fault] | str:
     return kinds[kind](motors)
 
 
-MocapSample = tuple[float, ...]  # x, y, z (ENU, m), yaw (rad)
+MocapSample = tuple[float, ...]  # sample of motion capture: x, y, z (ENU, m), yaw (rad)
 
 
 def _move_mocap(sample: MocapSample, offset: Vec3, turn: float) -> MocapSample:

@@ -86,7 +86,7 @@ def attitude_moments(a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy
 
 K_V_N_S_M = 0.5  # velocity gain, section V of the paper: K_v = 0.5 I
 UP_SHARE_MIN = 0.2  # smallest upward force, divided by the weight
-TAN_TILT_MAX = math.tan(math.radians(40.0))  # the thrust carries the weight up to acos(1 / 1.53) = 49 degrees
+TAN_TILT_MAX = math.tan(math.radians(40.0))  # largest tilt; thrust carries the weight up to 49 degrees
 
 
 @jitted

@@ -63,7 +63,7 @@ SAFE_PARAMETERS: dict[str, float] = {
     "SYS_FAILURE_EN": 0,  # the simulation's default is 1, which the pre-flight check rejects
 }
 _SATELLITES: dict[str, float] = {
-    "EKF2_GPS_P_NOISE": 0.02,  # m; the simulated receiver has an RTK fix
+    "EKF2_GPS_P_NOISE": 0.02,  # standard deviation, m; the simulated receiver has an RTK fix
     "EKF2_HGT_REF": 1,  # height from the receiver, because the barometer's noise is 0.1 m
 }
 _MOCAP: dict[str, float] = {

@@ -102,7 +102,7 @@ class Companion:
             self.log_type(self._notes, Names(self.name, system_id)),
         )
         here.answer = self._answer
-        self._link.poll(0.0)  # sends the first heartbeat before the first tick, like the onboard process
+        self._link.poll(0.0)  # send the first heartbeat before the first tick, as the onboard process does
         radio_s = scenario.vehicle.setpoint_delay_s
         self.loop = LockstepVehicle(node, target, grid, self._stop, radio_s, None if alone else self)
         linked = LinkedVehicle(self._link, lockstep=True)

@@ -81,7 +81,7 @@ class TargetSpec:
     heading_rad: float = 0.0  # heading at time zero, from east to north
     random_heading: bool = False  # draw the heading from the seed
     wait_for_landing: bool = True  # the robot does not move until the landing starts
-    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # stop_and_go, reversing: time between changes
+    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # time between changes of stop_and_go, reversing
     acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # largest acceleration of the wheels
     speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # largest speed (OpenCR: wheels at 61 rpm)
     turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # largest turn rate (OpenCR)
@@ -182,7 +182,7 @@ class VehicleSpec:
     """
 
     airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or path of a file
-    velocity_loop: VelocityLoop = VelocityLoop.PAPER  # `paper`: eq. 8; `pid`: the firmware's loop
+    velocity_loop: VelocityLoop = VelocityLoop.PAPER  # loop: `paper` (eq. 8) or `pid` (firmware)
     mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the relative random mass error
     # half-width of the relative random error of the motors' time constant
     motor_lag_spread: Annotated[float, span(0.0, 0.9)] = 0.0

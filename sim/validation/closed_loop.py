@@ -170,7 +170,7 @@ def _airframe(r: Recording, start: int, compared: Mask, params: Params) -> Plant
     thrust = params.body.mass_kg * lift_m_s2 / float((thrust_n @ share * _up(r)[first]).mean())
     m1, m2, m3, m4 = share.tolist()
     hover_rpm = rotor.rpm(params.body.mass_kg * params.contact.gravity_m_s2 / 4.0 / thrust)
-    power = float((rpm * rpm * rpm).mean()) / hover_rpm**3  # ratio to the power of hover
+    power = float((rpm * rpm * rpm).mean()) / hover_rpm**3  # mean power divided by the power of hover
     current_a = battery.idle_current_a + battery.hover_current_a * power
     rest_v = float(r.battery_v[first].mean()) + battery.resistance_ohm * current_a
     charge = (rest_v - battery.empty_v) / (battery.full_v - battery.empty_v)

@@ -30,7 +30,7 @@ Statistic = Callable[..., Any]  # function of arrays of the same shape along ``a
 
 
 class Estimate(NamedTuple):
-    """A statistic over flights with its interval; the ends are NaN if there is only one flight."""
+    """A statistic over flights with its interval; the ends of the interval are NaN for one flight."""
 
     value: float
     low: float

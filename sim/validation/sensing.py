@@ -62,7 +62,7 @@ def analyse(traces: list[Trace]) -> Error:
     delay_s = float(minimize_scalar(misfit, bounds=DELAY_S, method="bounded", options={"xatol": 1e-4}).x)
     parts = errors(delay_s)
     speed = np.concatenate([t.speed_m_s[inner] for t in traces])
-    slow = speed <= np.percentile(speed, SLOWEST)  # a delay has little effect at these samples
+    slow = speed <= np.percentile(speed, SLOWEST)  # samples at which a delay has little effect
     offset = np.median(np.concatenate(parts)[slow], axis=0)
     horizontal = np.sum((np.concatenate(parts) - offset)[:, :2] ** 2, axis=1)
     bands = np.digitize(speed, SPEED_EDGES_M_S) - 1

@@ -98,7 +98,7 @@ def apart(reach: ReachRecord, body: BodyRecord, deck: DeckRecord) -> bool:
     p, d, below = body.position, deck.position, reach.vehicle
     x, y, z = p[0] - d[0], p[1] - d[1], p[2] - d[2]
     square, beside = x * x + y * y, reach.vehicle + reach.robot
-    if not (p[2] > below and z > below + reach.robot_top):  # close: use the tilted cylinder's lowest point
+    if not (p[2] > below and z > below + reach.robot_top):  # close bodies: test the cylinder's lowest point
         axes = rotation_axes(body.quaternion)
         level, up = math.sqrt(axes[6] * axes[6] + axes[7] * axes[7]), axes[8]
         below = reach.side * level - min(reach.bottom * up, reach.top * up)

@@ -163,7 +163,7 @@ class StreamRequests:
             return False
         if stream.tries < _REQUESTS:
             return True
-        if stream.seen:  # the vehicle or its line is slower than requested: accept this
+        if stream.seen:  # accept that the vehicle or its line is slower than requested
             stream.seen, stream.since_s = 0, now_s
             return False
         return elapsed_s >= _AGAIN_S

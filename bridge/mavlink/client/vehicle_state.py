@@ -179,7 +179,7 @@ class VehicleState:
         self.status = VehicleStatus(arrival_s, armed, self._mode(), self._landed, self._ready)
 
     def _restart(self, arrival_s: float) -> None:
-        """Handle a restart, or a silence that is long enough for a restart."""
+        """Handle a restart, or a silence that may have been a restart."""
         self.restarted_s, self.origin_known = arrival_s, False
 
     def _mode(self) -> Mode:

@@ -91,7 +91,7 @@ class ParameterReader:
                 self._close(name, f"refused: {_ERRORS.get(message.error, f'error {message.error}')}")
 
     def step(self, now_s: float) -> list[Message]:
-        """Return the requests to send now; a parameter without a reply becomes missing."""
+        """Return the requests to send now; list parameters without a reply as missing."""
         most = self._tries_max
         for name in [n for n in self._open if self._tries[n] >= most and self._waited(n, now_s)]:
             self._close(name, f"no answer to {most} requests in {most * _READ_PERIOD_S:g} s")

@@ -239,7 +239,7 @@ class Commander(ABC):
 
     @abstractmethod
     def _default_takeoff_z_m(self) -> float:
-        """Return the local height of a take-off without a given height."""
+        """Return the default local height of a take-off."""
 
     @abstractmethod
     def _begin(self, now_s: float) -> None:

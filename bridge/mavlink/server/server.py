@@ -283,7 +283,7 @@ class Server(ABC, Generic[V]):
 
 
 def _no_parameter(message: Any, sender: Sender) -> Message:
-    """Return an error; PX4 sends no reply, and clients wait for seconds (mavlink.io, services/parameter)."""
+    """Return an error; PX4 sends no reply, so clients wait seconds (mavlink.io, services/parameter)."""
     index = getattr(message, "param_index", -1)
     name = parameter_name(message.param_id).encode("ascii", "replace")
     return _parameter_error(name, index, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST, sender)

@@ -75,7 +75,7 @@ def parse_peer(text: str) -> Peer:
 
 
 def resolve(what: str, host: str, port: int, help_text: str = _URL_HELP) -> Peer:
-    """Return the IPv4 address of a host. Raises ValueError: no address; text: ``what``, ``help_text``."""
+    """Return the IPv4 address of a host. Raises ValueError, with ``what`` and ``help_text``: no address."""
     try:
         info = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:

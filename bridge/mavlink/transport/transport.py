@@ -34,8 +34,8 @@ class EndpointCounters(FrameCounters):
     peers_refused: int = 0  # heartbeats of senders without room in the peer table
     oversize: int = 0  # datagrams longer than 4096 bytes
     setup_signing: int = 0  # ignored attempts to set a key over the network
-    unchecked: int = 0  # without a key: signed frames, accepted like unsigned ones
-    # These counters need a key:
+    unchecked: int = 0  # signed frames, accepted without a check because there is no key
+    # The next counters count only if there is a key.
     stale_answered: int = 0  # heartbeats sent to peers whose signing clock is behind
     unsigned: int = 0  # frames without a signature
     bad_signature: int = 0  # frames that are forged, changed, or signed with another key
