@@ -75,7 +75,7 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 @pytest.hookimpl(tryfirst=True)  # runs before pytest-xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """With a given vehicle, run only the tests made for it, and arm only with permission."""
+    """If a vehicle is given, run only the tests made for it; tests that arm need ``--arm-ok``."""
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
         if config.getoption("--flights") == 1:  # other tests already fly the simulated vehicle

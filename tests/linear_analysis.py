@@ -111,7 +111,7 @@ class Builder:
         return form @ self.matrix
 
     def set(self, name: str, value: F64) -> None:
-        """Replace a state."""
+        """Replace the update of a state by this linear form."""
         self.matrix[self.index[name]] = value
 
     def plant(self, states: str, a: F64, b: F64, command: F64) -> None:

@@ -73,7 +73,7 @@ class Rows:
 
     @property
     def touch(self):
-        """Index of the first true state with contact to the pad."""
+        """Return the index of the first true state with contact to the pad."""
         return next(i for i, r in enumerate(self.truth) if r.contacts & PAD and r.tick > self.begin_tick)
 
     @property

@@ -39,7 +39,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """Messages from one member to another."""
+    """Statistics of the messages from one member to another."""
 
     sender: str  # name of the sending member
     receiver: str  # name of the receiving member

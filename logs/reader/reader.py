@@ -41,7 +41,7 @@ _OWNED = ("run", "onboard")  # metadata records that belong to one vehicle
 
 
 class Members:
-    """The vehicles of a log."""
+    """Names and system ids of the vehicles in a log."""
 
     def __init__(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
         told = metadata.get(FLEET, {}).get("members", "")
@@ -156,7 +156,7 @@ class Outline:
     attachments: list[Attachment] = field(default_factory=list)
     # message types of this stack whose fields in the file differ from this version
     foreign: set[str] = field(default_factory=set)
-    problem: str = ""  # first unreadable record, its place and the reason; empty: none
+    problem: str = ""  # kind, place and reason of the first unreadable record; empty: all are readable
     broken_at: int = 0  # first unreadable byte; the size of the file if there is none
 
 
@@ -187,7 +187,7 @@ class LogFile:
 
     @property
     def members(self) -> tuple[str, ...]:
-        """Namespaces of the vehicles in the log, or in this part of it."""
+        """Namespaces of all vehicles in the log, or of the vehicle of this part."""
         return self.parts.names if self.member is None else (self.member,)
 
     def single(self) -> LogFile:
@@ -209,7 +209,7 @@ class LogFile:
 
     @property
     def problem(self) -> str:
-        """First unreadable record, its place and the reason; empty: none."""
+        """Kind, place and reason of the first unreadable record; empty: all are readable."""
         return self.outline.problem
 
     @property
@@ -230,7 +230,7 @@ class LogFile:
 
     @property
     def made_by(self) -> str:
-        """Version of this stack that recorded the log, if the log contains it."""
+        """Version of this stack that recorded the log; None if the log does not contain the version."""
         made = self.outline.metadata.get("made", {})
         revision = f" (git {made['git_revision']})" if made.get("git_revision") else ""
         return f"version {made['version']}{revision}" if "version" in made else repr(self.outline.library)

@@ -51,7 +51,7 @@ Derived = tuple[str, str, bytes]  # fields: topic, schema, CDR payload
 Derive = Callable[[int, bytes], list[Derived]]  # function: log time in ns and CDR payload -> messages
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
-# Attitude of NED axes in ENU: a half turn about the horizontal line between east and north.
+# attitude of the NED axes in ENU: a half turn about the horizontal line between east and north
 _NED_IN_ENU = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 

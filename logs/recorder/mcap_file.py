@@ -99,7 +99,7 @@ class McapFile(Writer):  # type: ignore[misc]
 
     @property
     def failure(self) -> str:
-        """Reason why the disk stopped accepting data; empty as long as it works."""
+        """Reason why the disk stopped accepting data; empty as long as the disk works."""
         return self._output.failure
 
     def fail(self, why: str) -> None:

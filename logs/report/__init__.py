@@ -1,1 +1,1 @@
-"""Makes HTML reports of logs."""
+"""Makes HTML reports from flight logs."""

@@ -38,7 +38,7 @@ class Page(NamedTuple):
     """A page: its first screen, and the panels below it."""
 
     title: str
-    badge: tuple[str, str]  # outcome and style (good, fair or bad)
+    badge: tuple[str, str]  # text of the outcome, and its style (good, fair or bad)
     sub: str  # line below the title
     numbers: Sequence[tuple[str, str, str]]  # name, value and unit of each key number
     # panels in order; panels of a sequence are side by side; a string is HTML
@@ -74,7 +74,7 @@ def _drawn(panel: Panel | Sequence[Panel] | str) -> str:
     if not isinstance(panel, Panel):
         return html('<div class="columns">{}</div>').format(html("".join(map(_drawn, panel))))
     figure = None
-    if hasattr(panel.content, "to_json"):  # a "<" in a name could end the script element
+    if hasattr(panel.content, "to_json"):  # "<" is escaped, because a name could end the script element
         figure = html(panel.content.to_json().replace("<", "\\u003c"))
     return part("panel", panel, figure)
 

@@ -30,7 +30,7 @@ _LIMITS_SHOWN = 3  # maximum number of pairs whose limit along the connecting li
 _PAIRS_SHOWN = 8  # number of pairs that are visible at first: the nearest ones
 _LISTED, _LISTED_PX = 8, 22  # pair names per line of the legend; height of a line, pixels
 
-Values = Callable[[Flight], tuple[Floats, Floats] | None]  # times and values of a flight
+Values = Callable[[Flight], tuple[Floats, Floats] | None]  # returns times and values of a flight
 
 
 def best_h(flight: Flight) -> tuple[Floats, Floats] | None:

@@ -34,7 +34,7 @@ FAULT = "#b00020"
 FLOWN = "#882255"  # wine: velocity that the vehicle really flies
 MARGIN = "#E69F00"
 
-# phases: red, green, blue, and opacity of the band behind curves
+# colours of the phases: red, green, blue, and opacity of the band behind curves
 _PHASES: dict[Phase | int, tuple[int, int, int, float]] = {
     Phase.WAIT: (150, 150, 150, 0.10),
     Phase.TAKEOFF: (150, 150, 150, 0.20),
@@ -111,7 +111,7 @@ def shown_range(flight: Flight) -> list[float]:
 
 
 def phase_color(phase: Phase | int, *, bar: bool = False) -> str:
-    """Return the colour of a phase for the band behind curves, or, stronger, for a bar."""
+    """Return the colour of a phase for the band behind curves, or a stronger one for a bar."""
     red, green, blue, opacity = _PHASES.get(phase, (102, 102, 102, 0.05))
     return f"rgba({red}, {green}, {blue}, {0.2 + 1.5 * opacity if bar else opacity:.3g})"
 

@@ -103,7 +103,7 @@ def _schema(message: str) -> str:
 def _type(cls: Any) -> Type:
     """Read one of pymavlink's message classes."""
     kinds = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
-    # A scalar has length 1 and array length 0; both lists are in wire order.
+    # a scalar has length 1 and array length 0; both lists are in wire order
     counts = zip(cls.ordered_fieldnames, cls.lengths, cls.array_lengths, strict=True)
     fields, verbatim, at = [], True, 0
     for name, length, array in counts:

@@ -1,1 +1,1 @@
-"""3-D views in Rerun."""
+"""Shows flights as 3-D scenes in Rerun."""

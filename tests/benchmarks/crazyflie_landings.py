@@ -81,7 +81,7 @@ def scenario(seed: int) -> Scenario:
 
 
 class Flying(NamedTuple):
-    """Objects that a fault can change."""
+    """Parts of a running flight that a fault can change."""
 
     server: Server
     mocap: Mocap

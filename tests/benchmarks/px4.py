@@ -39,7 +39,7 @@ LOOK_S = 0.02
 
 
 class Flying(NamedTuple):
-    """Objects that a fault can change."""
+    """Parts of a running flight that a fault can change."""
 
     room: Room
     onboard: Companion

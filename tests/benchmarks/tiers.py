@@ -11,7 +11,7 @@ from sim.campaign.summary import count, quantile
 
 
 class Tier(Enum):
-    """Names of the scenarios with limits."""
+    """Scenarios that have limits, by name."""
 
     LAB = "lab"
     ROOM = "room"

@@ -40,7 +40,7 @@ class Server:
 
     @property
     def now_s(self) -> float:
-        """The firmware's clock."""
+        """Time on the clock of the firmware, s."""
         return time.monotonic() - self._start_s
 
     def __enter__(self) -> "Server":

@@ -67,7 +67,7 @@ class Supervisor:
         return True
 
     def recover(self) -> bool:
-        """Recover from a crash; rejected if the vehicle lies on its back."""
+        """Recover from a crash; reject the request if the vehicle lies on its back."""
         self.crashed = self.crashed and self.tumbled
         return not self.crashed
 

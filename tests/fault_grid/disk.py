@@ -174,7 +174,7 @@ class Recording:
 
 @contextmanager
 def recording(folder: Path) -> Iterator[Recording]:
-    """A recorder that ends with the context."""
+    """Start a recorder with a simulated disk; the context ends it."""
     one = Recording(folder)
     try:
         yield one

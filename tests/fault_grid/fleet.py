@@ -30,7 +30,7 @@ class Way(StrEnum):
 
 
 def _lying(exchange: Words, from_tick: int) -> Exchange:
-    """Message exchange that falsifies one member's position from a tick on."""
+    """Return a message exchange that falsifies one member's position from a tick on."""
 
     def tell(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
         told, out = list(outputs), outputs[WHO - 1]

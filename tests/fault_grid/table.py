@@ -61,7 +61,7 @@ class End(StrEnum):
 
 
 WITHIN_S = 2.0  # time limit until the abort, where one is required
-H_MIN_M = -0.005  # lowest allowed h outside the pad while the companion flies
+H_MIN_M = -0.005  # lowest allowed h outside the pad as long as the companion flies
 
 
 @dataclass(frozen=True)

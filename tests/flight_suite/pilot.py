@@ -78,7 +78,7 @@ class Pilot:
 
     @property
     def vehicle_s(self) -> float:
-        """Time on the vehicle's clock, to which limits refer."""
+        """Time on the vehicle's clock, s, to which the limits refer."""
         return self.own.source_time_s
 
     @property
@@ -88,7 +88,7 @@ class Pilot:
 
     @property
     def limits(self) -> Limits:
-        """Limits of the steps: the room's, or those of the vehicle's profile."""
+        """Limits of the steps, from the room or from the vehicle's profile."""
         if self._room.limits is not None:
             return self._room.limits
         assert self.link.state.profile is not None, "not connected"
@@ -96,7 +96,7 @@ class Pilot:
 
     @property
     def height_m(self) -> float:
-        """Height above the start."""
+        """Height of the vehicle above the start, m."""
         assert self.start_enu_m is not None, "not connected"
         return self.own.position_enu_m[2] - self.start_enu_m[2]
 

@@ -30,7 +30,7 @@ Flights = Callable[..., Flown]
 
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory) -> Flights:
-    """``flown(scenario, seed, *options)``: equal arguments give an equal log, so each is flown once."""
+    """Return a function ``flown(scenario, seed, *options)``, which flies each set of arguments only once."""
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         base = base.parent  # folder that all workers of this session share

@@ -63,7 +63,7 @@ def descend(
 ) -> tuple[float, float]:
     """Simulate the descent of a point mass with rotors; return time and speed of the first touch.
 
-    Vertical only, without sensors: paper's velocity law, rotor lag, thrust curve, Cheeseman-Bennett, drag.
+    The motion is vertical, without sensors: paper's velocity law, rotor lag, thrust, ground effect, drag.
     ``motors_off``: the motors are off from the start, so there is no commanded descent.
     """
     p1, p2 = ROTOR.thrust_linear_n_rpm, ROTOR.thrust_square_n_rpm2

@@ -57,13 +57,13 @@ def _step(every_ms: F64, linear: F64, poles: C128 | None = None) -> Step:
 
 @cache
 def hover() -> runs.Run:
-    """Hover until the battery is empty."""
+    """Return the record of a hover until the battery is empty."""
     return runs.hover_until_empty(430.0)
 
 
 @cache
 def roll(slow: bool) -> Step:
-    """Release the vehicle at a roll of 10 degrees."""
+    """Return the response after a release of the vehicle at a roll of 10 degrees."""
     rolled = runs.roll_release(RELEASE_RAD, STEPS_S["roll"], slow=slow).roll / RELEASE_RAD
     model = analysis.roll_loop(LAGS[slow])
     return _step(rolled, 1.0 - model.response(STEPS_S["roll"]), model.poles())  # decay of the error
@@ -92,7 +92,7 @@ def velocity(slow: bool, axis: int, *, late: bool = False) -> Step:
 
 @cache
 def yaw(slow: bool) -> Step:
-    """Step the yaw with the paper's gains."""
+    """Return the response to a yaw step with the paper's gains."""
     turned = runs.yaw_step(TURN_RAD, STEPS_S["yaw"], slow=slow).yaw / TURN_RAD
     model = analysis.yaw_loop(LAGS[slow])
     return _step(turned, model.response(STEPS_S["yaw"]), model.poles())
@@ -100,7 +100,7 @@ def yaw(slow: bool) -> Step:
 
 @cache
 def landing(speed_m_s: float, drop: bool, driving: bool) -> runs.Run:
-    """Touch down by contact, or by stopping the motors 5 cm above the pad."""
+    """Return the record of a touchdown by contact, or by a motor stop 5 cm above the pad."""
     return runs.touchdown(
         speed_m_s, motors_off_below_m=0.05 if drop else None, target=runs.DRIVING if driving else None
     )

@@ -118,23 +118,23 @@ def velocity_step(
     slow: bool = False,
     mocap: OdometryLink = PROMPT,
 ) -> Run:
-    """Step from hover to a velocity set-point at time zero, without the radio's delay."""
+    """Return the record of a velocity step from hover at time zero, without the radio's delay."""
     sim = make(velocity_loop=VelocityLoop.PAPER, slow_motors=slow, mocap=mocap, setpoint_delay_s=0.0)
     record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
     return record(sim, seconds, hold(sim, velocity))
 
 
 def yaw_step(yaw_rad: float, seconds: float, *, slow: bool = False) -> Run:
-    """Step from hover to a yaw set-point at time zero, without the radio's delay."""
+    """Return the record of a yaw step from hover at time zero, without the radio's delay."""
     sim = make(velocity_loop=VelocityLoop.PAPER, slow_motors=slow, mocap=PROMPT, setpoint_delay_s=0.0)
     record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
     return record(sim, seconds, hold(sim, (0.0, 0.0, 0.0), yaw_rad))
 
 
 def roll_release(roll_rad: float, seconds: float, *, slow: bool = False) -> Run:
-    """Release the vehicle at a roll angle while the firmware levels out, as it does with old set-points.
+    """Return the record after a release at a roll angle; the firmware levels out, as with old set-points.
 
-    Roll is then held at zero, independent of the velocity. The initial estimate is exact.
+    The firmware holds zero roll, independent of the velocity. The initial estimate is exact.
     """
     sim = make(velocity_loop=VelocityLoop.PAPER, slow_motors=slow)
     record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
@@ -149,7 +149,7 @@ def roll_release(roll_rad: float, seconds: float, *, slow: bool = False) -> Run:
 def touchdown(
     speed_m_s: float, *, motors_off_below_m: float | None = None, target: TargetSpec | None = None
 ) -> Run:
-    """Descend to the pad from 25 cm at the pad's horizontal velocity.
+    """Return the record of a descent to the pad from 25 cm at the pad's horizontal velocity.
 
     ``motors_off_below_m``: height over the pad at which the motors stop; None: 0.5 s after contact;
     ``target``: a driving pad; None: the pad at rest.

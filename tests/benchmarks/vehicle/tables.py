@@ -41,7 +41,7 @@ STANDING_ROTORS_M = ROTOR.above_com_m - analysis.PARAMS.geometry.foot_bottom_m
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the comparison; ``digits``: printed decimals."""
+    """One row of the comparison; ``digits``: number of printed decimals."""
 
     what: str
     unit: str
@@ -60,7 +60,7 @@ class Row:
 
 
 def hover_rows() -> Iterable[Row]:
-    """Yield the rows of static maps and battery."""
+    """Yield the table rows about hover: static rotor maps and battery."""
     run = hover()
     early = run.rpm[(run.t > 1.0) & (run.t < 30.0)]
     thrust = np.vectorize(ROTOR.thrust_n)(early)
@@ -146,7 +146,7 @@ def yaw_rows() -> Iterable[Row]:
 
 
 def touchdown_rows() -> Iterable[Row]:
-    """Yield the rows of the last centimetres."""
+    """Yield the table rows about the touchdown from the last centimetres."""
     rest = -analysis.PARAMS.geometry.foot_bottom_m
     for speed, drop, driving in (
         (0.2, False, False), (0.3, False, False), (0.2, False, True), (0.2, True, False), (0.2, True, True),

@@ -1,4 +1,4 @@
-"""The Gymnasium environment: the same flight as ``land``, spaces, rewards, errors."""
+"""Tests the Gymnasium environment: flights equal to ``land``, spaces, rewards and errors."""
 
 import gymnasium
 import numpy as np

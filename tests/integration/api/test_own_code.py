@@ -40,7 +40,7 @@ random_heading = false
 
 @pytest.fixture(autouse=True)
 def forgotten(monkeypatch):
-    """Each test starts without the module that the test before it imported, and without its folder."""
+    """Remove the imported module of the previous test, and its folder, before each test."""
     monkeypatch.setattr(sys, "path", list(sys.path))
     yield
     sys.modules.pop("failing", None)

@@ -42,7 +42,7 @@ shared = pytest.mark.xdist_group("campaign")  # one worker flies this campaign o
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """An undisturbed campaign."""
+    """Fly an undisturbed campaign; return its folder and its result."""
     folder = tmp_path_factory.mktemp("whole")
     done = campaign(*SHORT[:-1], "--workers", 2, "--out", folder, "--json")
     return folder, done

@@ -23,7 +23,7 @@ NAMES = ["cf1", "cf2", "cf3"]
 
 @pytest.fixture(scope="module")
 def wired(flown):
-    """A team as separate processes, in lockstep."""
+    """Fly a team as separate processes in lockstep; return the finished run."""
     done = flown(TEAM, SEED)
     assert done.code == 0, done.out + done.err
     return done
@@ -36,7 +36,7 @@ def fleet(wired):
 
 @pytest.fixture(scope="module")
 def direct():
-    """The same team in one process: its result, and the commands of each member."""
+    """Fly this team in one process; return its result, and the commands of each member."""
     team = teams.load(TEAM)
     commands, words = [[] for _ in team.member], Words(team, SEED)
 

@@ -58,7 +58,7 @@ def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
 
 @pytest.fixture
 def sender():
-    """Publishers as in the onboard process, and their endpoint."""
+    """Provide publishers like those of the onboard process, and their Zenoh endpoint."""
     port = Port()
     session = zenoh_link.open_session([port.endpoint], [])
     yield {key: zenoh_link.dropping_publisher(session, f"cf1/{key}") for key in KEYS}, port.endpoint

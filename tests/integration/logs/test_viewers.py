@@ -1,4 +1,4 @@
-"""A recorded log in third-party programs: they decode the flown data."""
+"""Third-party programs open a recorded log and decode the flown data."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ class Mocap:
 
 @contextmanager
 def plain_vehicle(autopilot: int) -> Iterator[Client]:
-    """A socket that sends an autopilot's heartbeat and decodes messages with pymavlink alone."""
+    """Provide a socket that sends an autopilot's heartbeat and decodes messages with pymavlink only."""
     one = Client(f"udpin:127.0.0.1:{free_port(udp=True)}", 1, 1, listen=True)
     try:
         one.beat = lambda: one.send(mav.MAVLink_heartbeat_message(2, autopilot, 0, 0, 3, 3))

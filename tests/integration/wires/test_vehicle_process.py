@@ -1,4 +1,4 @@
-"""The vehicle process over its real connections: real time with a plain client, and lockstep."""
+"""Tests the vehicle process over its real connections: in real time with a plain client, and in lockstep."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def make_keys(folder):
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """A folder with keys of one authority, and a stranger's key of another."""
+    """Create a folder with keys of one certificate authority, and a stranger's key of a second one."""
     folder = make_keys(tmp_path_factory.mktemp("zenoh"))
     stranger = make_keys(tmp_path_factory.mktemp("stranger"))
     for end in ("key", "pem"):

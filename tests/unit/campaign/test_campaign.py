@@ -215,7 +215,7 @@ def landed(seed):
 
 
 def interrupted(monkeypatch, *, written):
-    """Interrupt just before or just after a row is written to the disk."""
+    """Raise an interrupt just before or just after a row is written to the disk."""
     add = RowsFile.add
 
     def add_then_interrupt(self, rows):

@@ -18,7 +18,7 @@ def no_samples(_, inputs):
 
 
 def stuck_sample(world, inputs):
-    """Repeat the same message."""
+    """Return the inputs with the first samples repeated, like those of a stuck sender."""
     if not hasattr(world, "stuck"):
         world.stuck = inputs.target_samples
     return inputs._replace(target_samples=tuple(s._replace(arrival_s=world.t_s) for s in world.stuck))

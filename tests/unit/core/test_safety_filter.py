@@ -44,7 +44,7 @@ def dot(a, b):
 
 
 def by_active_sets(nominal, g, b, lower, upper):
-    """Independent projection: the nearest allowed point of all 54 combinations of active bounds."""
+    """Return the nearest allowed point of all 54 combinations of active bounds, an independent projection."""
     best, least = None, math.inf
     for states in itertools.product((FREE, LOW, HIGH), repeat=3):
         for on_barrier in (False, True):

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 
 
 def crossing():
-    """Two approaches that cross at the same height but at different times."""
+    """Return a team with two approaches that cross at equal height but at different times."""
     still = {"speed_m_s": 0.0, "random_heading": False}
     return at(0.0, 0.0, (-1.0, 1.0, 0.9), **still), at(0.0, 1.0, (-1.0, -1.25, 1.3), **still)
 

@@ -100,7 +100,7 @@ def test_cuts_are_joined_without_a_jump_at_any_rate(rate_hz):
 
 @pytest.fixture
 def folder(tmp_path):
-    """Three flights: one with a tape, one without motion, and a file that is not a flight."""
+    """Return a folder with one recorded flight and a file that is not a flight."""
     shutil.copy(PIECE, tmp_path / "b.parquet")
     (tmp_path / "a.csv").write_text("t,px\n0.0,1.0\n")
     return tmp_path

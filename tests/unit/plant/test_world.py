@@ -1,4 +1,4 @@
-"""Body, deck and contact compared with mechanics; MuJoCo runs only where contact is possible."""
+"""Body, deck and contact agree with mechanics; MuJoCo runs only where contact is possible."""
 
 import math
 import random

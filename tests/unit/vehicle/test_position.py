@@ -122,8 +122,8 @@ RAMP_M_S = 0.5
 
 @pytest.mark.parametrize("by_mellinger", [False, True])
 def test_a_moving_set_point_is_followed_half_a_second_late(by_mellinger):
-    """Without velocity set-points the lags are 1 / kp and kd / kp; drag adds, Mellinger's integral
-    subtracts."""
+    """Without velocity set-points the lags are 1 / kp and kd / kp; drag increases them, Mellinger's
+    integral reduces them."""
     sim = vehicle(
         start=Start(StartKind.GROUND, ground_position_m=(3.0, 0.0)),
         vehicle=VehicleSpec("crazyflie21_room", VelocityLoop.PID),

@@ -1,4 +1,4 @@
-"""Proof of the velocity feedback compared with the flown code and a plant with a delay."""
+"""The proof of the velocity feedback agrees with the flown code on a plant with a delay."""
 
 import math
 from functools import cache

@@ -1,4 +1,4 @@
-"""The command of the guidance in each phase."""
+"""Tests the command of the guidance in each phase."""
 
 import itertools
 import math

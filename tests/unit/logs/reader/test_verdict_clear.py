@@ -1,4 +1,4 @@
-"""The judged time after an abort, and after a second take-off from the pad: until the vehicle is clear."""
+"""After an abort or a second take-off from the pad, h is judged until the vehicle is clear."""
 
 import math
 from dataclasses import replace

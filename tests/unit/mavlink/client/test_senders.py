@@ -1,4 +1,4 @@
-"""Identification of the vehicle's frames: its ids, its address if known, and heartbeats of its kind."""
+"""Frames of the vehicle are identified by its ids, its address if known, and its heartbeats."""
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
