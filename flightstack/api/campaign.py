@@ -171,7 +171,7 @@ def sweep(
     name: str | Path | Scenario, grid: Mapping[str, Sequence[Any]], seeds: Iterable[int] = range(100), *,
     filter: FilterLike = None, changes: Changes | None = None, workers: int | None = None,
 ) -> Sweep:  # fmt: skip
-    """Fly the same seeds at each point of a grid of keys.
+    """Fly a set of seeds at each point of a grid of keys.
 
     Each landing is judged by the barrier that it flew, also if the grid changes its shape, unless a key of
     ``judge`` is changed, too.

@@ -1,6 +1,6 @@
 """Gymnasium environment: the agent chooses the nominal velocity of the landing in each tick.
 
-The flight is that of ``fs.land``: the same simulator, autopilot, connections, phase machine, gate and
+The flight is equal to one of ``fs.land``: with its simulator, autopilot, connections, phase machine, gate and
 verdict. The flight runs in a greenlet that stops when the stack requests the nominal velocity, and
 continues with the agent's action.
 """

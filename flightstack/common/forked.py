@@ -112,7 +112,7 @@ class Forked(ForkProcess):
 def leave_parent(output: int, errors: int) -> None:
     """Separate a forked child from its parent: new session, signal handlers, standard streams, files.
 
-    ``output``, ``errors``: file numbers that become standard output and error.
+    ``output``, ``errors``: descriptors that become standard output and error.
     """
     os.setsid()
     hand_on_niceness(os.getpid())

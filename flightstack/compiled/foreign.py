@@ -1,4 +1,4 @@
-"""Access to C functions and numbers by address: compiled code calls them without Python in between.
+"""Access to C functions and C memory by address: compiled code uses them without calling Python.
 
 Plain Python (``NUMBA_DISABLE_JIT=1``) uses ctypes. An address is valid as long as its owner exists.
 """
@@ -12,7 +12,7 @@ from flightstack.compiled.jit import is_off, load_numba
 
 
 class Doubles(Protocol):
-    """Numbers in C memory that can be read and written; the index is not checked."""
+    """Array of C doubles that can be read and written; the index is not checked."""
 
     def __getitem__(self, index: int) -> float: ...
     def __setitem__(self, index: int, value: float) -> None: ...
@@ -22,7 +22,7 @@ if TYPE_CHECKING or is_off():
     _NUMBERS = ctypes.POINTER(ctypes.c_double)
 
     def doubles(address: int) -> Doubles:
-        """Return the numbers at an address."""
+        """Return a pointer to the C doubles at an address."""
         return ctypes.cast(int(address), _NUMBERS)
 
     def whole(address: int) -> int:
@@ -30,7 +30,7 @@ if TYPE_CHECKING or is_off():
         return ctypes.c_int.from_address(int(address)).value
 
     def call(function: int, arguments: tuple[int, ...]) -> int:
-        """Call a C function of pointers and whole numbers; return its int, arbitrary for ``void``."""
+        """Call a C function with pointers and integers; return its int, undefined for a ``void`` function."""
         kind = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * len(arguments))
         return int(kind(int(function))(*[int(each) for each in arguments]))
 
@@ -43,7 +43,7 @@ else:
 
     @intrinsic
     def doubles(_typing: Any, _address: Any) -> Any:
-        """Return the numbers at an address."""
+        """Return a pointer to the C doubles at an address."""
 
         def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
@@ -61,7 +61,7 @@ else:
 
     @intrinsic
     def call(_typing: Any, _function: Any, arguments: Any) -> Any:
-        """Call a C function of pointers and whole numbers; return its int, arbitrary for ``void``."""
+        """Call a C function with pointers and integers; return its int, undefined for a ``void`` function."""
 
         def code(_context: Any, builder: Any, signature: Any, values: Any) -> Any:
             given = cgutils.unpack_tuple(builder, values[1], len(signature.args[1]))

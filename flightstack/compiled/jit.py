@@ -1,6 +1,6 @@
 """Compilation of functions with numba, and storage of the machine code on disk.
 
-With ``NUMBA_DISABLE_JIT=1`` the same functions run as plain Python, and numba is not loaded. Fast-math is not
+With ``NUMBA_DISABLE_JIT=1`` all functions run as plain Python, and numba is not loaded. Fast-math is not
 used: operations keep their written order, so that each run gives the same bits.
 
 numba checks only the file of a compiled function to decide whether its stored machine code is valid, but not

@@ -73,7 +73,7 @@ def new(declaration: type[R], values: tuple[object, ...] | None = None) -> R:
 
 
 class Cell(Protocol[R_co]):
-    """A record as an array of one element, in which form compiled code takes it."""
+    """A record as an array of one element: the form in which compiled code receives it."""
 
     @overload
     def __getitem__(self, key: int) -> R_co: ...

@@ -147,7 +147,7 @@ class CompiledController(Controller):
         return out
 
     def _ordinary_tick(self, inputs: Inputs, now_s: float) -> Outputs | None:
-        """Return the outputs of a tick by the kernel; None, with nothing changed, if that is not possible."""
+        """Run a tick in the kernel and return its outputs; None, without a change, if this is impossible."""
         own, status, samples = inputs.own, inputs.status, inputs.target_samples
         if own is None or status is None or not self._holds(status):
             return None

@@ -51,7 +51,7 @@ class Outputs(NamedTuple):
     wanted: Vec3 | None  # velocity command before the lag correction, m/s ENU; None: no command
     transition: Transition | None  # phase transition in this tick; None: no transition
     events: tuple[Event, ...]  # messages to the operator, including that of the transition
-    finished: bool  # the flight is over
+    finished: bool  # whether the flight is over
     target_accepted: int  # number of accepted target samples
     target_rejected: int  # number of rejected target samples
     reserve: float = math.nan  # ratio of maximum thrust to weight; NaN: unknown, or no table [reserve]

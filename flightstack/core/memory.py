@@ -1,4 +1,4 @@
-"""State that the controller keeps between ticks; everything else is computed in each tick.
+"""State that the controller stores between ticks; all other values are computed in each tick.
 
 All fields are plain values that ``state_text`` can write to a log and read back. A log contains the names of
 these classes and fields, so a log with other names cannot be replayed.
@@ -36,19 +36,19 @@ class Memory:
     good_since_s: float = inf  # time since which all inputs are usable, s
     contact_since_s: float = inf
     stopped_since_s: float = inf  # time since which the vehicle does not follow a descent command, s
-    contact: bool = False  # the vehicle stands on the pad
+    contact: bool = False  # whether the vehicle stands on the pad
     own_ok_s: float = -inf  # time of the last usable vehicle state, s
     was_armed: bool = False
     was_external: bool = False
-    climbed: bool = False  # the take-off climb is over
-    clear: bool = False  # the vehicle has flown clear of the pad
+    climbed: bool = False  # whether the take-off climb is over
+    clear: bool = False  # whether the vehicle has flown clear of the pad
     retries: int = 0
     swings: int = 0  # number of departures from the cone over the pad since the last touchdown
     ground_z_m: float = inf  # height at which the vehicle stood, m
-    yaw_rad: float | None = None  # heading that the vehicle keeps in the whole flight, rad
+    yaw_rad: float | None = None  # heading for the complete flight, rad
     command: Vec3 = ZERO  # last velocity command before the lag correction; start of the slew limit
-    commanding: bool = False  # the last tick sent a velocity command, and the vehicle follows it
-    lifting: bool = False  # the last tick sent a take-off climb, which takes effect after lift-off
+    commanding: bool = False  # whether the last tick sent a velocity command, and the vehicle follows it
+    lifting: bool = False  # whether the last tick sent a take-off climb, which takes effect after lift-off
     target_position_enu_m: Vec3 | None = None  # last known position of the target
     target_velocity_enu_m_s: Vec3 | None = None  # last known velocity of the target
     abort_way: AbortWay = AbortWay.NONE
@@ -78,7 +78,7 @@ class TrackMemory(ClockMemory):
 
     last: TargetSample | None = None  # newest accepted sample
     elsewhere: Annotated[TargetSample | None, ABSENT] = (
-        None  # newest sample of a run that jumped, but whose samples agree with each other
+        None  # newest of the samples that agree with each other after a jump
     )
     elsewhere_since_s: float = 0.0
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
@@ -213,7 +213,7 @@ class Heard:
     """State of one neighbour."""
 
     word: Neighbour | None = None  # newest message of the neighbour; None before the first
-    yields: bool = False  # this vehicle has announced that it yields to the neighbour
+    yields: bool = False  # whether this vehicle has announced that it yields to the neighbour
     claim_s: float = nan  # time stamp of the neighbour's claim to which this vehicle yields, s
     yielded_s: float = -inf  # time of the last announcement of yielding, s
     on_pad: bool = False  # whether the neighbour's newest position is on this vehicle's pad

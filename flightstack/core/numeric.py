@@ -1,6 +1,6 @@
 """Numeric functions of the core that may also be compiled; both forms agree to the last bit.
 
-Such a function takes and returns numbers and tuples of numbers. It calls only other such functions, ``exp``,
+A marked function takes and returns numbers and tuples of numbers. It calls only marked functions, ``exp``,
 ``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. On these and on + - * /
 compiled code equals Python to the last bit; on ``math.hypot``, ``math.remainder`` and ``**`` it may differ.
 """

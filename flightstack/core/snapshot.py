@@ -43,11 +43,11 @@ class Snapshot:
 
     inputs: Inputs  # inputs as received, but with the vehicle state predicted to the current time
     target: TargetState | None  # target state predicted to the current time; ``None`` before the first sample
-    own_ok: bool  # the vehicle state is plausible and recent
-    target_ok: bool  # the target state is plausible and recent
-    link_ok: bool  # the heartbeat is recent
+    own_ok: bool  # whether the vehicle state is plausible and recent
+    target_ok: bool  # whether the target state is plausible and recent
+    link_ok: bool  # whether the heartbeat is recent
     e_m: Vec3 | None  # position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known
-    follows: bool = True  # the vehicle follows the commanded velocity
+    follows: bool = True  # whether the vehicle follows the commanded velocity
     charge: Charge = Charge.FIT  # state of the battery; FIT without a table [reserve]
     permissions: Permissions = ALONE  # from the fleet; all are granted without a table [fleet]
     # whether ``target`` has the velocity of its positions, because its reported velocity is not trusted

@@ -74,7 +74,7 @@ class Mode(IntEnum):
     EXTERNAL = 1
     TAKEOFF = 2
     HOLD = 3
-    LAND = 4  # the autopilot's own landing
+    LAND = 4  # landing by the autopilot
     OTHER = 5
 
 
@@ -117,7 +117,7 @@ class OwnState(NamedTuple):
 
     @property
     def is_finite(self) -> bool:
-        """Whether all numbers are finite; a sum that overflows counts as not finite."""
+        """Whether all values are finite; a sum that overflows counts as not finite."""
         (x, y, z), (vx, vy, vz) = self.position_enu_m, self.velocity_enu_m_s
         return math.isfinite(x + y + z + vx + vy + vz + self.yaw_rad + self.arrival_s)
 
@@ -167,7 +167,7 @@ class Intent(IntEnum):
     """Intention of a fleet member, as announced to its neighbours."""
 
     STANDING = 0  # the member is on the ground, or in the take-off climb: it does not yield
-    WAITING = 1  # the member flies without a right of way
+    WAITING = 1  # the member flies without the right of way
     LANDING = 2  # the member flies to its pad with the right of way
     COMMITTED = 3  # the member is over its pad: it no longer yields, or will soon stop yielding
     CLEARING = 4  # the member holds, climbs or flies clear: other members avoid it

@@ -161,7 +161,7 @@ class Launcher:
         """Wait for the onboard processes, watch the flights, end all processes; return problem and wall time.
 
         ``title``: title of the live view (None: no view); ``others``: processes that must outlive the
-        flights; ``limit_s``: wall time after which the run is given up (None: no limit); ``teller``: process
+        flights; ``limit_s``: wall time after which the run is stopped (None: no limit); ``teller``: process
         that reports arming and disarming. Raises LaunchError: an onboard process did not start.
         """
         for flight in flights:  # all processes load at the same time

@@ -19,10 +19,10 @@ _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and
 class Flies(Enum):
     """Autopilot that flies; the value is the option of ``sitl`` that names its program."""
 
-    OWN = ""  # simulated vehicle with its own autopilot
+    OWN = ""  # simulated vehicle with the simulator's autopilot
     PX4 = "--px4"  # PX4 on the simulated vehicle
-    PX4_SIH = "--px4-sih"  # PX4 with its own simulation of the physics
-    ARDUPILOT = "--ardupilot"  # ArduCopter with its own simulation of the physics
+    PX4_SIH = "--px4-sih"  # PX4 with its built-in simulation of the physics
+    ARDUPILOT = "--ardupilot"  # ArduCopter with its built-in simulation of the physics
 
 
 def _members(given: tuple[str, ...]) -> Mapping[int, str]:

@@ -49,7 +49,7 @@ class Flying:
 
 
 def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
-    """Start the simulated vehicles with their own autopilot, and the robots, in one process."""
+    """Start the simulated vehicles with the simulator's autopilot, and the robots, in one process."""
     compile_first(team.member[0])
     elsewhere = options.members
     child = launcher.start(
@@ -173,7 +173,7 @@ ARDUPILOT_PARAMETERS: Mapping[str, float] = {
     "FS_GCS_ENABLE": 5,
     **dict.fromkeys(("SYSID_MYGCS", "MAV_GCS_SYSID"), 1),  # the onboard process is the ground station
     "GUID_TIMEOUT": 0.5,
-    **{"WPNAV_ACCEL_Z": 150, "WP_ACC_Z": 1.5},  # cm/s^2; m/s^2 from 4.7 on
+    **{"WPNAV_ACCEL_Z": 150, "WP_ACC_Z": 1.5},  # up to 4.6 in cm/s^2; from 4.7 in m/s^2
 }
 
 
@@ -208,7 +208,7 @@ class Vehicle(NamedTuple):
         return around_the_start(scenario) if self.at_origin else scenario
 
     def configuration(self, scenario: Scenario, program: Path | None) -> str | None:
-        """Return the name of the configuration for this vehicle; None: the scenario's own."""
+        """Return the name of the configuration for this vehicle; None: that of the scenario is used."""
         if self.config is not None:
             return self.config(program)
         return self.configs.get(scenario.vehicle.airframe)

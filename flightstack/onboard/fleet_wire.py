@@ -7,10 +7,10 @@ not members. Like all keys of a vehicle, the key begins with the namespace, so t
 In flight no call blocks. Rejected messages are counted; a text reports each doubling of the count.
 
 ``OtherClock`` estimates the offset between the clocks of two processes. A message arrives after it was sent.
-With d = own clock - other clock at the same moment:
+With d = this clock - other clock at one moment:
 
     arrival here  - stamp of the other one  >=  d      the minimum is ``ahead_ns``
-    arrival there - own stamp               >= -d      the other process reports its minimum, ``echo_ns``
+    arrival there - stamp of this process   >= -d      the other process reports its minimum, ``echo_ns``
 
 So d lies between -echo_ns and ahead_ns. The estimate is the centre, and its bound is half of the width: half
 of the sum of the minimum delays of both directions. The delays need not be known or equal. This is the method
@@ -60,7 +60,7 @@ class NoFleet:
     doubled = ""  # text about another process with this vehicle's id; empty: there is none
 
     def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
-        """Set the clock of the ticks in real time; before this call nothing is sent.
+        """Set the clock of the ticks in real time; before this call no message is sent.
 
         ``epoch_ns``: Unix time of zero of the stack clock; ``now_s``: reads the stack clock.
         """
@@ -77,7 +77,7 @@ class NoFleet:
         return ()
 
     def say(self, message: Neighbour | None) -> bytes | None:
-        """Send ``Outputs.own_message`` to the others; return the bytes for the log, or None."""
+        """Send ``Outputs.own_message`` to the other members; return its bytes for the log, or None."""
 
     def texts(self) -> list[str]:
         """Return the texts for the operator since the last call."""
@@ -90,7 +90,7 @@ class NoFleet:
 class Offset(NamedTuple):
     """Offset of this process's clock from that of another process."""
 
-    ns: int  # estimate of own clock minus other clock
+    ns: int  # estimate of this clock minus the other clock
     bound_ns: int  # bound of the error of ``ns``
 
 

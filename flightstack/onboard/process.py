@@ -80,7 +80,7 @@ class Onboard:
             baud_of(options.vehicle_url), config, signed=options.signing_key is not None
         )
         self.link = VehicleLink(
-            # the companion shares the vehicle's system id
+            # the companion has the vehicle's MAVLink system id
             open_endpoint("onboard", options.vehicle_url, options.system_id, COMPONENT_ID, options),
             takeoff_height_m=config.takeoff.height_m,
             rate_hz=rate_hz,

@@ -144,7 +144,7 @@ class Runner:
         return self._controller.config.filter
 
     def tick(self) -> Ended | None:
-        """Run one tick; the outputs are sent to the vehicle before anything is written.
+        """Run one tick; the outputs are sent to the vehicle before they are logged.
 
         Raises ClockStoppedError: there is no further tick.
         """

@@ -1,4 +1,4 @@
-"""Proof, before take-off, that a configuration is safe over its whole declared envelope.
+"""Proof, before take-off, that a configuration is safe in its complete declared envelope.
 
 ``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point.
 ``problems`` are the refuted claims that are necessary for a landing: the onboard process rejects such a

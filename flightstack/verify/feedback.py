@@ -15,7 +15,7 @@ absolute impulse responses. The command is assumed to stay within the limits of 
 
 The vehicles between two factors are compared with the one at the centre. The difference is a third input of
 the centre's loop, (W - W0) (u - v) - (D - D0) a. The bounds of u - v and a bound it, and contain it (small
-gain theorem). A piece of the spread with a large or no bound is halved.
+gain theorem). An interval of the lag spread with a large or no bound is halved.
 """
 
 from __future__ import annotations

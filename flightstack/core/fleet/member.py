@@ -1,4 +1,4 @@
-"""This vehicle as a member of a fleet: its received messages, its constraints, and its own messages."""
+"""This vehicle as a member of a fleet: received messages, constraints by neighbours, sent messages."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ FLIGHTS_OF_OTHERS = 2.0
 REPORTED_M_S = 0.005  # smallest slack that is reported, m/s
 STEADY_S = 1.0  # time without relaxed rows after which the end of the relaxation is reported, s
 HELD_BACK_M_S = 0.3  # largest horizontal speed within the reachable set of a silent vehicle, m/s
-STAYS_S = 5.0  # time after a landing at which a vehicle that has not left a requested pad is reported, s
+STAYS_S = 5.0  # time after a landing until a text reports a vehicle that still blocks a pad, s
 _INTENTS = MappingProxyType(
     {
         Phase.WAIT: Intent.WAITING,

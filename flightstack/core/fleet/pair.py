@@ -42,7 +42,7 @@ class Estimate(NamedTuple):
     velocity_enu_m_s: Vec3  # reported or commanded velocity; 0 after the extrapolation ends
     grown_m: float  # growth of both semi-axes of the ellipsoid
     growth_m_s: float  # growth rate of both semi-axes
-    late: bool  # the newest message is older than ``latency_max_s`` and does not announce DOWN
+    late: bool  # whether the newest message is older than ``latency_max_s`` and does not announce DOWN
     anywhere_m: float  # ``grown_m`` plus the possible flight distance since the message
     depth_m: float = 0.0  # possible descent below ``position_enu_m`` while the autopilot lands the vehicle
     sink_m_s: float = 0.0  # rate of the possible descent
@@ -215,7 +215,7 @@ def wider(basic: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
 
     As long as the other vehicle may fly, this vehicle remains outside the ellipsoid or, inside it, does not
     approach its centre. After that the other vehicle lies in the ellipsoid: a vehicle outside remains
-    outside, and one inside keeps only the row ``basic``, since it has to land, too.
+    outside, and a vehicle inside has only the row ``basic``, since it also has to land.
     """
     bound_m_s = -fleet.rate_1_s * outer_m
     if now.age_s <= fleet.silent_flight_s:

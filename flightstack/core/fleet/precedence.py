@@ -28,14 +28,14 @@ GOES = frozenset({Intent.LANDING, Intent.COMMITTED})
 class Permissions(NamedTuple):
     """Permissions for the mission with respect to the neighbours."""
 
-    may_begin: bool = True  # every member sends messages, or is down
-    may_land: bool = True  # this vehicle has the right of way
-    may_touch: bool = True  # the other members have received that this vehicle no longer gives way
-    waited: bool = False  # this vehicle has waited too long for the right of way
+    may_begin: bool = True  # whether every member sends messages, or is down
+    may_land: bool = True  # whether this vehicle has the right of way
+    may_touch: bool = True  # whether the other members have received that this vehicle no longer gives way
+    waited: bool = False  # whether this vehicle has waited too long for the right of way
     text: str = ""  # ids of the members for which this vehicle waits
-    pad_wanted: bool = False  # this vehicle must leave the pad, because others wait for it
+    pad_wanted: bool = False  # whether this vehicle must leave the pad, because another member waits for it
     place_enu_m: Vec3 | None = None  # landing place after this vehicle has left the pad
-    cut_off: bool = False  # this vehicle receives messages from too few members and must land
+    cut_off: bool = False  # whether this vehicle receives messages from too few members and must land
 
 
 ALONE = Permissions()
@@ -240,8 +240,8 @@ def place_beside(
     """Return the chosen place on the ground, or a new one if pads or vehicles come too near to it.
 
     The path of a pad is straight: from its position ``wait_max_s`` ago to its position in ``wait_max_s``. The
-    nearest free place is chosen; if no place is free, the one with the most room. A chosen place is kept
-    while it is free of the path of ``descent_s``: errors of a pad's velocity rotate the longer path too much.
+    nearest free place is chosen; if no place is free, the one with the most room. A chosen place remains
+    as long as the path of ``descent_s`` is free: errors of a pad's velocity rotate the longer path too much.
     """
     pads = [pad]
     for message in messages:

@@ -49,7 +49,7 @@ class Condition(IntEnum):
     DRIFTED = 1 << 21
     NOT_FOLLOWING = 1 << 22  # the vehicle does not follow the commanded velocity
     TIRED = 1 << 23  # the battery is too low to start a landing or to go around
-    LAND_ASKED = 1 << 24  # abort by the operator with the autopilot's own landing
+    LAND_ASKED = 1 << 24  # abort by the operator with a landing by the autopilot
     TARGET_KNOWN = 1 << 25  # a target position was received, possibly long ago
     ON_PAD = 1 << 26  # contact with the pad was detected in phase TOUCHDOWN
     PAD_WANTED = 1 << 27  # another vehicle waits for this pad, and the landed vehicle may take off again

@@ -32,20 +32,20 @@ class Fleet:
     radius_xy_m: Annotated[float, span(0.05, 10.0)] = 0.25  # horizontal semi-axis of the ellipsoid
     radius_z_m: Annotated[float, span(0.05, 10.0)] = 0.75  # vertical semi-axis of the ellipsoid
     rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # allowed decay rate of the distance
-    margin_m: Annotated[float, span(0.0, 5.0)] = 0.08  # margin for velocity errors of both vehicles
+    margin_m: Annotated[float, span(0.0, 5.0)] = 0.08  # margin for velocity errors of two vehicles
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # number of covered standard deviations of positions
     speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # largest speed of another vehicle
     # largest acceleration of another vehicle, and of its velocity command
     acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 3.0
-    # largest acceleration of this vehicle's velocity command, both axes together: a Crazyflie follows 2.1
+    # largest horizontal acceleration of this vehicle's velocity command; a Crazyflie follows 2.1
     slew_xy_max_m_s2: Annotated[float, span(0.05, 20.0)] = 2.0
-    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which other members have a constraint
+    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which members get a constraint
     age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # message age above which a vehicle is silent
     latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # largest latency of a message
     silent_flight_s: Annotated[float, span(0.1, 60.0)] = 6.0  # time after which a silent vehicle has landed
     # maximum wait for the right of way before an abort
     wait_max_s: Annotated[float, span(1.0, 3600.0)] = 30.0
-    # distance of pads below which only one vehicle lands at a time
+    # distance between pads below which only one vehicle lands at a time
     pad_distance_m: Annotated[float, span(0.1, 50.0)] = 0.8
     descent_s: Annotated[float, span(0.0, 60.0)] = 5.0  # horizon in which two pads may approach
     # horizontal distance of the waiting place from the pad

@@ -57,13 +57,13 @@ class Touchdown:
     pad_radius_m: Annotated[float, span(0.03, 2.0)] = 0.10  # radius of the pad
     feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # feet below the centre of mass (CAD)
     target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # fastest target; TurtleBot3 Burger's limit
-    # maximum wait for a slow target after the landing starts: errors of a delayed vehicle state grow with
-    # speed
+    # maximum wait for a slow target after the landing starts; at low speed a delayed vehicle state has
+    # smaller errors
     calm_wait_s: Annotated[float, span(0.0, 60.0)] = 0.0
     calm_speed_m_s: Annotated[float, span(0.01, 3.0)] = 0.21  # target speed at which the wait ends
     calm_height_m: Annotated[float, span(0.05, 3.0)] = 0.25  # height above the pad during the wait
     descent_m_s: Annotated[float, span(0.02, 1.0)] = 0.2  # paper filter: descent speed relative to the pad
-    # duration of a descent with the last set-point after a loss of the vehicle state
+    # time after a loss of the vehicle state in which the descent continues with the last set-point
     blind_time_s: Annotated[float, span(0.0, 5.0)] = 0.4
     timeout_s: Annotated[float, span(0.5, 60.0)] = 2.0  # time limit, including a forced disarm
 
@@ -72,18 +72,18 @@ class Touchdown:
 class Contact:
     """Criteria for the contact of the vehicle with the pad."""
 
-    # largest height of the feet at contact: noise of two positions, tilt of the pad
+    # largest height of the feet at contact, for noise of two positions and tilt of the pad
     gap_m: Annotated[float, span(0.001, 0.5)] = 0.01
-    # tolerance beyond the pad's edge: errors of two positions
+    # tolerance beyond the pad's edge, for errors of two positions
     beyond_m: Annotated[float, span(0.0, 0.5)] = 0.0
-    # height below which a sliding vehicle has contact, before the other criteria detect it
+    # height below which a sliding vehicle counts as in contact, before the other criteria apply
     sliding_gap_m: Annotated[float, span(0.0, 0.1)] = 0.0
     # predicted distance from the centre that counts as sliding
     sliding_radius_m: Annotated[float, span(0.005, 1.0)] = 0.05
     # sink rate below which the pad supports the vehicle
     speed_m_s: Annotated[float, span(0.005, 0.5)] = 0.05
     time_s: Annotated[float, span(0.01, 2.0)] = 0.1  # duration of the low sink rate
-    # time without motion that counts as contact, low over the pad, despite a descent command
+    # time without motion low over the pad, despite a descent command, that counts as contact
     stopped_time_s: Annotated[float, span(0.0, 1.0)] = 0.03
 
 
@@ -96,11 +96,11 @@ class Retreat:
     # smallest h for a go-around; below it the descent continues
     h_left_m: Annotated[float, span(0.01, 3.0)] = 0.08
     hold_climb_m_s: Annotated[float, span(0.02, 5.0)] = 0.4  # climb rate of the robust filter's hold
-    # height above the barrier's peak that counts as clear of the target
+    # height above the barrier's peak at which the vehicle is clear of the target
     climb_margin_m: Annotated[float, span(0.05, 5.0)] = 0.2
-    # maximum time to fly clear; after it the vehicle lands at its position
+    # maximum time of the flight away from the target; after it the vehicle lands at its position
     clear_time_max_s: Annotated[float, span(5.0, 600.0)] = 30.0
-    # minimum sink rate of the autopilot's landing: it bounds the time in which a target can approach
+    # minimum sink rate of the autopilot's landing; it limits the time in which a target can approach
     landing_speed_m_s: Annotated[float, span(0.05, 5.0)] = 0.3
     # maximum time of an abort; after it the stack exits
     abort_time_max_s: Annotated[float, span(5.0, 1800.0)] = 60.0
@@ -197,16 +197,16 @@ class Checks:
 
     own_age_max_s: Annotated[float, span(0.02, 0.4)] = 0.2  # oldest vehicle state that is used
     target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25  # oldest target state that is used
-    # largest difference of position and integrated velocity
+    # largest difference between position and integrated velocity of the vehicle
     own_drift_max_m: Annotated[float, span(0.05, 2.0)] = 0.15
     own_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of the position difference
-    # largest delay behind set-points, at the highest velocity
+    # largest lag behind the set-points, at the highest velocity
     follow_lag_max_s: Annotated[float, span(0.1, 5.0)] = 0.45
     follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # decay time of the tracking lag
     status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # oldest heartbeat (1 Hz) that is used
     target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5  # fastest target that is accepted
     target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # largest jump of the target that is accepted
-    # largest difference of the target's positions and integrated velocity
+    # largest difference between position and integrated velocity of the target
     target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1
     target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of the position difference
     # largest height of a vehicle on the ground above the landing spot; more for a take-off from a table
@@ -221,7 +221,7 @@ class Checks:
     over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0  # longest flight over the pad
     landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0  # longest duration of a landing
     wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0  # longest wait for inputs before the landing
-    clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # horizontal distance that is clear of the target
+    clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # smallest safe horizontal distance to the target
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ class VelocityLoop:
 
     lag_xy_s: Annotated[float, span(0.0, 2.0)] = 0.27  # group delay of the closed loop at low frequency
     lag_z_s: Annotated[float, span(0.0, 2.0)] = 0.17  # vertical group delay
-    # part of lag_xy_s in which a horizontal set-point has no effect yet: delays of links and attitude
+    # part of lag_xy_s before a horizontal set-point has an effect: delays of links and attitude
     dead_time_s: Annotated[float, span(0.0, 0.5)] = 0.0
     rate_xy_1_s: Annotated[float, span(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
     rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0  # vertical natural frequency
@@ -57,11 +57,11 @@ class VelocityFeedback:
     """
 
     horizontal: bool = False  # use the feedback on x and y
-    error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # rate at which a velocity error is corrected
-    tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # rate at which the tilt reaches its command
+    error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # correction rate of a velocity error
+    tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # response rate of the tilt to its command
     observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # rate of the disturbance estimate
     acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # largest command; 3.5: tilt of 20 degrees
-    # distance from the landing spot beyond which the far rates apply: fast tilting takes thrust; 0: never
+    # distance from the landing spot beyond which the far rates apply (slower tilt saves thrust); 0: never
     far_m: Annotated[float, span(0.0, 100.0)] = 0.0
     far_error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 4.0  # error_rate_1_s beyond far_m
     far_tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 8.0  # tilt_rate_1_s beyond far_m
@@ -142,9 +142,9 @@ class Robust:
     commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # height below which the final descent starts
     commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # distance to centre for the final descent
     commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # relative speed for the final descent
-    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # corridor's radius; a go-around if exceeded
+    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # corridor radius; outside: go-around
     descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # final descent relative to the pad, until contact
-    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # largest lead of the set-point
+    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # final descent: limit of set-point lead
     touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # height below which a stop means contact
 
     @property

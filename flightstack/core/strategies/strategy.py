@@ -59,7 +59,7 @@ class Filter:
         inherit it, and has no certificate until it names its own.
         watches_swinging: whether a vehicle that oscillates over the pad must abort (``checks.swings_max``).
         ignores: keys of the configuration that the filter does not read, with the key that it reads instead.
-        waits_filtered: whether a vehicle found in the air keeps clear of the barrier while it waits.
+        waits_filtered: whether the barrier also holds for a vehicle that waits in the air before the flight.
         rate_1_s: largest relative rate at which h may fall.
         acceleration_max_m_s2: largest rate of change of the commanded velocity, on each axis.
         contact_speed_max_m_s: largest speed relative to the pad that a set-point of the touchdown may cause.
@@ -79,13 +79,13 @@ class Filter:
     acceleration_max_m_s2: Vec3
     contact_speed_max_m_s: float
     stopped_below_m: float
-    motion: Annotated[MotionMemory, UNSEEN]  # unused, since this class estimates nothing
+    motion: Annotated[MotionMemory, UNSEEN]  # unused, since this class has no estimator
     tracking: TrackingMemory
     own: OwnMemory
     late: LateMemory
     exchange: ExchangeMemory
-    replaces_program: bool  # the class has its own method ``filter``
-    _by_rule: bool  # the paper's touchdown rule is configured
+    replaces_program: bool  # whether the class has its own method ``filter``
+    _by_rule: bool  # whether the paper's touchdown rule is configured
     _config: FlightConfig
     _barrier: Barrier
 
@@ -296,7 +296,7 @@ STAND_INS[Filter.choose], STAND_INS[Filter.filtered] = chosen, filtered
 
 
 class PaperFilter(Filter):
-    """Filter of eq. 11 as printed: it assumes a perfect velocity loop, and estimates nothing."""
+    """Filter of eq. 11 as printed in the paper: it assumes a perfect velocity loop and has no estimators."""
 
     certificate = "flightstack.verify.certificate:paper_checks"
     watches_swinging = False  # the paper's filter has no model of the velocity loop

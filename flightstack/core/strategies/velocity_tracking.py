@@ -36,7 +36,7 @@ from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import ZERO, Vec3
 
 # constants of the lag compensation: period, lag, rate, gain, largest error, damping, largest disturbance,
-# shares of slope and disturbance
+# weights of one tick in the averages of slope and disturbance
 Lead = tuple[float, float, float, float, float, float, float, float, float]
 # constants of the feedback: period, delay, rate, drag, push, largest disturbance and error, fraction of the
 # slope, gains of the observer on velocity and disturbance, rates of error and tilt, largest acceleration

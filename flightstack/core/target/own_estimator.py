@@ -98,7 +98,7 @@ class OwnEstimator:
 
     memory: OwnMemory
     gains: Gains  # gains of the Kalman filter
-    # model of an axis: period of a tick, s; squared rate; drag; shares of e and f that are left after a tick
+    # model of an axis: period of a tick, s; squared rate; drag; fractions of e and f that remain after a tick
     model: Model
     period_s: float  # period of a tick
     by_loop: bool  # whether the model of the velocity loop is used

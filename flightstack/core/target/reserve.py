@@ -28,7 +28,7 @@ class Reported:
 
     arrival_s: float = math.nan
     standing: bool = False
-    low: bool = False  # the voltage at rest is too low to start a landing
+    low: bool = False  # whether the voltage at rest is too low to start a landing
     flying: float = math.nan  # effort in flight from the throttle; without a throttle, from the voltage
     resting: float = math.nan  # effort at rest, from the voltage
     sags: float = math.nan  # loss term of the voltage sag (``Reserve.sags``)

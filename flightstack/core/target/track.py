@@ -170,7 +170,7 @@ class TargetTrack:
             return Verdict.ACCEPTED  # the previous sample does not bound the current position
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
         # after a loss, the current or the last velocity may explain a wrong position by chance; samples that
-        # continue from elsewhere show that the target is still there
+        # continue from the new place show that the target is really there
         away = memory.elsewhere if lost else None
         stays = away is not None and self._near(
             away, sample, sample, sample.source_time_s - away.source_time_s
@@ -202,7 +202,7 @@ class TargetTrack:
             memory.elsewhere, memory.elsewhere_since_s = sample, sample.arrival_s
             return False
         memory.elsewhere = sample
-        # longer than the age limit, so that phase HOLD starts in between
+        # longer than the age limit, so that phase HOLD starts before the proof ends
         proof_s = self._checks.target_age_max_s + self._checks.recovery_time_s
         return lost and not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
 
