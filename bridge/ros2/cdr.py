@@ -154,7 +154,7 @@ def _decoded(unpack: Unpack, payload: bytes) -> Any:
 
 def _checked(stamp_ns: int, frame_id: str, position_m: Vec3, turn: tuple[float, ...]) -> Pose:
     numbers = (*position_m, *turn)
-    if not all(abs(n) < _LARGEST_M for n in numbers):  # False for NaN
+    if not all(abs(n) < _LARGEST_M for n in numbers):  # NaN is not below the limit
         raise OdometryError(
             f"pose in {frame_id!r} holds a number that is not finite or beyond 1e9: {numbers}"
         )

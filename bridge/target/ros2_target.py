@@ -87,7 +87,7 @@ class TargetSpec:
         cls, text: str, target_type: TargetType = TargetType.ODOMETRY, domain: int = 0, offset_m: Vec3 = ZERO
     ) -> TargetSpec:
         """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``."""
-        if not all(abs(one) <= OFFSET_MAX_M for one in offset_m):  # False for NaN
+        if not all(abs(one) <= OFFSET_MAX_M for one in offset_m):  # also rejects NaN
             raise ValueError(f"--target-offset {offset_m}: up to {OFFSET_MAX_M:g} m on each axis are allowed")
         dialect = next(
             (d for d in (Dialect.ROS2DDS, Dialect.RMW_ZENOH) if text.startswith(d.value)), Dialect.PLAIN

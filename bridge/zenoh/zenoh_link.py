@@ -48,7 +48,7 @@ _DEFAULTS: dict[str, Any] = {
     "connect/retry": _RETRY,
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
-    "scouting/delay": 0,  # with another value open() would block for 500 ms without a peer
+    "scouting/delay": 0,  # 0 avoids that open() blocks for 500 ms without a peer
     "transport/link/tx/lease": _LEASE_MS,
     # shared memory needs /dev/shm and has no benefit for this stack's small messages
     "transport/shared_memory/enabled": False,

@@ -116,7 +116,7 @@ class Flight(Commander):
 
     def disarm(self, now_s: float, *, force: bool) -> str | None:
         if not self.vehicle.armed:
-            self.vehicle.disarm(force)  # also resets the firmware's crash state
+            self.vehicle.disarm(force)  # a disarm also resets the firmware's crash state
             return None
         if self.airborne and not force:
             return "Disarming refused: not landed"
@@ -141,7 +141,7 @@ class Flight(Commander):
         return None
 
     def flown(self, now_s: float, setpoint: Setpoint | None, sender: Sender) -> None:
-        """Update the state after ticks that flew set-points without ``control``; ``setpoint``: newest one."""
+        """Update the state after ticks that flew set-points without ``control``; ``setpoint``: the last."""
         self._control_s = self._estimate_seen_s = now_s
         if setpoint is not None:
             self._owner, self._setpoint_s = sender, now_s

@@ -67,7 +67,7 @@ def _standing_ns(running: Running, now_ns: int) -> int:
     return now_ns - (now_ns - running.start_ns) % round(running.fault.period * NS)
 
 
-# for each kind of clock fault: function of fault and simulated time that returns the faulty time, ns
+# function from fault and simulated time (ns) to the faulty time (ns), by kind of clock fault
 _CLOCKS: Mapping[Kind, Callable[[Running, int], int]] = {
     Kind.OFF: lambda _, __: 0,
     Kind.STUCK: lambda running, _: running.start_ns,
@@ -140,7 +140,7 @@ class Fate(NamedTuple):
     stall: Running | None = None  # fault for whose end the message waits, or None
 
 
-# for each kind of fault: affected direction and messages (None: all)
+# affected direction and message ids (None: all), by component
 CONCERNS: dict[What, tuple[Way, frozenset[int] | None]] = {
     What.LINK_OUT: (Way.OUT, None),
     What.LINK_IN: (Way.IN, None),

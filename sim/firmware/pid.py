@@ -44,7 +44,7 @@ class PidRecord(Record):
     dt: float  # time step, s
     limit: float  # limit of the output
     integral: float
-    previous: float  # last measurement; NaN before the first one
+    previous: float  # last measurement; NaN: no measurement yet
 
 
 @jitted

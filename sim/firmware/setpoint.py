@@ -78,7 +78,7 @@ class InboxRecord(Record):
 
 @jitted
 def receive(inbox: InboxRecord, s: SetpointRecord, now_ms: int) -> None:
-    """Make the newest arrived set-point the current one."""
+    """Make the newest arrived set-point the current set-point."""
     while inbox.first < inbox.end:
         at = WIDTH * (inbox.first % ROOM)
         row = inbox.rows[at : at + WIDTH]

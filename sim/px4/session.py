@@ -33,7 +33,7 @@ class Lockstep:
     def __init__(self) -> None:
         self.started = False  # whether PX4 has sent an answer
         self.old = 0  # number of ignored answers to an earlier HIL_SENSOR
-        self.newest_us = -1  # time in the newest answer; -1 before the first one
+        self.newest_us = -1  # time in the newest answer, us; -1: no answer yet
         self._sent_us: int | None = None
         self._before_us = -1  # ``newest_us`` when the last HIL_SENSOR was sent
         self._behind_us = [0]  # accepted delays of PX4's clock: zero, or the time of the first HIL_SENSOR

@@ -100,7 +100,7 @@ class LockstepVehicle:
 
     @property
     def undisturbed(self) -> bool:
-        """Whether the companion answers at each tick, and no message waits for the next one."""
+        """Whether the companion answers at each tick, and no message waits for the next tick."""
         waits = self._replies or self._late or not self._node.wire.sound
         return self._companion is not None and self._answers and not waits
 
@@ -166,7 +166,7 @@ class LockstepVehicle:
         node.vehicle.sent_before_ms = ahead
 
     def act(self, tick: int, silence: Silence) -> None:
-        """End a tick: wait for the companion's answer, act on it, and simulate the rest.
+        """End a tick: wait for the companion's answer, handle it, and simulate the remaining steps.
 
         ``silence``: time in this tick without a message of any companion.
         Raises NoAnswerError: time-out.

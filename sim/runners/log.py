@@ -123,8 +123,8 @@ class SeenSteps:
 
     t_s: Floats  # (n,) time since the first tick
     phase: Ints  # (n,) value of ``Phase``
-    own_age_s: Floats  # (n,) age of the vehicle's state estimate, NaN without one
-    target_age_s: Floats  # (n,) age of the target's state estimate, NaN without one
+    own_age_s: Floats  # (n,) age of the vehicle's state estimate; NaN: no estimate
+    target_age_s: Floats  # (n,) age of the target's state estimate; NaN: no estimate
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,8 +28,8 @@ VEHICLE_FILES = Files(dict, "sim.vehicles", "vehicle.airframe")  # files that ``
 class StartKind(Enum):
     """State of the vehicle at the start."""
 
-    GROUND = "ground"  # on the floor, disarmed
-    HOVER = "hover"  # in the air at start.offset_m, armed and trimmed for the wind
+    GROUND = "ground"  # the vehicle stands on the floor, disarmed
+    HOVER = "hover"  # the vehicle hovers at start.offset_m, armed and trimmed for the wind
 
 
 class PathKind(Enum):

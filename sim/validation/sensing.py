@@ -49,7 +49,7 @@ def analyse(traces: list[Trace]) -> Error:
     if not traces:
         raise ValueError("found no pieces of flight, one at least is needed")
     step_s = traces[0].step_s
-    # Both ends are cut off, because the delayed truth lies outside the piece there.
+    # Both ends are cut off, because the delayed truth lies outside the piece at its ends.
     inner = slice(math.ceil(DELAY_S[1] / step_s), math.floor(DELAY_S[0] / step_s))
 
     def errors(delay_s: float) -> list[Floats]:

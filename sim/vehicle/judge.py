@@ -49,7 +49,7 @@ class ContactRecord(Record):
     since_ms: int  # start of the current contact with pad or ground
     pad_ms: int  # time of the last contact with the pad's top
     ground_ms: int
-    judging: bool  # whether the next touch of the pad counts as the first one
+    judging: bool  # whether the next touch of the pad counts as the first touch
     touch_ms: int  # time of the first touch
     touch_e: Vector  # vehicle minus pad centre at the start of the touch's step, m
     touch_velocity: Vector  # velocity of the vehicle relative to the pad below it, m/s

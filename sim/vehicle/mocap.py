@@ -161,7 +161,7 @@ class MocapTape:
         self._cell["diverted"][0] = diverted
 
     def take(self, now_ms: int) -> list[tuple[float, ...]]:
-        """Measure due samples and return the arrived ones."""
+        """Measure due samples; return the samples that have arrived."""
         _measure_pose(self._cell, self._body, now_ms)
         samples: list[tuple[float, ...]] = []
         while (at := _next_arrived(self._cell, now_ms)) >= 0:

@@ -86,7 +86,7 @@ class Physics:
         if plant is None:
             plant, reserve = Plant.draw(scenario.vehicle, seed), scenario.vehicle.hover_reserve
             plant = able_to_hover(plant, params, reserve) if reserve > 0.0 else plant
-        self.plant = plant  # ratio of this vehicle's true parameters to the nominal ones
+        self.plant = plant  # ratios of this vehicle's true parameters to the nominal parameters
         mass_kg = params.body.mass_kg * plant.mass
         self.weight_n = mass_kg * params.contact.gravity_m_s2
         # record: memory of the 1 ms steps, one contiguous array; vehicle: its view for compiled code

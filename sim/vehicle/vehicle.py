@@ -45,7 +45,7 @@ class VehicleSim:
     ) -> None:
         self._physics = physics = Physics(scenario, seed, params, plant)
         r, self._vehicle, self._world = physics.record, physics.vehicle, physics.world
-        # ratio of this vehicle's true parameters to the nominal ones
+        # ratios of this vehicle's true parameters to the nominal parameters
         self._params, self.plant, self._rotors = physics.params, physics.plant, physics.rotors
         self._battery, self._wind = physics.battery, physics.wind
         params = self._params

@@ -63,8 +63,8 @@ class VehicleState:
         self.home_amsl_m: float | None = None
         # arrival time, s, and newest height above home, m; None before GLOBAL_POSITION_INT
         self.above_home: tuple[float, float] | None = None
-        self.autopilot: int | None = None  # MAV_AUTOPILOT of the newest heartbeat; None before the first one
-        self.type: int | None = None  # MAV_TYPE of the newest heartbeat; None before the first one
+        self.autopilot: int | None = None  # MAV_AUTOPILOT of the newest heartbeat; None: no heartbeat
+        self.type: int | None = None  # MAV_TYPE of the newest heartbeat; None: no heartbeat
         # whether the vehicle has sent its origin since its last restart
         self.origin_known = False
         # time of the last restart on the stack's clock: the boot clock stepped, or heartbeats resumed after a

@@ -62,7 +62,7 @@ class Definition(msgspec.Struct, array_like=True, frozen=True):
 
 
 class _Table(msgspec.Struct):
-    messages: list[Definition]  # in ascending order of id
+    messages: list[Definition]  # messages in ascending order of id
 
 
 def definitions() -> list[Definition]:
@@ -226,7 +226,7 @@ def _payload(cls: Any) -> Payload:
 
 
 def _all_of(names: list[str]) -> Callable[[Message], tuple[Any, ...]]:
-    """Return a reader of these attributes; ``attrgetter`` gives no tuple for a single one."""
+    """Return a function that reads these attributes as a tuple, also a single one, unlike ``attrgetter``."""
     read = attrgetter(*names)
     return read if len(names) > 1 else lambda message: (read(message),)
 

@@ -279,4 +279,4 @@ def _right_to_arm(command: Command) -> Right:
 def _no_stream(command: Command) -> Answer:
     return Answer(
         FAILED, f"Message {integer(command.given(1))} has no rate to set"
-    )  # as in PX4, also for HEARTBEAT
+    )  # the result of PX4, even for HEARTBEAT

@@ -22,7 +22,7 @@ RETRY_S = 0.5  # time between two tries to open a lost connection, s
 _READ_BYTES = 4096  # maximum size of a read
 _NOTICES_MAX = 32  # maximum number of texts that wait for ``take_notices``
 OUTGOING_MAX = 4096  # maximum number of buffered bytes of TCP; less for a serial line
-_FRAME_MAX = 280  # length of the longest frame, bytes; every queue must hold one
+_FRAME_MAX = 280  # length of the longest frame, bytes; minimum size of every queue
 _BITS_PER_BYTE = 10  # bits per byte on a serial line: a start bit, eight data bits, a stop bit (8N1)
 _QUEUE_S = 0.1  # duration of the buffered frames on a serial line, s: an older set-point is useless
 _KERNEL_QUEUE_S = 0.05  # duration of the bytes in the kernel's buffer, s
@@ -158,7 +158,7 @@ class ByteStream:
         return self._look()
 
     def _look(self) -> Channel | None:
-        """Return the established connection, else None; report a new one."""
+        """Return the established connection or None; report a new connection."""
         channel = self._channel
         assert channel is not None
         try:
