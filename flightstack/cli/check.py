@@ -83,7 +83,7 @@ class Part(NamedTuple):
 
     filter: str
     checks: Sequence[Check]
-    members: tuple[str, ...] = ()  # vehicles of a team with this configuration
+    members: tuple[str, ...] = ()  # names of the team's vehicles with this configuration
     of: str = ""  # names of the vehicles, for a title
     ignored: Sequence[str] = ()  # keys that the filter does not read
 

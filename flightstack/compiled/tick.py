@@ -47,7 +47,7 @@ RULES: dict[Phase, I64] = {
 }
 _SAMPLES = 4  # maximum number of target samples in a compiled tick
 _OWN, _SAMPLE = struct.Struct("=12d"), struct.Struct("=10d")
-_NONE = -1.0  # marks a call that only compiles, in place of the number of samples
+_NONE = -1.0  # value instead of the number of samples, for a call that only compiles
 
 
 def _solve(one: Osqp, numbers: tuple[float, ...]) -> tuple[Vec3, bool, int]:

@@ -88,7 +88,7 @@ class Launcher:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         del kind, error, trace
-        self._take_over()  # a second signal must not prevent the end of the children
+        self._take_over()  # a second signal must not interrupt the end of the children
         self.end_all()
         for number, handler in self._previous.items():
             signal.signal(number, handler)

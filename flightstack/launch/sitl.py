@@ -185,7 +185,7 @@ def _start(
         connect=(robots_at, *(each.endpoint for each in earlier)), namespace=vehicle.name,
         listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
         duration_s=vehicle.scenario.duration_max_s, recorder=launcher.socket,
-        unproven=True,  # the vehicle is simulated
+        unproven=True,  # a simulated vehicle may fly an unproven configuration
     )  # fmt: skip
     child = launcher.start("onboard", onboard, of=vehicle.label)
     return Followed(child, vehicle.name, (vehicle.endpoint, *options.listen), vehicle.label)

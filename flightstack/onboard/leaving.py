@@ -74,7 +74,7 @@ class Signals(Person):
 
 
 class Leaving:
-    """Decides when a flight ends: call ``operator`` before each step and ``ended`` after it.
+    """Decision when a flight ends: call ``operator`` before each step and ``ended`` after it.
 
     ``duration_s``: time on the stack's clock after which the flight is aborted; None: no limit.
     """

@@ -99,7 +99,7 @@ class Described(NamedTuple):
     """Description of a flight; it is written to the log before the flight starts."""
 
     config: FlightConfig  # configuration of the onboard process
-    run: Mapping[str, str]  # entries about the run; they replace the default entries
+    run: Mapping[str, str]  # metadata of the run; they replace default entries
     names: Names  # names of the flight's records in the log
 
 

@@ -35,9 +35,9 @@ _PROBLEMS = 2  # maximum number of sample errors in one report
 class VehicleSeen(NamedTuple):
     """Data that the vehicle link has received so far."""
 
-    heartbeat_age_s: float | None  # age of the newest heartbeat; None: none received
+    heartbeat_age_s: float | None  # age of the newest heartbeat; None: no heartbeat received
     silence: str  # reason for a missing heartbeat (``senders.why_silent``)
-    own_age_s: float | None  # age of the newest vehicle state; None: none received
+    own_age_s: float | None  # age of the newest vehicle state; None: no state received
     own_believed: bool  # whether position and velocity agree
     # positions rejected since the last report, by cause (fields of ``StateCounters``)
     refused: Mapping[str, int]

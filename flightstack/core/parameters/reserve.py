@@ -96,7 +96,7 @@ class Reserve:
 
 @numeric
 def left(effort: float, sags: float, most: float) -> float:
-    """Return the reserve for an effort in level flight; numeric form of ``Reserve.left``."""
+    """Return the reserve for an effort in level flight; ``Reserve.left`` without an object."""
     return min(1.0 + (1.0 / effort - 1.0) / (1.0 + sags), most / effort)
 
 

@@ -25,7 +25,7 @@ from flightstack.core.numeric import numeric, rare, wrapped
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
-RESTART_S = 1.0  # longest gap between samples without a restart of the filter, s
+RESTART_S = 1.0  # gap between samples after which the filter restarts, s
 
 TURN_TIME_S = 0.3  # time constant of the yaw rate, s: differences of two measured yaws are noisy
 TURN_RATE_MAX_RAD_S = 3.0  # largest yaw rate; a TurtleBot3 reaches 2.84 (ROBOTIS, specifications)
