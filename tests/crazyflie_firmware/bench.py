@@ -1,5 +1,5 @@
-"""Bridge node and firmware model on one simulated clock: no cflib, no sockets, no threads, but real
-packets."""
+"""Runs bridge node and firmware model on one simulated clock, with real packets but without cflib, sockets
+or threads."""
 
 import math
 import struct

@@ -1,4 +1,4 @@
-"""One flight in one process, disturbed at a chosen moment and observed until the vehicle is down.
+"""Flies in one process, with a fault at a chosen moment, and observes the vehicle until it is down.
 
 The vehicle's lockstep loop, its autopilot, the robot, the companion's link and ``Runner`` are those of a real
 run (as in ``sim.runners.landing``); target samples are CDR bytes. When the companion ends, nothing more is

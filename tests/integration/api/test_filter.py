@@ -1,4 +1,4 @@
-"""A user's own filter: one method, flown and replayed everywhere, rejected if it returns no velocity."""
+"""A user's own filter has one method, flies and replays everywhere, and must return a velocity."""
 
 import re
 from dataclasses import dataclass, fields

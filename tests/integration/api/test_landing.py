@@ -1,4 +1,4 @@
-"""``import flightstack as fs``: landings, logs, tables."""
+"""Tests landings, logs and tables of the public interface, ``import flightstack as fs``."""
 
 import math
 import subprocess

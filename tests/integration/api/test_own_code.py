@@ -1,4 +1,4 @@
-"""Code of the user that fails in flight: in every command one clear line, exit status 2 and a whole log."""
+"""If code of the user fails in flight, every command ends with one clear line, status 2 and a whole log."""
 
 import sys
 import textwrap

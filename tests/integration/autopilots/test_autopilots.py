@@ -1,4 +1,4 @@
-"""PX4 and ArduCopter: the simulated vehicle, programs of both, and the check before a flight."""
+"""Tests the simulated vehicle as PX4, the programs of PX4 and ArduCopter, and the pre-flight check."""
 
 import os
 import re

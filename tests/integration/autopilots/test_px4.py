@@ -1,7 +1,7 @@
-"""A real PX4 (skipped without one): its program as a child, and flights to a driving robot.
+"""Tests a real PX4, if there is one: its program as a child process, and flights to a driving robot.
 
-One PX4 flies all of them, because its start takes as long as a flight; nobody moves the vehicle, so it takes
-off from the robot's pad, where it landed. The position comes from motion capture: with satellites PX4 does
+One PX4 flies all of them, because its start takes as long as a flight; after a landing the vehicle takes off
+from the robot's pad. The position comes from motion capture: with satellites PX4 does
 not arm on a driving robot ("GPS Horizontal Pos Drift too high").
 """
 

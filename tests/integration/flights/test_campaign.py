@@ -1,4 +1,4 @@
-"""Campaigns: rows equal single runs despite failing workers; user filters; limits of the tiers."""
+"""Tests campaigns: rows equal single runs despite failing workers; user filters; limits of the tiers."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The command line: wrong input, help, listing, and the verbs ``check`` and ``identify``."""
+"""Tests the command line: wrong input, help, lists, and the verbs ``check`` and ``identify``."""
 
 import json
 import subprocess

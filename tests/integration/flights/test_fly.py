@@ -1,4 +1,4 @@
-"""``flightstack fly`` with an external vehicle and target, and its messages while it waits for them."""
+"""Tests ``flightstack fly`` with an external vehicle and target, and its messages while it waits for both."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole runs with separate processes: landings, kills and interruptions, and faults with the required end."""
+"""Tests runs with separate processes: landings, kills, interruptions, and faults with the required end."""
 
 import re
 import signal

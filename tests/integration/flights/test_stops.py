@@ -1,4 +1,4 @@
-"""The operator's abort and emergency stop in every phase, a closed terminal, and signals to bridges."""
+"""Tests the operator's abort and emergency stop in every phase, a closed terminal, signals to bridges."""
 
 from __future__ import annotations
 

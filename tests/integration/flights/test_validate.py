@@ -1,4 +1,4 @@
-"""The verb ``validate`` with a short flight, with whole flights if installed, and with bad input."""
+"""Tests the verb ``validate`` with a short flight, with whole flights if installed, and with bad input."""
 
 from __future__ import annotations
 

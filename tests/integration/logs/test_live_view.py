@@ -1,4 +1,4 @@
-"""The live 3-D scene: drawn and rejected data; a viewer that hangs delays no process."""
+"""Tests which data the live 3-D scene draws and rejects, and that a viewer that hangs delays no process."""
 
 import os
 import signal

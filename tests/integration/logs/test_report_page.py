@@ -1,4 +1,4 @@
-"""The report of a real log, opened in a real browser."""
+"""Opens the report of a real log in a real browser."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Signed MAVLink, and MAVLink over serial lines and TCP: slow, noisy, cut, disconnected in flight."""
+"""Tests signed MAVLink, and flights over slow, noisy or interrupted serial lines and TCP connections."""
 
 from __future__ import annotations
 

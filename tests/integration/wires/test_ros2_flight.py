@@ -1,4 +1,4 @@
-"""A landing on a target that is a ROS 2 topic, through a router, with a ROS 2 node as observer."""
+"""Tests a landing on a target from a ROS 2 topic, through a router, with a ROS 2 node as observer."""
 
 import math
 import re

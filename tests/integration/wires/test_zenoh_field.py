@@ -1,4 +1,4 @@
-"""The configurations of docs/how_to/zenoh.md: certificates, passwords, access rules, a router that dies."""
+"""Tests the configurations of docs/how_to/zenoh.md: certificates, passwords, access rules, router loss."""
 
 import itertools
 import json

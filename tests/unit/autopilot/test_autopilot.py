@@ -1,4 +1,4 @@
-"""The simulated autopilot without sockets or clocks: arming, modes, set-points, telemetry, parameters."""
+"""Tests the simulated autopilot without sockets or clocks: arming, modes, set-points, telemetry, settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The controller with compiled parts: equal to the last bit; interpreted where no compiled form exists."""
+"""A controller with compiled parts decides equally to the last bit; all other parts are interpreted."""
 
 import math
 import subprocess

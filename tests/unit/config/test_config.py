@@ -1,4 +1,4 @@
-"""Valid configurations, and invalid ones, which are rejected with the reason."""
+"""Valid configurations are accepted; invalid ones are rejected with the reason."""
 
 import dataclasses
 import math

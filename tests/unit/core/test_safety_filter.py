@@ -1,4 +1,4 @@
-"""The quadratic program: OSQP compared with the exact projection, and behaviour without a solution."""
+"""Compares OSQP with the exact projection, and tests the quadratic program without a solution."""
 
 import itertools
 import math

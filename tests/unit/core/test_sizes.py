@@ -1,4 +1,4 @@
-"""Keys of the configuration that no other test changes: each changes what it names, and the certificate."""
+"""Tests configuration keys that no other test changes: each changes a behaviour and the certificate."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Faults of a Crazyflie's radio, clock, supervisor and motion capture, and the bridge's reactions."""
+"""Tests the bridge's reactions to faults of a Crazyflie's radio, clock, supervisor and motion capture."""
 
 import math
 import re

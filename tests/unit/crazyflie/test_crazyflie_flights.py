@@ -1,4 +1,4 @@
-"""Consecutive flights by the stack's own commands: heights, modes and ends between them."""
+"""Tests consecutive flights by the stack's own commands: heights, modes, and the ends of flights."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Poses of motion capture: which are forwarded, and what the vehicle receives."""
+"""Tests which poses of motion capture are forwarded, and what the vehicle receives."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The bridge's firmware settings: written at every connection, restored on exit if requested."""
+"""The bridge writes its firmware settings at every connection, and restores them on exit if requested."""
 
 from __future__ import annotations
 

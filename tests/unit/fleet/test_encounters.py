@@ -1,4 +1,4 @@
-"""Distances of two vehicles compared with closed forms; cylinders that just overlap, or just do not."""
+"""Compares distances of two vehicles with closed forms; tests cylinders that nearly overlap."""
 
 from itertools import combinations
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Several landings in one process: repeatable, with collisions, and with a member that fails."""
+"""Several landings in one process are repeatable; tests collisions and a member that fails."""
 
 from pathlib import Path
 

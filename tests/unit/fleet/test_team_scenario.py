@@ -1,4 +1,4 @@
-"""Team files: shared keys, a member's own keys, and error messages with instructions."""
+"""Tests team files: shared keys, keys of one member, and error messages with instructions."""
 
 import tomllib
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Messages between team members: late, lost independently, never within the same tick."""
+"""Messages between team members are late or lost independently, and never arrive within their tick."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Tables of the documentation of vehicles compared with the code."""
+"""Compares tables of the vehicle documentation with the code."""
 
 from __future__ import annotations
 

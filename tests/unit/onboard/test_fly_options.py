@@ -1,4 +1,4 @@
-"""Options that ``fly`` passes to the onboard process."""
+"""Tests the options that ``fly`` passes to the onboard process."""
 
 from dataclasses import MISSING, replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The pre-flight check: unsafe and accepted parameters, and the bounded dialogue."""
+"""Tests the pre-flight check: unsafe and accepted parameters, and a limited number of requests."""
 
 import math
 

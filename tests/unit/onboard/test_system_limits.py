@@ -1,4 +1,4 @@
-"""Limits of the system: long socket paths, read-only caches, no shared memory, encodings."""
+"""Tests limits of the system: long socket paths, read-only caches, no shared memory, encodings."""
 
 import codecs
 import errno

@@ -1,4 +1,4 @@
-"""The plant compared with a second model, a conservation law and a closed form."""
+"""Compares the plant with a second model, a conservation law and a closed form."""
 
 import numpy as np
 import pytest

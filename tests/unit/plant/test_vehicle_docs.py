@@ -1,4 +1,4 @@
-"""docs/how_it_works/vehicle.md agrees with the simulator: fresh tables."""
+"""Compares the tables of docs/how_it_works/vehicle.md with new results of the simulator."""
 
 import re
 

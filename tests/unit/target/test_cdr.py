@@ -1,4 +1,4 @@
-"""CDR of odometry and poses, byte-equal with rosbags."""
+"""CDR of odometry and poses equals that of rosbags byte for byte."""
 
 import math
 import struct

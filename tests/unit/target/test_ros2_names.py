@@ -1,4 +1,4 @@
-"""Names and attachments of ROS 2 on Zenoh."""
+"""Tests names and attachments of ROS 2 messages on Zenoh."""
 
 import re
 import string

@@ -1,4 +1,4 @@
-"""A ROS 2 target through a real router: messages of another library are used, bad ones rejected."""
+"""Tests a ROS 2 target through a real router: messages of another library are used, bad ones rejected."""
 
 import math
 import struct

@@ -1,4 +1,4 @@
-"""Recorded set-points flown by the simulated vehicle, for simulated and real recordings."""
+"""The simulated vehicle flies recorded set-points of simulated and real flights."""
 
 from __future__ import annotations
 

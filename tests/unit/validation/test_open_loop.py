@@ -1,4 +1,4 @@
-"""Recorded motor commands flown by the plant, for simulated and real recordings."""
+"""The simulated plant flies recorded motor commands of simulated and real flights."""
 
 from __future__ import annotations
 

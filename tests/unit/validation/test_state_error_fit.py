@@ -1,4 +1,4 @@
-"""Parameters of state-estimate errors: given ones are found, the defaults are those of real flights."""
+"""The fit finds given parameters of state-estimate errors, and the defaults are those of real flights."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Controllers, mixer, supervisor and estimator of the firmware model."""
+"""Tests controllers, mixer, supervisor and estimator of the firmware model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Position set-points: position loop of the PID cascade, Mellinger controller, map from counts to volts."""
+"""Tests position set-points: PID position loop, Mellinger controller, map from counts to volts."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The robot: its motion, its odometry, its lead in a landing, and dead reckoning of the deck."""
+"""Tests the robot: motion, odometry, ticks simulated in advance, and dead reckoning of the deck."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""The whole vehicle: hover, steps, watchdog, landing on a driving pad, determinism."""
+"""Tests the whole vehicle: hover, steps, watchdog, landing on a driving pad, determinism."""
 
 import math
 

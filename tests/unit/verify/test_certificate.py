@@ -1,4 +1,4 @@
-"""Claims of the certificate compared with brute force, and each of its limits from both sides."""
+"""Compares claims of the certificate with brute force, and tests each limit from both sides."""
 
 import math
 import random

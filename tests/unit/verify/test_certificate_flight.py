@@ -1,4 +1,4 @@
-"""Claims of the certificate in flight: the real control law and filter under the worst declared errors."""
+"""Tests claims of the certificate in flight, with real control law and filter, under the worst errors."""
 
 import math
 import random

@@ -1,4 +1,4 @@
-"""Proof for fleets compared with random motions and rows, and each limit from both sides."""
+"""Compares the proof for fleets with random motions and rows, and tests each limit from both sides."""
 
 import json
 import math

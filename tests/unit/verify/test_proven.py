@@ -1,4 +1,4 @@
-"""Proven configurations are flown: a sample of `python -m tests.benchmarks proven`, which flies all."""
+"""Flies a sample of the proven configurations; `python -m tests.benchmarks proven` flies all."""
 
 from dataclasses import replace
 

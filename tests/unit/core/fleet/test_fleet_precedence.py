@@ -1,4 +1,4 @@
-"""One vehicle at a time per pad: never two with the right of way, and each gets it eventually."""
+"""At each pad, at most one vehicle has the right of way, and each vehicle gets it eventually."""
 
 import heapq
 import itertools

@@ -1,4 +1,4 @@
-"""One tick of the mission logic: its condition flags for given inputs."""
+"""Computes the condition flags of one tick of the mission logic for given inputs."""
 
 from flightstack.core.fleet.precedence import ALONE
 from flightstack.core.memory import Memory

@@ -1,4 +1,4 @@
-"""End of the flight after an abort, for every combination of its conditions."""
+"""Tests the end of the flight after an abort, for every combination of its conditions."""
 
 from flightstack.core.memory import AbortWay
 from flightstack.core.mission.phases import ABORT_TABLE, Condition, first

@@ -1,4 +1,4 @@
-"""Each condition flag: when it is set, and when it is clear."""
+"""Tests when each condition flag is set, and when it is clear."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Every combination of conditions in every phase, compared with an independent statement of the rules."""
+"""Compares every combination of conditions in every phase with an independent statement of the rules."""
 
 import random
 from functools import cache

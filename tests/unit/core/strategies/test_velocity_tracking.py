@@ -1,4 +1,4 @@
-"""Corrections of the set-point, by lead and velocity feedback, on a plant that differs from the model."""
+"""Tests set-point corrections by lag compensation and velocity feedback, on a plant unlike the model."""
 
 import itertools
 import math

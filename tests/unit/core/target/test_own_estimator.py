@@ -1,4 +1,4 @@
-"""The estimator of the vehicle state: late positions, wrong velocities, and a model of the velocity loop."""
+"""Tests the estimator of the vehicle state with late positions, wrong velocities and a loop model."""
 
 import math
 

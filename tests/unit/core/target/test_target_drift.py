@@ -1,4 +1,4 @@
-"""Positions of the target compared with its velocity: which contradictions are detected, and how soon."""
+"""Tests which contradictions of a target's positions and velocity are detected, and how soon."""
 
 import math
 import random

@@ -1,4 +1,4 @@
-"""The target's estimator compared with a matrix Kalman filter, and its own error estimate."""
+"""Compares the target's estimator with a matrix Kalman filter, and tests its error estimate."""
 
 import functools
 import math

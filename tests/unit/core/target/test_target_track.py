@@ -1,4 +1,4 @@
-"""Which target samples are accepted."""
+"""Tests which target samples are accepted."""
 
 import math
 from dataclasses import replace

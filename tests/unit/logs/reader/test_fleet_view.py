@@ -1,4 +1,4 @@
-"""A fleet in Rerun: every member at its position, without name conflicts."""
+"""Tests a fleet in Rerun: every member is at its position, without name conflicts."""
 
 import numpy as np
 import pytest

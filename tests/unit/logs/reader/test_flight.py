@@ -1,4 +1,4 @@
-"""A log as arrays: correct numbers and times, no invented values."""
+"""Tests a log as arrays: values and times are correct, and missing values are not invented."""
 
 import itertools
 import math

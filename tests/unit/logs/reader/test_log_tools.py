@@ -1,4 +1,4 @@
-"""The verb info, on complete logs and on broken ones."""
+"""Tests the verb info on complete and on damaged logs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs are readable by other programs; broken ones as far as possible."""
+"""Other programs can read the logs, and the readable part of damaged ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Feed and recorder over real sockets into real files, with bounded memory and reported losses."""
+"""Tests feed and recorder with real sockets and files: memory is bounded, and losses are reported."""
 
 from __future__ import annotations
 

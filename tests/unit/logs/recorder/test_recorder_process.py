@@ -1,4 +1,4 @@
-"""The recorder as a process: killed, stopped, and on a full disk."""
+"""Tests the recorder as a process that is killed or stopped, or that has a full disk."""
 
 from __future__ import annotations
 

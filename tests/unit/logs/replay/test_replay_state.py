@@ -1,4 +1,4 @@
-"""The controller's state as text: restored at any tick, it continues identically."""
+"""A controller whose state is restored from text at any tick continues identically."""
 
 import struct
 from dataclasses import dataclass, fields, is_dataclass, replace

@@ -1,4 +1,4 @@
-"""Recorded MAVLink and Zenoh data, replayed through the current bridge."""
+"""Replays recorded MAVLink and Zenoh data through the current bridge."""
 
 import itertools
 from dataclasses import replace as with_

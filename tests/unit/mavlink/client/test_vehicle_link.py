@@ -1,4 +1,4 @@
-"""The companion's side of the vehicle link over real sockets."""
+"""Tests the companion's side of the vehicle link over real sockets."""
 
 import math
 

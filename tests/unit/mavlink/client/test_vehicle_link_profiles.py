@@ -1,4 +1,4 @@
-"""The vehicle link with each autopilot, and over a slow serial line."""
+"""Tests the vehicle link with each autopilot, and over a slow serial line."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Endpoints on UDP sockets: URLs, peers that get replies, limits, and local addresses."""
+"""Tests endpoints on UDP sockets: URLs, peers that get replies, limits, and local addresses."""
 
 import socket
 

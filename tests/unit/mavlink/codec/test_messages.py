@@ -1,4 +1,4 @@
-"""Messages packed and decoded as in pymavlink, and messages missing in its dialect ardupilotmega."""
+"""Messages are packed and decoded as in pymavlink; some are missing in its dialect ardupilotmega."""
 
 import math
 import random

@@ -1,4 +1,4 @@
-"""Permissions while one sender flies the vehicle by set-points, and accepted set-points."""
+"""Tests which set-points are accepted, and what other senders may do during a flight by set-points."""
 
 from __future__ import annotations
 

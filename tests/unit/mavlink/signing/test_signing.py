@@ -1,4 +1,4 @@
-"""Rules of message signing, compared with pymavlink and tested with attacks; and key files."""
+"""Tests the rules of message signing against pymavlink and with attacks, and the key files."""
 
 import stat
 
