@@ -48,7 +48,7 @@ _HEADER_BYTES = 20  # length of encapsulation, stamp, frame_id of three characte
 _NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame with unknown peer
 
 Derived = tuple[str, str, bytes]  # fields: topic, schema, CDR payload
-Derive = Callable[[int, bytes], list[Derived]]  # function: log time in ns and CDR payload -> messages
+Derive = Callable[[int, bytes], list[Derived]]  # arguments: log time, ns, and CDR payload
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 # attitude of the NED axes in ENU: a half turn about the horizontal line between east and north

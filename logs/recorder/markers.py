@@ -21,7 +21,7 @@ REACH = 2.5  # radius of the barrier surface, divided by the distance of the bar
 REACH_BESIDE = 1.0  # ``REACH`` in a fleet: smaller, so that surfaces of neighbours do not overlap
 SECTORS, RINGS = 24, 8  # grid of the barrier surface: 24 x 8 x 2 triangles
 _GRID_1_M = 1024.0  # surface points are rounded to 1/1024 m: finer than a millimetre, and compressible
-_ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft diameter, head diameter, head length
+_ARROW_SIZE_M = (0.012, 0.03, 0.04)  # size of an arrow: shaft diameter, head diameter, head length
 BODY_SIZE_M = (0.092, 0.092, 0.029)  # Bitcraze, Crazyflie 2.1 data sheet: 92 x 92 x 29 mm
 _ARROW_S = 1.0  # arrow length divided by velocity, s
 

@@ -35,7 +35,7 @@ class ContactBit(IntFlag):
 
 
 def pack_log(stamp_ns: int, level: int, name: str, text: str) -> bytes:
-    """Return an event as CDR; ``name`` is its source within the stack."""
+    """Return an event as CDR; ``name``: process or part of the stack that reports the event."""
     return LogRow(stamp_ns, level, name, text, "", "", 0).pack()
 
 

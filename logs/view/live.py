@@ -42,7 +42,7 @@ class LiveRecording:
         self._phase: int | None = None
         self._viewer: subprocess.Popen[bytes] | None = None
         self._stays = where == NATIVE  # whether the window stays open until the user closes it
-        self.address = where  # address of the page to open, or the file
+        self.address = where  # address of the web page with the view, or path of the recording
         if where == NATIVE:
             self._start("--hide-welcome-screen")
         elif where == WEB:

@@ -1,4 +1,4 @@
-"""The firmware model on a UDP socket, in its own thread, with a radio that loses packets."""
+"""Serves the firmware model on a UDP socket, in its own thread, with a radio that loses packets."""
 
 import random
 import select

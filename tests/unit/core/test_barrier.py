@@ -55,7 +55,7 @@ def test_the_time_derivative_is_that_of_a_moving_target(barrier, e, velocity):
 def test_the_papers_numbers_follow_from_its_geometry_once_eq_7_has_units():
     barrier = Barrier.from_cone(0.55, math.radians(60.0))
     assert barrier.beta_m == pytest.approx(1.495, abs=1e-3)
-    assert barrier.alpha_1_m == pytest.approx(1.0498, abs=1e-4)  # 1 / (0.55 m tan 60 deg)
+    assert barrier.alpha_1_m == pytest.approx(1.0498, abs=1e-4)  # = 1 / (0.55 m tan 60 deg)
     as_printed = 0.55 * math.tan(math.radians(60.0))  # a length, as printed in the paper
     assert as_printed == pytest.approx(0.9526, abs=1e-4)
     assert round(barrier.alpha_1_m, 1) in (1.0, 1.1)

@@ -90,7 +90,7 @@ def on_free_ports(text):
 
 
 def until(condition, what="it", timeout_s=PATIENCE_S):
-    """Poll a condition of another thread or process."""
+    """Wait, by polling, until a condition of another thread or process holds."""
     deadline_s = time.monotonic() + timeout_s
     while not (found := condition()):
         assert time.monotonic() < deadline_s, f"{what} did not come"

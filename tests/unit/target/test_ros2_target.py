@@ -21,7 +21,7 @@ STAMP = 1_700_000_000_500_000_000
 
 
 def attachment(sequence, time_ns):
-    """Encode as in rmw_zenoh's design document: two int64, a length, 16 bytes."""
+    """Return an attachment by rmw_zenoh's design document: two int64, a length, 16 bytes."""
     return struct.pack("<qqB", sequence, time_ns, 16) + ros.GID
 
 

@@ -60,7 +60,7 @@ WAIT_S = 13.1  # wait of the last of three vehicles, s
         ("neighbours in reach", {"reach_m": 1.82, "speed_max_m_s": 0.5},
          {"reach_m": 1.81, "speed_max_m_s": 0.5}, {}),
         ("touchdowns", {"pad_distance_m": 0.511}, {"pad_distance_m": 0.509}, STILL),
-        ("fleet.margin_m", {"margin_m": 0.101}, {"margin_m": 0.099}, {}),  # 2 * 0.04 / 0.8
+        ("fleet.margin_m", {"margin_m": 0.101}, {"margin_m": 0.099}, {}),  # limit: 2 * 0.04 / 0.8
         ("waits", {"wait_max_s": WAIT_S}, {"wait_max_s": WAIT_S - 0.1}, {}),
     ],
 )  # fmt: skip

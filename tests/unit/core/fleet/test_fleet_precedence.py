@@ -216,7 +216,7 @@ PHASES = [
 
 
 def flown(phase, keys, place, words):
-    """Return the commanded velocity of one tick in this phase."""
+    """Return the velocity that the member commands in one tick of this phase, m/s."""
     controller = Controller(SETTINGS)
     memory = controller.memory
     memory.phase, memory.was_armed, memory.was_external = phase, True, True

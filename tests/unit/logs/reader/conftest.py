@@ -1,4 +1,4 @@
-"""The verdict on a synthetic log."""
+"""Provides verdicts on synthetic logs for the tests of the reader."""
 
 from dataclasses import replace
 
