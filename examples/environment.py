@@ -6,13 +6,15 @@ python examples/environment.py
 import gymnasium
 import numpy as np
 
-name = "flightstack.api.env:flightstack/Landing-v0"  # importing this module registers the name
+# gymnasium imports flightstack.api.env, which registers the name
+name = "flightstack.api.env:flightstack/Landing-v0"
 env = gymnasium.make_vec(name, num_envs=2, scenario="lab", filter="robust")
 seen, infos = env.reset(seed=[7, 8])
 print(f"observations {env.observation_space.shape}, actions {env.action_space.shape}")
 ended = np.zeros(2, bool)
 while not ended.all():
-    actions = np.array(env.call("builtin_action"))  # a trained agent computes actions from ``seen``
+    # velocity commands of the stack; a trained agent would compute the actions from ``seen``
+    actions = np.array(env.call("builtin_action"))
     seen, rewards, terminated, truncated, infos = env.step(actions)
     for n in np.flatnonzero((terminated | truncated) & ~ended):
         print(f"environment {n}: {infos['outcome'][n]}, last reward {rewards[n]:+.1f}")

@@ -56,7 +56,7 @@ class Cone:
 
 
 class Projection:
-    """The program of eq. 11 in closed form, without a solver.
+    """The quadratic program of the paper's eq. 11, solved in closed form.
 
     Args:
         rate_1_s: relative rate at which h may fall, 1/s.
@@ -78,7 +78,10 @@ class Projection:
 
 
 class ConeFilter(fs.Filter):
-    """Position loop with feed-forward of the target's velocity, filtered by the cone."""
+    """Safety filter with the cone as boundary.
+
+    The nominal velocity is that of a position loop with feed-forward of the target's velocity.
+    """
 
     certificate = f"{__name__}:certificate"
     waits_filtered = False
@@ -92,7 +95,7 @@ class ConeFilter(fs.Filter):
         return self._cone
 
     def program(self) -> Projection:
-        """Return the program that computes the admissible velocity in each tick, without a solver."""
+        """Return the optimisation problem of each tick (eq. 11), which is solved in closed form."""
         return Projection(self.rate_1_s)
 
     def may_touch(self, at: Relative) -> bool:

@@ -16,7 +16,8 @@ for seed in range(int(sys.argv[1]) if len(sys.argv) > 1 else 5):
     seen, info = env.reset(seed=seed)
     over = False
     while not over:
-        e_m, target_m_s = seen[0:3], seen[6:9]  # vehicle minus landing spot; velocity of the landing spot
+        # position of the vehicle relative to the landing spot, m; velocity of the landing spot, m/s
+        e_m, target_m_s = seen[0:3], seen[6:9]
         seen, reward, terminated, truncated, info = env.step(target_m_s - GAIN_1_S * e_m)
         over = terminated or truncated
     print(f"seed {seed}: {info['verdict'].reason}")

@@ -120,7 +120,8 @@ class Condition:
     def _compare_level(self, acceleration_flu_g: Vec3 | None) -> None:
         """Compare the up direction of the poses with measured gravity while on the ground.
 
-        Without an accelerometer the firmware's attitude replaces gravity, unless it follows the poses.
+        Without an accelerometer, the direction of gravity follows from the firmware's attitude. An attitude
+        that follows the poses of another program then shows no difference.
         """
         if self.state is None or self.state.info & Info.FLYING:
             return

@@ -258,7 +258,8 @@ class _Compiler:
         if numbers:
             self.large, size = True, struct.calcsize("<" + numbers[0])
             self._run("I", f"len({v}) // {size * len(numbers)}", [f"{v}___count"])
-            self._grow(f"bytes((4 - len(out)) % {size}) + {v} if {v} else b''")  # no padding if it is empty
+            # no padding if the sequence is empty
+            self._grow(f"bytes((4 - len(out)) % {size}) + {v} if {v} else b''")
             self._line(self.unpack, f"at += (4 - at) % {size} if {v}___count else 0")
             self._line(self.unpack, f"{v} = bytes_at(data, at, {v}___count * {size * len(numbers)})")
             self._line(self.unpack, f"at += len({v})")

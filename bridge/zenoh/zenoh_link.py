@@ -21,7 +21,7 @@ import zenoh
 from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.common.strict_toml import decoded
 
-Session = Any  # not typed, because typing would need the zenoh package
+Session = Any  # ``Any``, so that mypy does not need the zenoh package
 Publisher = Any
 Subscriber = Any
 Sample = Any

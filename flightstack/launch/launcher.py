@@ -79,7 +79,7 @@ class Launcher:
         return self
 
     def _take_over(self) -> None:
-        """Install signal handlers; before this call a signal cancels the run."""
+        """Install the launcher's signal handlers; a signal that arrives earlier cancels the run."""
         for number in _SIGNALS:
             ends = number is not signal.SIGQUIT and not self._real
             handle({number: self._interrupt if ends else partial(self._hand_on, number)})
@@ -88,7 +88,7 @@ class Launcher:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         del kind, error, trace
-        self._take_over()  # a second signal must not interrupt the end of the children
+        self._take_over()  # a second signal must not interrupt the termination of the child processes
         self.end_all()
         for number, handler in self._previous.items():
             signal.signal(number, handler)

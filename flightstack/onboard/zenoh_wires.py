@@ -84,7 +84,10 @@ class ZenohWires:
         ]
 
     def texts(self, now_s: float) -> list[str]:
-        """Return the texts for the operator since the last call; in lockstep, none depends on wall time."""
+        """Return the texts for the operator since the last call.
+
+        In lockstep they do not contain the connection alarms, which depend on wall time.
+        """
         texts, self._texts = self._texts + self.odometry.take_problems(), []
         if not self._lockstep:
             for alarm in self._alarms:

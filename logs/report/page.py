@@ -80,7 +80,7 @@ def _drawn(panel: Panel | Sequence[Panel] | str) -> str:
 
 
 def details(title: str, text: str, name: str = "") -> str:
-    """Return a long text that opens on demand; with a file ``name`` the page can also save the text."""
+    """Return a collapsible HTML block with a text; with a file ``name`` the reader can also save it."""
     return part("details", title, text, name, base64.b64encode(text.encode()).decode("ascii"))
 
 

@@ -100,7 +100,7 @@ class _Lanes:
         )  # fmt: skip
 
     def figure(self, range_s: Sequence[float] | None = None) -> go.Figure | None:
-        """Return the figure with this initial range of the axis; ``None`` without a lane."""
+        """Return the figure, which at first shows ``range_s`` of the time axis; None if it has no lane."""
         figure, names = self._figure, list(self._names)
         if not names:
             return None

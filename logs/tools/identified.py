@@ -60,7 +60,10 @@ def gather(flights: list[Flight]) -> Found:
 
 
 def _try(what: str, missing: list[str], find: Callable[[], T]) -> T | None:
-    """Return the result, or None and store the reason in ``missing``; only the velocity loop is required."""
+    """Return the result of ``find``; on ValueError, store its message in ``missing`` and return None.
+
+    It is not used for the velocity loop, whose result is required.
+    """
     try:
         return find()
     except ValueError as error:

@@ -59,7 +59,8 @@ def judge_truth(flight: Judged, truth: Truth) -> Verdict:
     start_s = flight.landing_start_s
     if start_s is None:
         return _never_began(flight, truth)
-    begin = int(np.searchsorted(truth.t_s, start_s + _SAME_S))  # first true state after the start
+    # index of the first true state after the landing starts
+    begin = int(np.searchsorted(truth.t_s, start_s + _SAME_S))
     if begin >= len(truth.t_s):
         return Verdict.unknown(Outcome.TIMEOUT, "the true states end before the landing began", TRUTH)
     touch = _first_contact(truth, begin)

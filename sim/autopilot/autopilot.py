@@ -175,8 +175,8 @@ _FOR_QGROUNDCONTROL = (
 _OWN = (
     real("COM_OF_LOSS_T", 0.5, 0.1, 5.0),  # time without a set-point before COM_OBL_RC_ACT applies, s
     one_of("COM_OBL_RC_ACT", 4, 0, 4, 5),  # action on lost set-points: land, land, hold
-    real("COM_DISARM_LAND", 2.0, 0.1, 20.0),  # time on the ground until it disarms, s; PX4's default
-    real("COM_DISARM_PRFLT", 10.0, 1.0, 120.0),  # time without take-off until it disarms, s; PX4's default
+    real("COM_DISARM_LAND", 2.0, 0.1, 20.0),  # time on the ground until disarming, s; PX4's default
+    real("COM_DISARM_PRFLT", 10.0, 1.0, 120.0),  # time without take-off until disarming, s; PX4's default
     fixed("COM_RC_IN_MODE", 4),  # no stick input
     fixed("MAN_OVERRIDE_SPD", -1.0, REAL32),  # stick input never overrides
     fixed("COM_LOW_BAT_ACT", 0),  # a low battery causes no action

@@ -34,7 +34,7 @@ class Flight(Commander):
         self.ground = Standing(vehicle)
         self._parameters = parameters
         self._was_armed = vehicle.armed
-        self._flew = vehicle.armed and not self.ground.now  # whether it has flown since arming
+        self._flew = vehicle.armed and not self.ground.now  # whether the vehicle has flown since arming
         self._control_s: float | None = None
         self._period_s = period_s
         self._armed_s = 0.0

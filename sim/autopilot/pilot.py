@@ -234,7 +234,7 @@ class Pilot:
         return Event.ARRIVED if arrived else None
 
     def go_on(self) -> None:
-        """Hold the end point of the take-off with the present integral."""
+        """Hold the end point of the take-off; the position loop continues with its current integral."""
         self._engaged = True
 
     def _fly_land(self, estimate: Estimate, standing: bool, dt_s: float) -> Event | None:

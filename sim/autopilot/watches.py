@@ -91,7 +91,7 @@ class Standing:
 
     def __init__(self, vehicle: VehicleSim) -> None:
         self._vehicle = vehicle
-        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # whether it stands
+        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # whether the vehicle stands
         self.since_s = 0.0  # start of the current state
         self._contact = self.now
         self._changed_s = 0.0

@@ -53,8 +53,9 @@ class Row:
     seed: int  # seed of all random draws
     outcome: str  # ``Outcome``, or "error"
     reason: str  # reason as text
-    violation: bool | None = None  # ``Verdict.violation``
-    started_safe: bool | None = None  # ``Verdict.started_safe``
+    # whether h < -5 mm outside the pad (``Verdict.violation``); None: data are missing
+    violation: bool | None = None
+    started_safe: bool | None = None  # whether h >= 0 at the start of the landing; None: unknown
     h_min_m: float | None = None  # lowest true h
     h_min_outside_pad_m: float | None = None  # lowest true h where d > pad radius
     h_min_d_m: float | None = None  # horizontal distance d at the tick of ``h_min_m``

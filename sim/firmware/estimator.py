@@ -244,7 +244,8 @@ class Estimator:
     """State estimator of one vehicle; ``sensed`` is the result.
 
     ``mocap_period_s``: time between motion-capture samples; ``step_s``: time between calls of ``predict``;
-    ``record``: memory; ``known_drag_1_s``: ``kalman.dragB_*`` for the firmware's form; None: default form.
+    ``record``: record that stores the state; ``known_drag_1_s``: ``kalman.dragB_*`` for the firmware's form;
+    None: default form.
     """
 
     def __init__(

@@ -51,7 +51,7 @@ class SetpointRecord(Record):
     stop: bool
     cos_yaw: float
     sin_yaw: float
-    by_position: bool  # whether it is a position set-point
+    by_position: bool  # whether the set-point is a position
     x: float
     y: float
     z: float

@@ -160,7 +160,7 @@ def supervise(
 
 
 class Supervisor:
-    """State machine of one vehicle; times are in milliseconds of simulated time; ``record``: memory."""
+    """State machine of one vehicle; times are in ms of simulated time; ``record`` stores the state."""
 
     def __init__(self, record: SupervisorRecord | None = None) -> None:
         self.record = new(SupervisorRecord) if record is None else record

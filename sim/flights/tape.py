@@ -47,8 +47,8 @@ class Tape:
     """Errors of one flight, in pieces without a gap."""
 
     name: str
-    step_s: float  # time between samples
-    pieces: tuple[Piece, ...]  # one or more
+    step_s: float  # time between samples, s
+    pieces: tuple[Piece, ...]  # errors in spans without a gap, one or more
 
 
 def tape_of(flight: Screened) -> Tape | None:

@@ -55,7 +55,7 @@ def measure(imu: ImuRecord, velocity: F64, rates: F64, axes: Nine) -> None:
 
 
 class Imu:
-    """One IMU. ``step_s``: time between calls of ``measure``; ``record``: memory of the state."""
+    """One IMU. ``step_s``: time between calls of ``measure``; ``record``: record that stores the state."""
 
     def __init__(
         self, imu: ImuParams, gravity_m_s2: float, step_s: float, seed: int, record: ImuRecord | None = None

@@ -91,7 +91,8 @@ class Rotors:
     """The rotors of one vehicle.
 
     ``plant``: ratios of thrust (and torque) and lag; ``slow``: use the slow, asymmetric lag instead of the
-    first-order lag; ``step_s``: time between calls of ``turn_rotors``; ``record``: memory of the state.
+    first-order lag; ``step_s``: time between calls of ``turn_rotors``; ``record``: record that stores
+    the state.
     """
 
     def __init__(
@@ -126,7 +127,7 @@ class Rotors:
 class BatteryRecord(Record):
     """Charge and voltage of the battery, and the parameters of ``params.Battery``."""
 
-    voltage_v: float  # voltage under load
+    voltage_v: float  # voltage under load, V
     sag_v: float  # voltage drop under load
     used_a_s: float
     hover_power: float  # sum of the cubed rotor speeds in hover, rpm^3
@@ -173,8 +174,8 @@ def speed_limit(b: BatteryRecord) -> float:
 class BatteryModel:
     """The battery, a single cell.
 
-    ``hover_rpm``: rotor speed at the hover current; ``record``: memory of the state; ``charge``: state of
-    charge at the start, 0 to 1.
+    ``hover_rpm``: rotor speed at the hover current; ``record``: record that stores the state; ``charge``:
+    state of charge at the start, 0 to 1.
     """
 
     def __init__(

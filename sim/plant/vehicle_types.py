@@ -32,7 +32,7 @@ class Truth(NamedTuple):
     h_m: float
     h_min_m: float
     h_min_outside_pad_m: float  # smallest h outside the pad's radius; +inf if no step was outside
-    contacts: int  # bits CONTACT_*
+    contacts: int  # contacts since the last call of ``truth``, bits CONTACT_* of TrueState.msg
     first_touch_relative_position_enu_m: Vec3  # position at the first touch; NaN before it
     first_touch_relative_velocity_enu_m_s: Vec3
     first_touch_time_s: float  # time of the first touch; NaN before it

@@ -39,7 +39,8 @@ class CorrelatedNoise:
     """Correlated noise from one random stream.
 
     ``rms``: standard deviation of each axis, all zero for no noise; ``time_s``: correlation times;
-    ``purpose``: name of the stream; ``step_s``: time between calls of ``vary``; ``record``: memory.
+    ``purpose``: name of the stream; ``step_s``: time between calls of ``vary``;
+    ``record``: record that stores the state.
     """
 
     def __init__(
@@ -63,7 +64,7 @@ class WindRecord(Record):
     """Wind at the vehicle, m/s, world ENU."""
 
     now: Vector
-    steady: Vector  # mean wind
+    steady: Vector  # mean wind, m/s ENU
     gust: NoiseRecord
 
 
@@ -80,8 +81,8 @@ class WindModel:
     """Wind at the vehicle: ``x``, ``y``, ``z`` in m/s, world ENU.
 
     ``wind``: mean, gust rms, direction towards which the mean blows (None: drawn from the seed); ``shape``:
-    correlation times, ratio of vertical gusts; ``step_s``: time between calls of ``step``; ``record``:
-    memory.
+    correlation times, ratio of vertical to horizontal gust rms; ``step_s``: time between calls of ``step``;
+    ``record``: record that stores the model's state.
     """
 
     def __init__(

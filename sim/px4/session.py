@@ -87,7 +87,7 @@ STEP_S = STEP_MS * 1e-3
 HELLO_MAX_S = 10.0  # time-out of PX4's first message, wall time; PX4 sends it on connection
 BOOT_MAX_S = 60.0  # time-out of PX4's first motor outputs, wall time
 NUDGE_S = 1.0  # wall time after which one step runs without an answer: PX4 may wait for a sensor
-STATE_MAX_US = 1_000_000  # longest interval of HIL_STATE_QUATERNION; a longer one turns it off
+STATE_MAX_US = 1_000_000  # maximum interval of HIL_STATE_QUATERNION; a longer interval turns the message off
 _BEHIND_MAX_S = 0.1  # largest delay that simulated time catches up, s
 
 

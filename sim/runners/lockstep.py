@@ -80,7 +80,7 @@ class LockstepVehicle:
         self._answers = True  # whether the vehicle waits for its companion
         self.answered = False  # whether the companion has answered for the previous tick
         self._replies: list[Message] = []  # replies to the companion, sent with the next tick
-        self._late: list[Received] = []  # messages after the answer; they belong to the next tick
+        self._late: list[Received] = []  # messages after the answer, which belong to the next tick
         self._request: Message = None  # request of this tick
 
     @property

@@ -237,7 +237,8 @@ class DirectTarget(Robot):
         self._samples: list[WorldSample] = []  # samples that the onboard process has not read yet
         # data of the computed ticks, and number of those ticks already returned
         self._ahead, self._at = Ahead(np.empty((0, 8)), np.empty((0, 9)), 0, np.empty(0, np.int64)), 0
-        self._decks: list[list[float]] = []  # ``decks`` as lists, which are read faster
+        # rows of ``Ahead.decks`` (pad motion) as lists; a list is read faster than an array row
+        self._decks: list[list[float]] = []
         self._come: list[int] = []
         super().__init__(scenario, seed, grid)
         self._keep_first()

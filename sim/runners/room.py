@@ -81,7 +81,7 @@ NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
 _MS_PER_S = 1000.0
 _BLOCK = 256  # number of random numbers per draw
-_YIELDS = 20  # number of polls without a pause; the message usually arrives within them
+_YIELDS = 20  # number of polls without a pause; the message usually arrives during these polls
 _PAUSE_S = 50e-6  # time between later polls, s
 _MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
 

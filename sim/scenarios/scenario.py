@@ -118,11 +118,11 @@ class OdometryLink:
     rate_hz: Annotated[float, span(1.0, 500.0)] = 100.0  # samples per second
     position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation on each axis
     velocity_noise_m_s: Annotated[float, span(0.0, 0.5)] = 0.0  # standard deviation on each axis
-    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation
+    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation of the yaw
     delay_s: Annotated[float, span(0.0, 0.5)] = 0.0  # time from measurement to arrival
     loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability that a sample is lost
     dropout_every_s: Annotated[float, span(0.0, 600.0)] = 0.0  # mean time between drop-outs; 0: none
-    dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0  # longest drop-out; its length is drawn up to this
+    dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0  # upper limit of a drop-out's random length
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,18 +136,18 @@ class StateError:
 
     tape: str | None = None  # folder of recorded flights; their error replaces the model below
     delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position, mean of all flights
-    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread between flights
+    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread of the mean delay between flights
     delay_shared: bool = False  # vehicle and target have the same mean delay, or tapes of the same flight
     delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # fast variation of the delay, median flight
     delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # time constant T in (1 + t/T) exp(-t/T)
     # spread of the fast variation's logarithm between flights
     delay_fast_varies: Annotated[float, span(0.0, 2.0)] = 0.0
     delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.011  # slow variation of the delay in flight
-    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4  # time constant of its correlation
+    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4  # correlation time of the slow variation
     # spread of the slow variation's logarithm between flights
     delay_slow_varies: Annotated[float, span(0.0, 2.0)] = 0.7
     velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position minus delay of velocity
-    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # spread between flights
+    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # spread of the lead between flights
     position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # position error on each axis
     velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # error on horizontal axes, at any speed
     velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # error on the vertical axis
@@ -189,7 +189,7 @@ class VehicleSpec:
     thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the relative random thrust error
     # half-width of each motor's relative random thrust error around their mean
     motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0
-    battery_charge: tuple[Share, Share] = (1.0, 1.0)  # state of charge at the start, drawn between these
+    battery_charge: tuple[Share, Share] = (1.0, 1.0)  # range of the random state of charge at the start
     # smallest thrust-to-weight ratio of the weakest motor at the start; a lower one raises the charge
     hover_reserve: Annotated[float, span(0.0, 1.5)] = 0.0
     slow_motors: bool = False  # slow motor lag: 0.136 s up, 0.108 s down instead of 0.07 s

@@ -61,7 +61,7 @@ class Flown(NamedTuple):
 class ClosedLoop:
     """A recorded flight and its simulation."""
 
-    controller: str  # pid or mellinger
+    controller: str  # controller of the firmware: pid or mellinger
     thrust: float  # ratio of this airframe's motor thrust to that of the vehicle file
     recorded: Flown
     simulated: Flown

@@ -105,7 +105,7 @@ class Criterion:
     high: float  # largest allowed value
     reason: str  # reason of the limits
     statistic: Statistic
-    paths: tuple[str, ...]  # paths of its numbers in a flight
+    paths: tuple[str, ...]  # paths of the criterion's numbers in the results of a flight
     cause: str | None = None  # text of a failure, with the value as placeholder; None: ``text``
     by_chance: bool = False  # whether the result is random: it fails only if the whole interval is outside
     scale: float = 1.0  # factor from the value to the printed number

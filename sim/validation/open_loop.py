@@ -72,7 +72,7 @@ class OpenLoop:
 
     horizons: tuple[Horizon, ...]  # errors at ``HORIZONS_S``
     thrust_ratio: float  # ratio of the plant's thrust to the recorded thrust, mean over the starts
-    starts: int  # number of predictions
+    starts: int  # number of start samples; one prediction begins at each
 
 
 class Piece(NamedTuple):

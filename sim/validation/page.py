@@ -34,7 +34,7 @@ _SENSING = (
 def validation_page(summary: Summary) -> Page:
     """Return the page of a ``summary``. Raises ReportError: the plotting or template library is missing."""
     need_libraries()
-    from sim.validation import figures  # a late import: it needs plotly
+    from sim.validation import figures  # a late import, because the module needs plotly
 
     rows = [
         (one["part"], one["text"], one["limit"], one["found"], one["word"], one["reason"])

@@ -89,10 +89,10 @@ class Physics:
         self.plant = plant  # ratios of this vehicle's true parameters to the nominal parameters
         mass_kg = params.body.mass_kg * plant.mass
         self.weight_n = mass_kg * params.contact.gravity_m_s2
-        # record: memory of the 1 ms steps, one contiguous array; vehicle: its view for compiled code
+        # record: state of the 1 ms steps, one contiguous array; vehicle: the same array for compiled code
         self.record = r = new(VehicleRecord)
         self.vehicle = cell(r)
-        # views of the record's parts
+        # each of these objects stores its state in its part of ``record``
         self.world = World(params, mass_kg, scenario.target, r.world)
         self.rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
         pad_radius = scenario.target.pad_radius_m

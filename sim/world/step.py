@@ -71,10 +71,10 @@ class MujocoRecord(Record):
     mj_step: int
     mj_model: int
     mj_data: int
-    positions: int  # generalised positions, ``QPOS`` numbers
-    velocities: int  # generalised velocities, ``QVEL`` numbers
-    applied: int  # generalised forces, ``QVEL`` numbers
-    sensors: int  # ``SENSORS`` sensor readings for the state before the step
+    positions: int  # address of the generalised positions, ``QPOS`` numbers
+    velocities: int  # address of the generalised velocities, ``QVEL`` numbers
+    applied: int  # address of the generalised forces, ``QVEL`` numbers
+    sensors: int  # address of the ``SENSORS`` sensor readings for the state before the step
 
 
 class WorldRecord(Record):

@@ -73,7 +73,7 @@ class World:
     """The vehicle's rigid body and the deck.
 
     ``params``: geometry and contact; ``mass_kg``: true mass; the inertia scales with it; ``target``: shapes
-    of pad and robot; ``record``: memory of the state; None creates it.
+    of pad and robot; ``record``: record that stores the state; None creates one.
     """
 
     def __init__(

@@ -61,7 +61,10 @@ class Landing:
 
 
 def scenario(seed: int) -> Scenario:
-    """Return a scenario with sensors, spreads and gusts of ``lab``; the robot drives away from time zero."""
+    """Return a scenario with the sensors, parameter spreads and gusts of ``lab``.
+
+    The robot starts to drive at time zero.
+    """
     lab, chance = load("lab"), stream(seed, "crazyflie_landings")
     target = replace(
         lab.target, path=PATHS[seed % len(PATHS)], speed_m_s=SPEED_MAX_M_S, speed_max_m_s=SPEED_MAX_M_S,

@@ -65,7 +65,10 @@ class SimPlant:
         return variance_m2(max(0.0, self._now_s - self._posed_s))
 
     def pose(self, x: float, y: float, z: float, quaternion_xyzw) -> None:
-        """Apply a pose to the filter; None disables the scenario's motion capture."""
+        """Apply an external pose to the filter.
+
+        It is ignored without a quaternion, or if the vehicle uses the scenario's motion capture.
+        """
         if self._by_poses and quaternion_xyzw is not None:
             self._posed_s = self._now_s
             qx, qy, qz, qw = quaternion_xyzw

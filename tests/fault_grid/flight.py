@@ -48,7 +48,7 @@ class Flown:
     """Result of the flight; simulated times in s, NaN for events that did not occur."""
 
     seen: Seen  # the flight's data, as in a log
-    disturbed_at_s: float  # start of the disturbance; the other times are relative to it
+    disturbed_at_s: float  # start of the disturbance; the other times are relative to this start
     noticed_s: float  # start of the first phase HOLD, CLIMB or ABORT, or of the autopilot's fail-safe
     down_s: float  # time at which the motors stopped for the last time
     failsafe_s: float  # start of the autopilot's first fail-safe

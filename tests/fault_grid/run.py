@@ -145,7 +145,7 @@ def _result(end: End, told: str, flown: Flown) -> Result:
 
 @lru_cache(maxsize=4)
 def undisturbed(moment: Moment, seed: int) -> Flown:
-    """Return the flight of this moment and seed without a fault."""
+    """Return the flight for ``moment`` and ``seed`` without a fault."""
     return Flight(scenario(), seed, AT[moment], lambda _: None).fly()
 
 

@@ -42,7 +42,7 @@ class Pilot:
     def __init__(self, room: Room) -> None:
         self._room = room
         place = load(room.config).vehicle.origin_wgs84
-        # the pilot uses the vehicle link of the companion
+        # the pilot connects like the companion: same class, component id and signing key
         key = load_key(room.signing_key) if room.signing_key else None
         self.link = VehicleLink(
             Endpoint(room.url, room.system_id, COMPONENT_ID, signing_key=key),

@@ -35,7 +35,7 @@ class Limits:
 
     settle_s: float  # settling time at zero velocity before the evaluation
     still_m_s: float  # largest speed of a vehicle that holds
-    drift_m: float  # largest motion during five seconds at zero velocity
+    drift_m: float  # largest allowed displacement in five seconds with a zero velocity set-point
     step_m_s: float  # speed of the step to the north and back
     step_s: float  # duration of each direction of the step
     moved_share: tuple[float, float]  # range of the step's distance, as a fraction of speed times duration

@@ -50,7 +50,7 @@ class Result:
 
 
 def flightstack(*arguments, cwd=None, apart=False) -> Result:
-    """Run a verb to its end; ``apart``: always in a separate process."""
+    """Run a subcommand to its end; ``apart``: always in a separate process."""
     words = [str(one) for one in arguments]
     if not apart and (words[0] in CALLED or "--help" in words):
         return called(*words, cwd=cwd)
@@ -63,7 +63,7 @@ def flightstack(*arguments, cwd=None, apart=False) -> Result:
 
 
 def called(*arguments, cwd=None) -> Result:
-    """Run a verb in this process; it must only read, or reject its arguments."""
+    """Run a subcommand in this process; the subcommand must only read, or reject its arguments."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         with contextlib.chdir(cwd or Path.cwd()):
@@ -94,7 +94,7 @@ def replayed(log: Path, *, apart: bool = False) -> dict:
 
 
 class Background:
-    """A verb that runs during the test: its output so far, line by line, and its end."""
+    """A subcommand that runs during the test: its output so far, line by line, and its exit."""
 
     def __init__(self, *arguments: object) -> None:
         self.process = subprocess.Popen(
@@ -156,12 +156,12 @@ class Background:
             self.process.stdout.close()
 
     def pids(self) -> list[int]:
-        """Return the ids of the child processes of this verb."""
+        """Return the ids of the child processes of this subcommand."""
         pid = self.process.pid
         return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
     def children(self) -> dict[str, int]:
-        """Return the ids of child processes by verb and vehicle in the system's process name."""
+        """Return the ids of the child processes by process name (subcommand and vehicle)."""
         return {Path(f"/proc/{pid}/comm").read_text().strip(): pid for pid in self.pids()}
 
 

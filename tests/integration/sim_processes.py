@@ -41,7 +41,7 @@ def running(
 
 
 def verb(*words: object, cwd: Path = ROOT, **more: Any):
-    """Run a verb of ``flightstack`` as a process; see ``running``."""
+    """Run a subcommand of ``flightstack`` as a process; see ``running``."""
     return running(Started(run_verb, [*map(str, words)], cwd=cwd), **more)
 
 

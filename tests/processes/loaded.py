@@ -1,4 +1,4 @@
-"""Imports everything that flying verbs need, in the process from which the tests' processes are forked."""
+"""Imports all modules of flying subcommands, in the process from which the tests' processes are forked."""
 
 import os
 from importlib import import_module

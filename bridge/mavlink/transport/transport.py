@@ -28,7 +28,8 @@ class EndpointCounters(FrameCounters):
     sent: int = 0  # number of frames passed to the socket, once per peer
     bytes_in: int = 0  # number of received bytes
     bytes_out: int = 0  # number of sent bytes
-    send_errors: int = 0  # datagrams rejected by the system, and frames without a connection
+    # datagrams that the operating system rejected, and frames that had no connection when they were due
+    send_errors: int = 0
     outgoing_full: int = 0  # serial and TCP: frames dropped because the buffer is full
     connections_lost: int = 0  # serial and TCP: lost connections
     peers_refused: int = 0  # heartbeats of senders without room in the peer table

@@ -113,7 +113,7 @@ START_LATE = Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time")
 _NOT_OFF = C.ARMED | C.LINK_LOST
 _STANDS = C.COMMAND_FAILED | C.STANDING
 _ASKED = C.EMERGENCY | C.ABORT_ASKED
-# a vehicle that lands beside the target continues after the loss of an input
+# abort rules that do not apply to a vehicle that has flown clear of the target and lands beside it
 _UNLESS_CLEAR = tuple(
     replace(rule, to=Phase.ABORT, unless=rule.unless | C.CLEAR)
     for rule in (*_IN_FLIGHT[len(_OPERATOR) :], *_INPUTS)

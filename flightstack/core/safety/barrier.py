@@ -136,7 +136,8 @@ class Barrier:
         elif moved_m < r + d:
             turned = (gap * gap + moved_m * moved_m) / (2.0 * r)
         else:
-            turned = moved_m * (1.0 + d / r) - 2.0 * d  # worst case: a motion across the axis
+            # worst case: the motion crosses the vertical axis through the pad's centre
+            turned = moved_m * (1.0 + d / r) - 2.0 * d
         bend_1_m = self.alpha_1_m * self.alpha_1_m * self.beta_m * _BEND_MOST
         return abs(self.slope(d)) * turned + 0.5 * bend_1_m * moved_m * moved_m
 

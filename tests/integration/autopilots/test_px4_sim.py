@@ -1,4 +1,4 @@
-"""Tests the verb ``px4-sim`` over its real connections, with an imitation of PX4."""
+"""Tests the subcommand ``px4-sim`` over its real connections, with an imitation of PX4."""
 
 import itertools
 import signal

@@ -1,4 +1,4 @@
-"""A signal during a verb's start is handled: nothing is flown, no process is left, the status is 1."""
+"""A signal during a subcommand's start is handled: nothing is flown, no process is left, the status is 1."""
 
 import os
 import signal
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.xdist_group("real-time")
 
 
 def verb(name, port):
-    """Return the command line of a verb that waits after its start."""
+    """Return the command line of a subcommand that waits after its start."""
     vehicle = [
         "--vehicle",
         f"udpout:127.0.0.1:{port}",

@@ -26,7 +26,7 @@ SHORT = ("stop_and_go", "--runs", RUNS, "--seed", 40, "--no-report")
 
 
 def campaign(*arguments, check=True):
-    """Run the verb to its end."""
+    """Run ``flightstack campaign`` to its end."""
     done = flightstack("campaign", *arguments)
     if check:
         assert done.code == 0, done.err
@@ -103,7 +103,8 @@ def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
     longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # more landings than are flown before the signal arrives
     running = begun(tmp_path, *longer, "--workers", 2)
     workers = running.pids()
-    running.process.send_signal(signal.SIGSTOP)  # otherwise it could end before the second one starts
+    # otherwise the campaign could end before the second campaign starts
+    running.process.send_signal(signal.SIGSTOP)
     second = called("campaign", *longer, "--out", tmp_path)
     running.process.send_signal(number)
     running.process.send_signal(signal.SIGCONT)
@@ -226,7 +227,7 @@ PAPER_RUNS = 10  # landings with the paper's filter; enough for a median
 
 
 def rows_of(tier, runs, filter_name):
-    """Return the rows of a campaign of these seeds, flown in this process."""
+    """Fly the campaign's scenario with the seeds 0 to ``runs`` - 1 in this process; return the rows."""
     scenario = plan(tier.value, runs, 0, filter_name).first
     return [vehicle_row(land(scenario, seed)) for seed in range(runs)]
 

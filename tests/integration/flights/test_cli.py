@@ -1,4 +1,4 @@
-"""Tests the command line: wrong input, help, lists, and the verbs ``check`` and ``identify``."""
+"""Tests the command line: wrong input, help, lists, and the subcommands ``check`` and ``identify``."""
 
 import json
 import subprocess

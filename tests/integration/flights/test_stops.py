@@ -147,7 +147,7 @@ TAKES_ITS_TERMINAL = (
 
 
 def on_a_terminal(arguments):
-    """Start a verb as session leader on its own terminal; return it and the terminal's other end."""
+    """Start a subcommand as session leader on its own terminal; return process and other end."""
     ours, theirs = pty.openpty()
     child = subprocess.Popen(
         [sys.executable, "-c", TAKES_ITS_TERMINAL, *COMMAND, *arguments],

@@ -1,4 +1,4 @@
-"""Tests the verb ``validate`` with a short flight, with whole flights if installed, and with bad input."""
+"""Tests ``flightstack validate`` with a short flight, with whole flights if installed, and with bad input."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FIGURES = 3
 
 
 def validate(folder, out, *options, code=None):
-    """Run the verb; return its JSON and its output."""
+    """Run ``flightstack validate``; return its JSON and its output."""
     few = len(list(folder.iterdir())) < 20  # runs in this process, in which everything is compiled
     workers = ("--workers", 1) if few else ()
     done = called("validate", folder, "--json", "--out", out, *workers, *options)
@@ -69,7 +69,7 @@ BAD = {
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory):
-    """Run the verb on a folder with a good flight, one with a gap, and all kinds of bad ones."""
+    """Run ``validate`` on a folder with a good flight, one with a gap, and all kinds of bad ones."""
     folder = tmp_path_factory.mktemp("mixed")
     shutil.copy(recorded.PIECE, folder / "good.parquet")
     write(folder / "hole.csv", changed(["qx"], nan_for_a_while))

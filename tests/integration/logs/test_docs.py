@@ -112,7 +112,7 @@ def test_the_parts_apart_land(tmp_path):
                     shlex.split(command), cwd=tmp_path, stdout=subprocess.PIPE, stderr=text, text=True
                 )
             )
-            if name == "vehicle":  # the target prints ready once it has a subscriber
+            if name == "vehicle":  # the target prints ready when a client has subscribed
                 ready = line_of(running[-1].stdout)
                 assert ready.startswith("ready"), (tmp_path / f"{name}.txt").read_text()
         said, _ = running[-1].communicate(timeout=WALL_MAX_S)

@@ -1,4 +1,4 @@
-"""Tests live keys and the verb ``watch``, which observes a flight; old data are never shown as new."""
+"""Tests live keys and the subcommand ``watch``, which observes a flight; old data are never shown as new."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""Starts the verbs of ``flightstack bridge`` and a motion capture for them, and flies through them."""
+"""Starts the subcommands of ``flightstack bridge`` and a motion capture for them, and flies through them."""
 
 from __future__ import annotations
 

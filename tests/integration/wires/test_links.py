@@ -158,7 +158,8 @@ def _cut(relay, cut_s):
 
 
 @pytest.mark.xdist_group("real-time")
-@pytest.mark.xdist_group("stream 0")  # kernel workers carry its bytes; PX4's threads preempt them
+# kernel workers carry the pty's bytes; PX4's threads preempt the workers
+@pytest.mark.xdist_group("stream 0")
 def test_lands_over_a_slow_and_noisy_serial_line(tmp_path):
     code, text, relay = land_over(tmp_path, lambda folder: PtyEnd(folder, SLOW), SLOW, noise_bytes_s=100.0)
     assert code == 0, text

@@ -208,7 +208,7 @@ def parameters(command, path=()):
 
 
 def test_no_option_takes_what_is_no_number():
-    """Each float option of each verb rejects NaN, for any range."""
+    """Each float option of each subcommand rejects NaN, for any range."""
     seen = [
         (path, each) for path, each in parameters(main) if isinstance(each.type, click.types.FloatParamType)
     ]

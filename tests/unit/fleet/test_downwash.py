@@ -75,7 +75,10 @@ def test_nothing_above_and_nothing_far_beside():
 
 
 def test_it_is_of_the_size_of_measurements():
-    """Neural-Swarm (arXiv 2003.02992), figure 3: 10, 8, 6 and 4 g at 0.2 to 0.5 m, for a 34 g Crazyflie."""
+    """The downwash force agrees with Neural-Swarm (arXiv 2003.02992), figure 3, a 34 g Crazyflie.
+
+    Measured were 10, 8, 6 and 4 gram-force at 0.2, 0.3, 0.4 and 0.5 m below the upper vehicle.
+    """
     measured = {0.2: 10.0, 0.3: 8.0, 0.4: 6.0, 0.5: 4.0}
     ours = {down: -below(0.0, 0.0, down)[0][2] / 9.81e-3 for down in measured}
     assert all(0.6 < ours[down] / grams < 1.4 for down, grams in measured.items())

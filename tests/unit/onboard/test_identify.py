@@ -13,7 +13,10 @@ DT_S = 0.01
 def made_up(
     seed, *, gain=1.0, rate=5.2, damping=0.68, dead_s=0.0, seconds=20.0, size=0.4, wind=0.0, noisy=0.005
 ):
-    """Return step commands and the response of the synthetic vehicle, without the model of the fit."""
+    """Return step commands and the response of a synthetic vehicle.
+
+    The response is integrated here and not computed with the model that ``fit`` uses.
+    """
     from scipy import signal  # a late import: it takes half a second
 
     rng = np.random.default_rng(seed)

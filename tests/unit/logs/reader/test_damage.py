@@ -1,4 +1,4 @@
-"""Damaged logs and invalid files: every verb reads the readable part and ends with a clear message."""
+"""Damaged logs and invalid files: every subcommand reads the readable part and ends with a clear message."""
 
 import random
 import re

@@ -127,7 +127,7 @@ def test_without_the_end_of_a_pair_nothing_is_safe():
     assert known.violation is None
     cut = fleet_verdict(both, [PAIR], NAMES, complete=False)
     assert (cut.collisions, cut.ellipsoid_violations, cut.ellipsoid_min, cut.distance_min_m) == (None,) * 4
-    hit = PAIR._replace(collided_ms=0, violations=2)  # a later record keeps these results
+    hit = PAIR._replace(collided_ms=0, violations=2)  # a later record does not change these results
     cut = fleet_verdict(both, [hit], NAMES, complete=False)
     assert (cut.collisions, cut.ellipsoid_violations, cut.outcome) == (1, 2, Outcome.CRASHED)
     assert cut.members["cf1"].reason == "collision with cf2"

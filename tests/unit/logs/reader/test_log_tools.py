@@ -1,4 +1,4 @@
-"""Tests the verb info on complete and on damaged logs."""
+"""Tests the subcommand ``info`` on complete and on damaged logs."""
 
 from __future__ import annotations
 
