@@ -145,7 +145,7 @@ class FleetMember(Alone):
         self.memory = FleetMemory()
         self._fleet, self._sigma_m = fleet, sigma_m
         self._index = {n: k for k, n in enumerate(fleet.others)}
-        self._program, self._given_m_s = FleetProgram(), 0.0
+        self._program, self._given_m_s = FleetProgram(len(fleet.others)), 0.0
 
     @property
     def slots(self) -> list[tuple[int, Heard]]:

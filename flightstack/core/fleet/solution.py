@@ -5,28 +5,32 @@
 ``by_active_set`` is a dual active-set method in plain floats (Goldfarb and Idnani, Mathematical Programming
 27, 1983): it starts at the clipped u', where sides of the box are active, adds the constraint with the
 largest violation until no constraint is violated, and removes a constraint whose multiplier would become
-negative. Its result is used only if it meets the Karush-Kuhn-Tucker conditions, which are checked here.
-``least_slack`` relaxes rows if no point meets all of them. The result depends only on the data of this tick,
-and OSQP shares no code with this module.
+negative. Its result is used only if it meets the Karush-Kuhn-Tucker conditions, which are checked here; if
+not, ``by_all_sets`` tries all active sets: in three dimensions at most three constraints are active at the
+minimiser. ``least_slack`` relaxes rows if no point meets all of them. The result depends only on the data of
+this tick, and OSQP shares no code with this module.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from flightstack.core.safety.position_loop import clip_to_box
+from flightstack.core.safety.projection import EMPTY, projected
 from flightstack.core.types import ZERO, Vec3
 
 TOLERANCE_M_S = 1e-9  # allowed violation of a constraint, m/s
 STEPS_MAX = 60  # maximum number of steps; after it the search ends without a result
 _CONFIRMED_M_S = 2e-9  # allowed violation of an optimality condition, m/s
 _DEPENDS = 1e-12  # a unit vector depends on others if its orthogonal part is shorter (squared length)
-_PARALLEL = 1e-10  # determinant below which constraints have no common vertex
+_PARALLEL = 1e-10  # determinant below which constraints count as dependent: they have no common vertex
+_MULTIPLIER_LEAST = -1e-9  # multipliers above this value count as positive
 _LEAST_LENGTH = 1e-9  # length of a gradient below which it has no direction
 _SIDES: tuple[Vec3, ...] = (
     (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower sides of the box
@@ -180,8 +184,73 @@ def _impossible(
     return Found(None, tuple(multipliers), lacking_m_s)
 
 
+def by_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
+    """Return the minimiser of the program, or ``None`` if no point of the box meets all rows."""
+    point = clip_to_box(nominal, lower, upper)
+    missed = [k for k, row in enumerate(rows) if row.missing_m_s(point) > 0.0]
+    if not missed:
+        return point, (0.0,) * len(rows)
+    for k in missed:
+        at, multiplier = projected(nominal, rows[k].g, rows[k].bound_m_s, lower, upper)
+        if multiplier == EMPTY:
+            return None
+        if all(row.missing_m_s(at) <= TOLERANCE_M_S for row in rows) and multiplier < np.inf:
+            return at, tuple(multiplier if n == k else 0.0 for n in range(len(rows)))
+    return _of_all_sets(nominal, rows, lower, upper)
+
+
+@cache
+def _sets(rows: int, size: int) -> Any:
+    """Return the sets of ``size`` rows and sides (rows, lower, upper), without two sides of one axis."""
+    sides = [(rows + k, rows + 3 + k) for k in range(3)]
+    every = combinations(range(rows + 6), size)
+    return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
+
+
+def prepare(neighbours: int) -> None:
+    """Compute the sets of all programs with at most this number of neighbours before the flight."""
+    for rows in range(1, neighbours + 3):
+        for size in (1, 2, 3):
+            _sets(rows, size)
+
+
+def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
+    count, start = len(rows), np.array(nominal)
+    normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), np.array(_SIDES)])
+    bounds = np.array([*(row.bound_m_s for row in rows), *lower, *(-side for side in upper)])
+    lengths = np.linalg.norm(normals, axis=1)
+    lengths[lengths == 0.0] = 1.0
+    unit, limit = normals / lengths[:, None], bounds / lengths
+    best, least = None, np.inf
+    for size in (1, 2, 3):
+        chosen = _sets(count, size)
+        a = unit[chosen]
+        gram = a @ a.transpose(0, 2, 1)
+        with np.errstate(divide="ignore"):  # the determinant of a dependent set is zero
+            kept = np.linalg.det(gram) > _PARALLEL
+        chosen, a, gram = chosen[kept], a[kept], gram[kept]
+        lacking = limit[chosen] - a @ start
+        multipliers = np.linalg.solve(gram, lacking[..., None])[..., 0]
+        steps = np.einsum("ks,ksx->kx", multipliers, a)
+        points = start + steps
+        meets = (points @ unit.T >= limit - TOLERANCE_M_S).all(axis=1)
+        good = np.flatnonzero(meets & (multipliers >= _MULTIPLIER_LEAST).all(axis=1))
+        for k in good:
+            far = float(steps[k] @ steps[k])
+            if far < least:
+                least, best = far, (points[k], chosen[k], multipliers[k])
+    if best is None:
+        return None
+    at, members, factors = best
+    found = [0.0] * count
+    for member, factor in zip(members.tolist(), factors.tolist(), strict=True):
+        if member < count:
+            found[member] = max(0.0, factor) / float(lengths[member])
+    return clip_to_box(at.tolist(), lower, upper), tuple(found)
+
+
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    """Return minimiser and multipliers, or ``None`` if no point of the box is known to meet all rows."""
+    """Return minimiser and multipliers, or ``None`` if no point of the box meets all rows."""
     x, y, z = point = clip_to_box(nominal, lower, upper)
     for (gx, gy, gz), bound_m_s in rows:
         if gx * x + gy * y + gz * z < bound_m_s:
@@ -189,7 +258,9 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
     else:
         return point, (0.0,) * len(rows)
     found = by_active_set(nominal, rows, lower, upper)
-    return None if found is None or found.point is None else (found.point, found.multipliers)
+    if found is None:
+        return by_all_sets(nominal, rows, lower, upper)
+    return None if found.point is None else (found.point, found.multipliers)
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:

@@ -4,6 +4,7 @@ import math
 import random
 
 import pytest
+from hypothesis import given, settings
 
 from flightstack.core.fleet import solution
 from flightstack.core.fleet.member import HELD_BACK_M_S, FleetMember
@@ -24,6 +25,7 @@ from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import FleetMemory, Heard
 from flightstack.core.parameters.fleet import CARRIED_AGES, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, OwnState, Phase
+from tests.unit.core.fleet.test_fleet_program import VECTORS, boxes, missing, rows
 
 FLEET = Fleet(3, (3, 7))
 
@@ -42,6 +44,45 @@ def test_nearly_all_programs_are_confirmed():
             is None
         )
     assert unsure == 0
+
+
+# a tick of `fleet_3`: the slew leaves a small box, whose lower side is the nominal vertical velocity
+IN_FLIGHT = (
+    (0.23562030240347953, -1.0276756593002732, -0.14770333756579554),
+    [
+        Row((-0.08812922613441608, 0.18278009364482725, 1.0), -0.4960209659927682),
+        Row((-0.08812922613441608, 0.18278009364482725, 0.0), -0.12622807334641106),
+        Row((0.6052001162126651, 0.7960689830320591, 0.0010757836573145592), -0.12669354272984673),
+        Row((-0.0361829814480803, 0.9993451688845963, -6.467970973815599e-05), -0.446350051053737),
+    ],
+    (0.3490912035365606, -0.4519051404781362, -0.14770333756579554),
+    (0.3773754747840225, -0.42362086923067427, -0.12340783654644691),
+)
+
+
+def test_a_program_that_the_active_set_method_does_not_confirm_is_solved_by_all_sets():
+    nominal, made, lower, upper = IN_FLIGHT
+    assert solution.by_active_set(*IN_FLIGHT) is None
+    assert solution.nearest(*IN_FLIGHT) == solution.by_all_sets(*IN_FLIGHT)
+    found = FleetProgram().solve(nominal, made[:1], made[1:], lower, upper)
+    assert found.filter.status.name in ("SOLVED", "CLOSED_FORM")
+    assert found.given_m_s == 0.0  # no row of a neighbour is relaxed
+    assert max(row.missing_m_s(found.filter.velocity_enu_m_s) for row in made) <= 1e-6
+
+
+@settings(max_examples=300, deadline=None)
+@given(VECTORS, rows(), boxes())
+def test_the_active_set_method_finds_the_point_that_all_sets_give(nominal, found, box):
+    quick, slow = solution.by_active_set(nominal, found, *box), solution.by_all_sets(nominal, found, *box)
+    if quick is None or any(math.hypot(*row.g) <= 1e-9 for row in found):
+        return
+    assert (quick.point is None) == (slow is None)
+    if slow is None:
+        assert quick.lacking_m_s > 0.0
+        return
+    assert missing(found, *box, quick.point) <= 1e-8
+    assert math.dist(quick.point, nominal) <= math.dist(slow[0], nominal) + 1e-7
+    assert all(each >= 0.0 for each in quick.multipliers)
 
 
 @pytest.mark.parametrize(("bound_m_s", "status"), [(-1.0, "SOLVED"), (0.5, "CROWDED")])
