@@ -278,7 +278,7 @@ def named(path: Path, head: bytes) -> str:
 
 
 def no_file(path: Path) -> str:
-    """Return a text that names what was found instead of a file, and what is needed."""
+    """Return a text that says what this path is, since it is no file, and which file is needed."""
     if not path.is_dir():
         return "is a pipe, socket or device; an MCAP file is needed"
     logs = sorted(path.glob("*.mcap"))

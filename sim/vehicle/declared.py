@@ -168,7 +168,7 @@ def _links(scenario: Scenario) -> Iterator[_Row]:
 
 
 def _judged(scenario: Scenario) -> Check:
-    """Return the check that the verdict's barrier is not above the flown one, wherever the verdict uses h."""
+    """Return the check that outside the pad the barrier of the verdict is nowhere above the flown barrier."""
     flown, judge = scenario.onboard.barrier.build(), scenario.judged_by
     distances = (scenario.target.pad_radius_m + k * STEP_M for k in range(int(FAR_M / STEP_M)))
     below_m, at_m = max((judge.height(d) - flown.height(d), d) for d in distances)

@@ -114,7 +114,10 @@ class Alone:
         return nominal, NO_ROWS
 
     def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
-        """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``."""
+        """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``.
+
+        The kernel calls it only if there are rows of neighbours, and a vehicle without neighbours has none.
+        """
         raise NotImplementedError("without rows of neighbours, the program of the landing filters a velocity")
 
     def message(

@@ -17,7 +17,7 @@ ALL = (1 << len(Condition)) - 1
 
 
 # The phase rules of docs/how_it_works/method.md: the first one whose condition holds counts. A name alone
-# stands for all rules of that block, and "while" adds a condition to each of them.
+# means all rules of the block with this name; "while" adds a condition to each rule of the block.
 STATED = f"""
 OPERATOR
 emergency -> ABORT: emergency stop
