@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import takewhile
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -270,17 +271,20 @@ def _value(name: str, text: str) -> Any:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Read a file of rows, without a truncated last line; if a seed has several rows, return the last.
+    """Read a file of rows up to its first incomplete line; if a seed has several rows, return the last.
+
+    A campaign may still write the file: the line at which a read ends can be complete in the next read.
 
     Raises RowsError: the file has a wrong format or a damaged line.
     """
     rows: list[Row] = []
     with path.open(newline="", encoding="utf-8-sig") as file:
         try:
-            head = file.readline()
-            if head.endswith("\n") and head.rstrip("\r\n") != _HEADER.rstrip():
+            lines = takewhile(lambda line: line.endswith("\n"), iter(file.readline, ""))
+            head = next(lines, None)
+            if head is not None and head.rstrip("\r\n") != _HEADER.rstrip():
                 raise RowsError(f"{path}: the first line is not that of a file of rows; give another --out")
-            for values in csv.reader(line for line in file if line.endswith("\n")):
+            for values in csv.reader(lines):
                 rows.append(Row(*(_value(n, v) for n, v in zip(_NAMES, values, strict=True))))
         except RowsError:
             raise

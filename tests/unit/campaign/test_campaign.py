@@ -1,6 +1,7 @@
 """Tests counts, bounds and limits of a campaign; unknown results count as failures."""
 
 import codecs
+import io
 import math
 from dataclasses import replace
 
@@ -149,6 +150,35 @@ def test_appended_rows_survive_and_a_cut_line_is_dropped(tmp_path):
         with RowsFile(path) as file:
             file.add([replace(FULL, seed=9, reason="plain")])
         assert [r.seed for r in read_rows(path)] == [7, 9]
+
+
+class Growing(io.StringIO):
+    """File that a campaign writes: one read finds a part of a line, the next read finds the rest."""
+
+    def __init__(self, text, first):
+        super().__init__(text[:first])
+        self.rest = text[first:]
+
+    def readline(self, size=-1):
+        line = super().readline(size)
+        if not line.endswith("\n"):
+            at = self.tell()
+            self.seek(0, io.SEEK_END)
+            self.write(self.rest)
+            self.seek(at)
+        return line
+
+
+@pytest.mark.parametrize("first", [0, 20, "first row", "second row"])
+def test_a_file_that_grows_while_it_is_read_gives_its_whole_first_rows(tmp_path, monkeypatch, first):
+    path, rows = tmp_path / "rows.csv", [replace(FULL, seed=seed, reason="plain") for seed in (1, 2)]
+    write_rows(path, rows)
+    with path.open(newline="", encoding="utf-8") as file:
+        head, one, _ = file.readlines()
+    starts = {"first row": len(head) + 10, "second row": len(head) + len(one) + 10}
+    growing = Growing(path.read_bytes().decode(), starts.get(first, first))
+    monkeypatch.setattr(type(path), "open", lambda *arguments, **options: growing)
+    assert read_rows(path) == (rows[:1] if first == "second row" else [])
 
 
 @pytest.mark.parametrize(
