@@ -38,8 +38,7 @@ def validate(options: ValidateOptions) -> None:
     try:
         from sim.flights.recording import RecordingError, find_recordings
         from sim.validation import run as core
-        from sim.validation.criteria import judge
-        from sim.validation.summary import reasons, summary
+        from sim.validation.criteria import judge, reasons, summary
     except ModuleNotFoundError as error:
         text = f"`validate` needs {{}}: {pip_install('sim,export')}"
         raise without(error, text, "pyarrow", "mujoco", "numba") from None

@@ -28,8 +28,7 @@ from bridge.mavlink.server.server import SYSTEM_ID, Handler, Server
 from bridge.mavlink.server.telemetry import Snapshot
 from flightstack.core.types import Vec3
 from sim.autopilot.flight import Flight
-from sim.autopilot.ground import degrees_e7, x_of, y_of
-from sim.autopilot.telemetry import PX4
+from sim.autopilot.telemetry import PX4, degrees_e7, x_of, y_of
 from sim.vehicle.vehicle import VehicleSim
 
 _HOME_REACH_M = 100.0  # largest distance of home from the room's origin

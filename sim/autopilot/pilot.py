@@ -16,7 +16,7 @@ from bridge.mavlink.server.commander import Setpoint
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.types import ZERO, Vec3
-from sim.plant.vehicle_types import Estimate
+from sim.plant.states import Estimate
 from sim.vehicle.vehicle import VehicleSim
 
 _INTEGRAL_GAIN_1_S2 = 0.25  # gain that cancels wind and mass error in seconds; slower than the position loop

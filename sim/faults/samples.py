@@ -13,7 +13,7 @@ from flightstack.core.types import Vec3
 from sim.faults.schedule import Running
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.plant.sensors import NEVER_NS, NS
-from sim.plant.vehicle_types import Estimate
+from sim.plant.states import Estimate
 from sim.scenarios.fault_spec import Kind
 
 S = TypeVar("S")

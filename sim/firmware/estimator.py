@@ -28,7 +28,7 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Cell, Record, Vector, cell, new, reader, scalars
 from flightstack.core.types import Vec3
 from sim.firmware.setpoint import SensedState
-from sim.plant.vehicle_types import Estimate
+from sim.plant.states import Estimate
 
 FIRMWARE_STEP_S = 0.001
 ACCEL_XY_M_S2, ACCEL_Z_M_S2 = 0.5, 1.0  # accelerometer noise: procNoiseAcc_xy, procNoiseAcc_z

@@ -38,7 +38,7 @@ from flightstack.core.types import Vec3
 from sim.firmware.mixer import counts_per_n
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S, Params
-from sim.plant.rotation import Nine, nine
+from sim.plant.states import Nine, nine
 
 # Paper V: K1 = diag(7, 7, 0.5)e4, K2 = diag(2, 2, 0.2)e4. The roll and pitch gains are the firmware's
 # defaults; the firmware's yaw gains are ``YAW_K_R`` and ``YAW_K_W``.

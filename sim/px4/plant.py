@@ -16,7 +16,7 @@ from flightstack.compiled.records import F64, Cell
 from flightstack.core.types import Vec3
 from sim.plant.params import Params
 from sim.plant.rotors import speed_limit
-from sim.plant.vehicle_types import Truth
+from sim.plant.states import Truth
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import CONTROL_EVERY_MS, VehicleRecord, apply_ground_effect, move, push, surround
 from sim.vehicle.physics import Physics

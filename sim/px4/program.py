@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from flightstack.common.processes import LaunchError, ended, tied
-from sim.autopilot.ground import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
+from sim.autopilot.telemetry import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 
 INSTANCES = range(10)  # instance numbers; above 9, PX4 sends all MAVLink to one port (px4-rc.mavlink)
 BOOT_MAX_S = 90.0  # default time-out of wait_ready, wall time

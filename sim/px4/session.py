@@ -16,9 +16,18 @@ from flightstack.common.hangup import Stop
 from sim.clock import NoAnswerError
 from sim.px4.airframe import rotor_speeds
 from sim.px4.link import SLICE_S, Px4Link
-from sim.px4.messages import HIL_STATE_QUATERNION, Answer, Px4Mocap, answer_of, hil_gps, hil_sensor, hil_state
 from sim.px4.plant import Px4Plant
-from sim.px4.sensors import STEP_MS, Px4Sensors
+from sim.px4.sensors import (
+    HIL_STATE_QUATERNION,
+    STEP_MS,
+    Answer,
+    Px4Mocap,
+    Px4Sensors,
+    answer_of,
+    hil_gps,
+    hil_sensor,
+    hil_state,
+)
 
 FIRST_US = 1_000_000  # time of the first HIL_SENSOR; PX4 treats zero as "not set"
 

@@ -33,7 +33,7 @@ from flightstack.core.strategies.strategy import strategy_class
 from flightstack.core.types import FilterStatus, OwnState, Phase, Request
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
-from sim.plant.vehicle_types import TRUTH
+from sim.plant.states import TRUTH
 from sim.runners.landing_wire import PEER
 from sim.runners.lockstep import LockstepVehicle
 from sim.runners.log import Notes

@@ -25,8 +25,8 @@ from logs.schema import schemas
 from logs.schema.events import ContactBit, Severity, pack_log
 from logs.schema.names import Names
 from logs.schema.rows import TrueStateRow
-from sim.plant import vehicle_types
-from sim.plant.vehicle_types import truth_of
+from sim.plant import states
+from sim.plant.states import truth_of
 
 _LEVELS: dict[int, Severity] = {
     dialect.MAV_SEVERITY_EMERGENCY: Severity.FATAL,
@@ -81,7 +81,7 @@ class VehicleLog(EventLog):
         self._contact_s: dict[int, float] = {}
         self._targets = 0
 
-    def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
+    def truth(self, tick: int, now_ns: int, truth: states.Truth) -> None:
         """Write the true state; also write each new contact with the ground or deck as an event."""
         stamp_ns = self.epoch_ns + now_ns
         w, x, y, z = truth.quaternion
@@ -114,7 +114,7 @@ class VehicleLog(EventLog):
 
 
 # names of the fields that are both in the vehicle's true state and in the logged one
-_SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in vehicle_types.Truth._fields)
+_SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in states.Truth._fields)
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class Notes:
         self._config, self._pad_radius_m = config, pad_radius_m
         self._steps: list[tuple[int, int, float, float]] = []
         self._truth_ticks: list[tuple[int, int]] = []
-        self._truth: list[vehicle_types.Truth] = []  # true states since the newest block
+        self._truth: list[states.Truth] = []  # true states since the newest block
         self._blocks: list[Floats] = []  # blocks of true states, one row each
         self._events: list[Event] = []
 
@@ -157,7 +157,7 @@ class Notes:
         for event in out.events:
             self.event(tick.now_s, event.level, "controller", event.text)
 
-    def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
+    def truth(self, tick: int, now_ns: int, truth: states.Truth) -> None:
         """Record a true state."""
         self._truth_ticks.append((tick, now_ns))
         self._truth.append(truth)
@@ -222,7 +222,7 @@ class VehicleNotes(VehicleLog):
         super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, names)
         self._notes = notes
 
-    def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
+    def truth(self, tick: int, now_ns: int, truth: states.Truth) -> None:
         """Record the true state."""
         self._notes.truth(tick, now_ns, truth)
 

@@ -25,7 +25,7 @@ from flightstack.compiled.records import F64, I64
 from flightstack.core.types import ZERO, TargetSample, Vec3
 from flightstack.onboard.runner import NOTHING, Arrived
 from sim.clock import TickGrid
-from sim.plant.vehicle_types import Truth
+from sim.plant.states import Truth
 from sim.robot.target_motion import TargetMotion
 from sim.scenarios.scenario import Scenario
 

@@ -31,11 +31,11 @@ from logs.schema.schemas import FLEET_PAIR
 from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.clock import NS_PER_S, STARTUP_S, NoAnswerError, TickGrid, wait_until
-from sim.plant.downwash import JET, feel, set_jet
-from sim.plant.rotation import rotation_axes
+from sim.plant.air import JET, feel, set_jet
+from sim.plant.states import rotation_axes
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.team import TeamScenario
-from sim.vehicle.encounters import Shape, Team, overlapping
+from sim.vehicle.judge import Shape, Team, overlapping
 from sim.vehicle.loop import VehicleRecord
 from sim.vehicle.physics import Physics
 from sim.vehicle.vehicle import VehicleSim

@@ -18,7 +18,7 @@ from sim.autopilot.autopilot import Autopilot
 from sim.clock import NS_PER_S
 from sim.faults.link import LinkFaults, Way
 from sim.faults.schedule import Running
-from sim.plant.vehicle_types import Truth
+from sim.plant.states import Truth
 from sim.runners.log import VehicleLog
 from sim.runners.robot import DeckState
 from sim.vehicle.vehicle import VehicleSim

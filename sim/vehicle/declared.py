@@ -19,7 +19,7 @@ from logs.verdict.verdict import two_barriers
 from sim.plant.params import load
 from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
 from sim.scenarios.team import TeamScenario
-from sim.vehicle.encounters import Shape
+from sim.vehicle.judge import Shape
 
 DELAY_M_S = 0.02  # allowed difference of a declared delay, s; smaller than the errors from noise
 NOISE_SHARE = 0.5  # smallest declared fraction of a link's noise; an estimator filters the noise

@@ -10,13 +10,20 @@ from flightstack.compiled.records import Cell, Motors, Record, Vector
 from sim.firmware.estimator import predict
 from sim.firmware.stack import FirmwareRecord, control, listen, oversee
 from sim.firmware.supervisor import PERIOD_MS
-from sim.plant.downwash import DownwashRecord, press
-from sim.plant.ground_effect import GroundRecord, ground_effect
-from sim.plant.imu import ImuRecord, measure
+from sim.plant.air import DownwashRecord, NoiseRecord, WindRecord, blow, press, vary
 from sim.plant.params import STEP_S, Body
-from sim.plant.rotation import rotation_axes
-from sim.plant.rotors import BatteryRecord, RotorRecord, drain, speed_at_no_duty, speed_limit, turn_rotors
-from sim.plant.wind import NoiseRecord, WindRecord, blow, vary
+from sim.plant.rotors import (
+    BatteryRecord,
+    GroundRecord,
+    RotorRecord,
+    drain,
+    ground_effect,
+    speed_at_no_duty,
+    speed_limit,
+    turn_rotors,
+)
+from sim.plant.sensors import ImuRecord, measure
+from sim.plant.states import rotation_axes
 from sim.vehicle.judge import ContactRecord, JudgeRecord, judge, note_contact
 from sim.vehicle.mocap import MocapRecord, correct_estimate, measure_pose
 from sim.world.step import WorldRecord, physics_step

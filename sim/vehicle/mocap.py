@@ -17,9 +17,9 @@ import numpy as np
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell, Record, cell
 from sim.firmware.estimator import EstimatorRecord, correct, correct_tilt, replace_estimate
-from sim.plant.rotation import rotation_axes
 from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
 from sim.plant.state_error import TURN, WIDTH, PastRecord, mismeasure, state_errors
+from sim.plant.states import rotation_axes
 from sim.scenarios.scenario import OdometryLink, StateError
 from sim.world.bodies import BodyRecord
 

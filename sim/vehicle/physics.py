@@ -12,12 +12,10 @@ from flightstack.core.numeric import numeric, twin, wrapped
 from flightstack.core.safety.barrier import barrier_h
 from logs.schema.events import ContactBit
 from sim.firmware.stack import running
-from sim.plant.downwash import set_up_downwash
-from sim.plant.ground_effect import set_up_ground
+from sim.plant.air import CorrelatedNoise, WindModel, set_up_downwash
 from sim.plant.params import STEP_S, Params, Plant, able_to_hover, load
-from sim.plant.rotors import BatteryModel, Rotors
-from sim.plant.vehicle_types import TRUTH, Truth, truth_of
-from sim.plant.wind import CorrelatedNoise, WindModel
+from sim.plant.rotors import BatteryModel, Rotors, set_up_ground
+from sim.plant.states import TRUTH, Truth, truth_of
 from sim.robot.target import TargetModel
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.judge import GAP_MS, NONE_MS

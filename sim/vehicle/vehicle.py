@@ -17,11 +17,9 @@ from sim.firmware.mixer import OFF
 from sim.firmware.setpoint import STOP, Setpoint
 from sim.firmware.stack import Firmware
 from sim.firmware.supervisor import PERIOD_MS, STATES, State
-from sim.plant.imu import Imu
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
-from sim.plant.rotation import quaternion_from_axes, rotation_axes
-from sim.plant.sensors import NS_PER_MS, ms_from
-from sim.plant.vehicle_types import Estimate, Truth
+from sim.plant.sensors import NS_PER_MS, Imu, ms_from
+from sim.plant.states import Estimate, Truth, quaternion_from_axes, rotation_axes
 from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import fly

@@ -11,7 +11,7 @@ import math
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Quaternion, Record, Vector
 from sim.plant.params import Params
-from sim.plant.rotation import rotation_axes
+from sim.plant.states import rotation_axes
 from sim.world.bodies import BodyRecord, DeckRecord, WrenchRecord, move_deck
 
 WAIT_STEPS = 50  # consecutive steps of 1 ms at rest before the pad carries the vehicle; a bounce is shorter

@@ -10,7 +10,7 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Record
 from logs.schema.events import ContactBit
 from sim.plant.params import STEP_S
-from sim.plant.rotation import rotation_axes
+from sim.plant.states import rotation_axes
 from sim.world.bodies import (
     BodyRecord,
     DeckRecord,

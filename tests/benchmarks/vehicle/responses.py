@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flightstack.compiled.records import new
-from sim.plant.ground_effect import GroundRecord, set_up_ground, thrust_increase
+from sim.plant.rotors import GroundRecord, set_up_ground, thrust_increase
 from tests import linear_analysis as analysis
 from tests.benchmarks.vehicle import runs
 from tests.unit.vehicle.vehicle_sim_helpers import QUIET

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from flightstack.compiled.records import new
-from sim.plant import downwash
-from sim.plant.downwash import JET, DownwashRecord, feel, jet_speed, press, set_jet, set_up_downwash
+from sim.plant.air import AIR_KG_M3, JET, DownwashRecord, feel, jet_speed, press, set_jet, set_up_downwash
 from sim.plant.params import load
 
 CRAZYFLIE = load("crazyflie20")
@@ -39,7 +38,7 @@ def below(x, y, down, *, jets=None, axes=UPRIGHT):
 
 def test_the_induced_velocity_is_that_of_momentum_theory():
     area = 4.0 * math.pi * CRAZYFLIE.rotor.radius_m**2
-    assert 2.0 * downwash.AIR_KG_M3 * area * HOVER_M_S**2 == pytest.approx(WEIGHT_N)
+    assert 2.0 * AIR_KG_M3 * area * HOVER_M_S**2 == pytest.approx(WEIGHT_N)
     assert pytest.approx(math.hypot(2 * 0.03253, 2 * 0.03253)) == SIZE_M
     assert jet()[:6] == [1.0, 2.0, 3.012, 0.0, 0.0, -1.0]
     assert jet(0.0)[6] == jet(-0.01)[6] == 0.0
@@ -58,7 +57,7 @@ def test_the_jet_carries_the_momentum_of_the_thrust():
     for down in (0.3, 1.0, 2.0):
         r = np.linspace(0.0, 3.0, 6001)
         u = np.array([jet_speed(down, each, HOVER_M_S, SIZE_M) for each in r])
-        carried = np.trapezoid(downwash.AIR_KG_M3 * u**2 * 2.0 * math.pi * r, r)
+        carried = np.trapezoid(AIR_KG_M3 * u**2 * 2.0 * math.pi * r, r)
         assert 0.9 < carried / WEIGHT_N < 1.0
 
 

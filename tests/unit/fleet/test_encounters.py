@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sim.plant.params import load
-from sim.vehicle.encounters import Shape, Team
+from sim.vehicle.judge import Shape, Team
 
 SHAPE = Shape.of(load("crazyflie20"))
 SMALL = Shape(0.05, -0.01, 0.02)

@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sim.flights.plausible import clock_lag_s
 from sim.flights.recording import COLUMNS, PWM_MAX, RecordingError, read_columns
-from sim.flights.screening import load, screen
+from sim.flights.screening import clock_lag_s, load, screen
 from tests.unit.flights.test_recording import COLUMN_TABLE, RATE_HZ, flight, read
 
 

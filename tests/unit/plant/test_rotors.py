@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from flightstack.compiled.records import new
-from sim.plant.ground_effect import GroundRecord, ground_effect, set_up_ground, thrust_increase
 from sim.plant.params import load
-from sim.plant.rotation import rotation_axes
+from sim.plant.rotors import GroundRecord, ground_effect, set_up_ground, thrust_increase
+from sim.plant.states import rotation_axes
 
 PARAMS = load()
 ROTOR = PARAMS.rotor

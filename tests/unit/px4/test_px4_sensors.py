@@ -7,11 +7,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from sim.autopilot.ground import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
+from sim.autopilot.telemetry import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 from sim.plant.params import load
-from sim.px4.messages import Px4Mocap
 from sim.px4.plant import Body
 from sim.px4.sensors import (
+    Px4Mocap,
     Px4Sensors,
     field_ned_gauss,
     pressure_altitude_m,

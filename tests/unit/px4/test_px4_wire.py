@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mav
 
 from sim.px4.link import FRAME_MAX, FrameStream, parse_endpoint
-from sim.px4.messages import Answer, hil_gps, hil_sensor, hil_state
 from sim.px4.plant import Body
-from sim.px4.sensors import Fix, Readings, Slow
+from sim.px4.sensors import Answer, Fix, Readings, Slow, hil_gps, hil_sensor, hil_state
 from sim.px4.session import FIRST_US, Lockstep
 
 SENDER = mav.MAVLink(None, 1, 1)

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from sim.flights.screening import Reason
 from sim.options import ValidateOptions
 from sim.validation import closed_loop, open_loop, sensing
-from sim.validation.criteria import causes, judge, over_flights
+from sim.validation.criteria import causes, judge, over_flights, summary
 from sim.validation.run import VEHICLE, Compared
-from sim.validation.summary import summary
 
 PLAN = ValidateOptions(folder=Path("flights"), vehicle=VEHICLE)
 FLOWN = closed_loop.Flown(0.1, 0.02, 0.85, 0.05, 0.1, 0.2, 0.01)

@@ -17,7 +17,7 @@ from sim.firmware.pid import PidLoop, cascade_update
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
 from sim.firmware.supervisor import PERIOD_MS, State, Supervisor, supervise
 from sim.plant.params import load
-from sim.plant.rotation import rotation_axes
+from sim.plant.states import rotation_axes
 
 pytestmark = pytest.mark.slow
 DATA = Path(__file__).parents[2] / "data"

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.profile import FlightMode
-from sim.autopilot.ground import degrees_e7
+from sim.autopilot.telemetry import degrees_e7
 from tests.unit.mavlink.server.served import (
     ACCEPTED,
     DENIED,
