@@ -13,8 +13,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from bridge.mavlink.endpoint import open_endpoint
-from bridge.mavlink.preflight.examine import Report
-from bridge.mavlink.preflight.provision import provision
+from bridge.mavlink.preflight.examine import Report, provision
 from bridge.mavlink.preflight.table import Level
 from bridge.mavlink.signing import load_key
 from flightstack.cli.options import takes

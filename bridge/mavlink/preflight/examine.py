@@ -1,4 +1,7 @@
-"""Identifies a vehicle and reads its parameters before a flight, in bounded time; writes no parameter."""
+"""Before a flight: reads and checks a vehicle's parameters, and sets its signing key, in bounded time.
+
+The check writes no parameter.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +17,11 @@ from bridge.mavlink.client.companion import companion_heartbeat, request_message
 from bridge.mavlink.client.senders import Arrivals, Senders, why_silent
 from bridge.mavlink.codec.messages import Message, parameter_name
 from bridge.mavlink.endpoint import Endpoint, LinkCounters
-from bridge.mavlink.preflight.table import (
-    Asked,
-    Choice,
-    Finding,
-    Level,
-    Needs,
-    Release,
-    choose,
-    judge,
-    release_of,
-)
-from bridge.mavlink.preflight.table import table as table_of
+from bridge.mavlink.preflight import table as rules
+from bridge.mavlink.preflight.table import Asked, Choice, Finding, Level, Needs, Release
 from bridge.mavlink.profiles import OWN_SITL, Encoding, Profile, found, marked, refusal
+from bridge.mavlink.signing import EPOCH_NS, KEY_BYTES, TICK_NS, SigningKey
+from bridge.mavlink.transport.address import is_local, parse_url, resolve
 
 _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s
 _HEARTBEAT_S = 1.0
@@ -37,7 +32,8 @@ _SAY_S = 2.0  # time between two texts about the wait, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # time between two polls, s
 _READ_MAX_S = 30.0  # time limit of the check after the first message of the vehicle, s
-
+_COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
+_KEY_PERIOD_S, _KEY_TRIES = 0.5, 12  # time between two tries to change a signing key, s; number of tries
 
 _AT_ONCE = 5  # number of pending requests; a radio has a small buffer
 _READ_PERIOD_S = 0.4  # time between two tries, s; PX4 and ArduPilot reply within 0.05 s on a wire
@@ -149,6 +145,147 @@ class Report:
         return self.problem is None and not self.blocking
 
 
+class Dialogue:
+    """Sends heartbeats and requests to one vehicle on the ground, and takes its messages."""
+
+    def __init__(self, endpoint: Endpoint, system_id: int, senders: Senders) -> None:
+        self.endpoint, self.target, self.senders = endpoint, (system_id, 1), senders
+        self.heard = self.armed = False  # whether a heartbeat of the vehicle arrived; whether it is armed
+        self.foreign = LinkCounters()
+        self._beat_s = -math.inf
+
+    def take(self, message: Message) -> None:
+        """Handle a message of the vehicle's autopilot."""
+
+    def turn(self, requests: Sequence[Message] = ()) -> None:
+        """Send a due heartbeat and the requests, wait briefly, and handle the received messages."""
+        now_s, messages = time.monotonic(), [*requests]
+        if now_s - self._beat_s >= (_HEARTBEAT_S if self.heard else _HELLO_S):
+            self._beat_s = now_s
+            messages.insert(0, companion_heartbeat())
+        self.endpoint.send(messages, self.senders.known)
+        self.endpoint.wait(_SLICE_S)
+        for received in self.endpoint.receive():
+            message = received.message
+            if received.sender != self.target:
+                self.foreign.add_foreign(received.sender)
+            elif self.senders.admits(message, received.peer, now_s, armed=self.armed):
+                if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+                    self.heard = True
+                    self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+                self.take(message)
+
+    def until(
+        self, done: Callable[[], bool], within_s: float, requests: Callable[[], Sequence[Message]] = tuple
+    ) -> bool:
+        """Exchange messages until ``done`` or for a time; return whether it is done."""
+        until_s = time.monotonic() + within_s
+        while not done():
+            if time.monotonic() >= until_s:
+                return False
+            self.turn(requests())
+        return True
+
+
+class _EndedError(Exception):
+    """The check ends without findings; the text is the reason."""
+
+
+class _Check(Dialogue):
+    profile: Profile | None = None  # None before the first heartbeat
+    release: Release | None = None
+    refused: str | None = None
+    rest_v: float | None = None
+    choice: Choice | None = None
+    asked: tuple[Asked, ...] = ()
+    reader: ParameterReader | None = None
+
+    def __init__(
+        self, endpoint: Endpoint, system_id: int, senders: Senders, chosen: Profile | None,
+        stopped: Callable[[], bool], say: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        super().__init__(endpoint, system_id, senders)
+        self._chosen, self._stopped, self._say = chosen, stopped, say
+        self._said_s = self.until_s = time.monotonic()
+        self._arrivals = Arrivals()
+        self._grown: Mapping[str, int] = {}  # last increase of the counters by received data
+
+    def run(self, wait_s: float, *, accept_release: bool) -> bool:
+        """Read release and parameters; return False if no heartbeat arrived. Raises _EndedError."""
+        self.until_s = time.monotonic() + wait_s
+        if not self.until(lambda: self.profile is not None, wait_s) or self.profile is None:
+            return False
+        self.until_s = time.monotonic() + _READ_MAX_S
+        ruled = self.profile is not OWN_SITL and rules.table(self.profile.name) is not None
+        tries = _VERSION_TRIES if ruled else _VERSION_TRIES_UNNEEDED
+        for _ in range(tries):
+            number, unset = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, self.profile.unset
+            self.turn([request_message(self.target, number, unset)])
+            if self.until(lambda: self.release is not None, _VERSION_S):
+                break
+        profile, table = self.profile, rules.table(self.profile.name)
+        if table is not None:
+            silence = f"no AUTOPILOT_VERSION in reply to {tries} requests within {tries * _VERSION_S:g} s"
+            choice = rules.choose(table, self.release, silence, accept=accept_release)
+            if profile is OWN_SITL:  # its rules do not depend on the release
+                choice = Choice(table.releases[-1], None, None)
+            self.choice, self.asked = choice, table.asked(profile.name, choice.release)
+        names = (each.name.name for each in self.asked)
+        reader = self.reader = ParameterReader(names, *self.target, profile.encoding)
+        self.until(
+            lambda: reader.done and not self.senders.suspects,
+            self.until_s - time.monotonic(),
+            lambda: reader.step(time.monotonic()),
+        )
+        return True
+
+    @property
+    def version(self) -> str | None:
+        return self.release.text if self.release is not None else None
+
+    def turn(self, requests: Sequence[Message] = ()) -> None:
+        if self._stopped():
+            raise _EndedError("cancelled by the operator")
+        now_s = time.monotonic()
+        if now_s - self._said_s >= _SAY_S:
+            self._said_s = now_s
+            self._say(f"waiting up to {self.until_s - now_s:.0f} s more: {self.waits_for()}")
+        super().turn(requests)
+        problem = self.refused or self.senders.doubled
+        if problem is not None:
+            raise _EndedError(problem)
+
+    def waits_for(self, time: str = "") -> str:
+        """Return a text about the message that has not arrived yet; ``time``: see ``why_silent``."""
+        if not self.heard:
+            grown = self._arrivals.grown(self.endpoint.counters)
+            if grown.keys() - {"sent", "bytes_out", "send_errors"}:
+                self._grown = grown
+            return why_silent(self.target[0], self._grown, self.foreign.senders, time=time)
+        if self.reader is None:
+            return "the vehicle does not send its version (AUTOPILOT_VERSION)"
+        names = [each.name.name for each in self.asked]
+        known = self.reader.values.keys() | self.reader.missing.keys()
+        left = [name for name in names if name not in known]
+        return f"{len(known)} of {len(names)} parameters received; missing are {', '.join(left[:4])}"
+
+    def take(self, message: Message) -> None:
+        kind = message.get_msgId()
+        if kind == dialect.MAVLINK_MSG_ID_SYS_STATUS:
+            known = message.voltage_battery != _VOLTAGE_UNKNOWN and not self.armed
+            self.rest_v = message.voltage_battery * 1e-3 if known else None
+        elif kind == dialect.MAVLINK_MSG_ID_HEARTBEAT and self.profile is None and self.refused is None:
+            self.refused = refusal(message.autopilot, message.type, self._chosen)
+            if self.refused is None:
+                self.profile = self._chosen or found(message.autopilot)
+        elif self.reader is not None:
+            self.reader.take(message)
+        elif kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION and self.profile is not None:
+            self.release, own = rules.release_of(message), marked(message)
+            if own is not None and own.autopilot == self.profile.autopilot:
+                self.profile = own
+
+
 def examine(
     endpoint: Endpoint,
     system_id: int,
@@ -169,161 +306,69 @@ def examine(
     with the nearest rules; ``stopped``: returns True to end the check early; ``say``: receives a text about
     the wait every two seconds; ``senders``: stores the vehicle's address for the flight.
     """
-    check = _Check(endpoint, system_id, chosen, senders or Senders(), accept_release=accept_release)
-    began_s = time.monotonic()
-    until_s = began_s + wait_s
-    said_s = began_s
-    heard = False
-    while not check.over and not stopped():
-        now_s = time.monotonic()
-        if check.link.heard and not heard:
-            heard, until_s = True, now_s + _READ_MAX_S
-        if now_s >= until_s:
-            break
-        if now_s - said_s >= _SAY_S:
-            said_s = now_s
-            say(f"waiting up to {until_s - now_s:.0f} s more: {check.waits_for()}")
-        check.turn(now_s)
-    reader, profile = check.reader, check.profile
-    if stopped():
-        return Report(profile, check.version, (), "cancelled by the operator")
-    if check.refused is not None:
-        return Report(profile, check.version, (), check.refused)
-    if profile is None or reader is None:
+    check = _Check(endpoint, system_id, senders or Senders(), chosen, stopped, say)
+    try:
+        complete = check.run(wait_s, accept_release=accept_release)
+    except _EndedError as ended:
+        return Report(check.profile, check.version, (), str(ended))
+    if not complete or check.reader is None:
         return Report(None, None, (), check.waits_for(f" within {wait_s:g} s"))
-    findings = tuple(judge(check.asked, reader.values, reader.missing, needs, accepted))
-    rules, problem, note = check.choice or (None, None, None)
+    findings = tuple(rules.judge(check.asked, check.reader.values, check.reader.missing, needs, accepted))
+    release, problem, note = check.choice or (None, None, None)
     notes = (note,) if note is not None else ()
-    return Report(profile, check.version, findings, problem, notes, rules, rest_v=check.rest_v)
+    return Report(check.profile, check.version, findings, problem, notes, release, rest_v=check.rest_v)
 
 
-class Dialogue:
-    """Sends heartbeats and requests to one vehicle on the ground, and takes its messages."""
+def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
+    """Set or remove the MAVLink signing key of a vehicle on the ground by SETUP_SIGNING.
 
-    def __init__(
-        self, endpoint: Endpoint, system_id: int, take: Callable[[Message], None], senders: Senders
-    ) -> None:
-        """``take`` receives each message of the vehicle's autopilot."""
-        self.endpoint, self.target, self.senders = endpoint, (system_id, 1), senders
-        self.heard = self.armed = False  # whether a heartbeat of the vehicle arrived; whether it is armed
-        self.foreign = LinkCounters()
-        self._take, self._said_s = take, -math.inf
+    The key is sent unencrypted, so only a cable or loopback is allowed. PX4 1.18 and later accepts a first
+    key unsigned on any link; a key of zeros, signed with the current key, ends signing. ArduPilot also
+    accepts a key but never signs on its first USB link. Both reject a key if armed.
 
-    def turn(self, requests: Sequence[Message] = ()) -> None:
-        """Send a due heartbeat and the requests, wait briefly, and handle the received messages."""
-        now_s, messages = time.monotonic(), [*requests]
-        if now_s - self._said_s >= (_HEARTBEAT_S if self.heard else _HELLO_S):
-            self._said_s = now_s
-            messages.insert(0, companion_heartbeat())
-        self.endpoint.send(messages, self.senders.known)
-        self.endpoint.wait(_SLICE_S)
-        for received in self.endpoint.receive():
-            message = received.message
-            if received.sender != self.target:
-                self.foreign.add_foreign(received.sender)
-            elif self.senders.admits(message, received.peer, now_s, armed=self.armed):
-                if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
-                    self.heard = True
-                    self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-                self._take(message)
+    ``key``: the new key, or the current key with ``remove``; ``wait_s``: time-out of the first heartbeat.
+    Returns the reason of a failure; None: the vehicle has shown the change.
+    """
+    kind, host, port = parse_url(url)
+    if kind != "serial" and not is_local(resolve(f"MAVLink URL {url!r}", host, port)):
+        raise ValueError(
+            f"{url!r} leads over a network, where the key could be read: set or remove it over a "
+            "cable (serial:DEVICE) or loopback"
+        )
+    endpoint = Endpoint(url, system_id, _COMPONENT_ID, signing_key=key if remove else None)
+    try:
+        return _provision(endpoint, system_id, key, remove=remove, wait_s=wait_s)
+    finally:
+        endpoint.close()
 
 
-class _Check:
-    def __init__(
-        self, endpoint: Endpoint, system_id: int, chosen: Profile | None, senders: Senders, *,
-        accept_release: bool,
-    ) -> None:  # fmt: skip
-        self.link = Dialogue(endpoint, system_id, self._take, senders)
-        self._chosen, self._accept_release = chosen, accept_release
-        self.profile: Profile | None = None
-        self._release: Release | None = None
-        self.choice: Choice | None = None
-        self.refused: str | None = None
-        self.reader: ParameterReader | None = None
-        self.asked: tuple[Asked, ...] = ()
-        self.rest_v: float | None = None
-        self._version_s = -math.inf
-        self._version_tries = 0
-        self._version_over = False
-        self._arrivals = Arrivals()
-        self._grown: Mapping[str, int] = {}  # last increase of the counters by received data
+def _provision(
+    endpoint: Endpoint, system_id: int, key: SigningKey, *, remove: bool, wait_s: float
+) -> str | None:
+    link = Dialogue(endpoint, system_id, Senders())
 
-    @property
-    def version(self) -> str | None:
-        return self._release.text if self._release is not None else None
+    def changed() -> bool:
+        """Whether received frames show the change: they are signed, or unsigned after a removal."""
+        return bool(endpoint.counters.unsigned if remove else endpoint.counters.unchecked)
 
-    @property
-    def over(self) -> bool:
-        read = self.reader is not None and self.reader.done
-        return self.refused is not None or (read and not self.link.senders.suspects)
-
-    def waits_for(self, time: str = "") -> str:
-        """Return a text about the message that has not arrived yet; ``time``: see ``why_silent``."""
-        link = self.link
-        if not link.heard:
-            grown = self._arrivals.grown(link.endpoint.counters)
-            if grown.keys() - {"sent", "bytes_out", "send_errors"}:
-                self._grown = grown
-            return why_silent(link.target[0], self._grown, link.foreign.senders, time=time)
-        if self.reader is None:
-            return "the vehicle does not send its version (AUTOPILOT_VERSION)"
-        names = [each.name.name for each in self.asked]
-        known = self.reader.values.keys() | self.reader.missing.keys()
-        left = [name for name in names if name not in known]
-        return f"{len(known)} of {len(names)} parameters received; missing are {', '.join(left[:4])}"
-
-    def turn(self, now_s: float) -> None:
-        """Send due requests, wait briefly, handle the received messages."""
-        self.link.turn(self._ask(self.profile, now_s) if self.profile is not None else ())
-        self.refused = self.refused or self.link.senders.doubled
-
-    def _ask(self, profile: Profile, now_s: float) -> list[Message]:
-        if self._version_over and self.reader is None:
-            self._choose(profile)
-            names = (each.name.name for each in self.asked)
-            self.reader = ParameterReader(names, *self.link.target, profile.encoding)
-        if self.reader is not None:
-            return self.reader.step(now_s)
-        if now_s - self._version_s < _VERSION_S:
-            return []
-        if self._version_tries >= _tries(profile):
-            self._version_over = True
-            return []
-        self._version_s = now_s
-        self._version_tries += 1
-        return [request_message(self.link.target, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, profile.unset)]
-
-    def _choose(self, profile: Profile) -> None:
-        """Choose the rules; for this project's vehicles they do not depend on the release."""
-        table = table_of(profile.name)
-        if table is None:
-            return
-        if profile is OWN_SITL:
-            self.choice = Choice(table.releases[-1], None, None)
-        else:
-            tries = self._version_tries
-            silence = f"no AUTOPILOT_VERSION in reply to {tries} requests within {tries * _VERSION_S:g} s"
-            self.choice = choose(table, self._release, silence, accept=self._accept_release)
-        self.asked = table.asked(profile.name, self.choice.release)
-
-    def _take(self, message: Message) -> None:
-        kind = message.get_msgId()
-        if kind == dialect.MAVLINK_MSG_ID_SYS_STATUS:
-            known = message.voltage_battery != _VOLTAGE_UNKNOWN and not self.link.armed
-            self.rest_v = message.voltage_battery * 1e-3 if known else None
-        elif kind == dialect.MAVLINK_MSG_ID_HEARTBEAT and self.profile is None and self.refused is None:
-            self.refused = refusal(message.autopilot, message.type, self._chosen)
-            if self.refused is None:
-                self.profile = self._chosen or found(message.autopilot)
-        elif kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION and not self._version_over:
-            self._release, self._version_over = release_of(message), True
-            own = marked(message)
-            if own is not None and self.profile is not None and own.autopilot == self.profile.autopilot:
-                self.profile = own
-        elif self.reader is not None:
-            self.reader.take(message)
-
-
-def _tries(profile: Profile) -> int:
-    unneeded = profile is OWN_SITL or table_of(profile.name) is None
-    return _VERSION_TRIES_UNNEEDED if unneeded else _VERSION_TRIES
+    link.until(lambda: link.heard or changed(), wait_s)
+    if not link.heard:
+        if changed():
+            return "the vehicle does not sign: there is no key to remove"
+        return f"no heartbeat of system {system_id} within {wait_s:g} s"
+    if link.armed:
+        return "the vehicle is armed: its key can be changed on the ground only"
+    if changed():
+        return "the vehicle signs already: remove its key first, with that key (--remove-signing)"
+    secret = bytes(KEY_BYTES) if remove else key.secret
+    stamp = 0 if remove else (time.time_ns() - EPOCH_NS) // TICK_NS
+    message = dialect.MAVLink_setup_signing_message(*link.target, list(secret), stamp)
+    for _ in range(_KEY_TRIES):
+        endpoint.send([message], link.senders.known)
+        if link.until(changed, _KEY_PERIOD_S):
+            return None
+    what = "still signs" if remove else "does not sign"
+    return (
+        f"the vehicle {what} after {_KEY_TRIES} tries in {_KEY_TRIES * _KEY_PERIOD_S:g} s: PX4 accepts keys "
+        "from 1.18 on, with an SD card; ArduPilot does not sign on USB"
+    )

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
-from itertools import combinations
 from typing import Literal, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -19,7 +17,6 @@ from flightstack.common.strict_toml import Files
 
 _FILE_OF = {OWN_SITL.name: "px4", PX4.name: "px4", ARDUPILOT.name: "ardupilot"}  # others have no rules
 _SLACK = 1e-6  # relative tolerance of a parameter in single precision
-_NAME_MAX = 16  # maximum length of a name, MAVLink PARAM_VALUE
 
 
 class Needs(NamedTuple):
@@ -86,7 +83,7 @@ class Rule:
     profiles: tuple[str, ...] = ()  # profiles of the file that have this rule; empty: all profiles
     stops: tuple[str, ...] = ()  # values that stop the motors in the air and are always unsafe
     wanted: str = ""  # allowed values as text, {} for the number; empty: text from the condition
-    # conditions, of which exactly one is given
+    # conditions, of which exactly one is given (tested for the shipped files)
     low: Bound | None = None  # smallest and largest allowed value
     high: Bound | None = None
     values: tuple[str, ...] = ()  # allowed whole numbers with their meaning, such as "4 (land)"
@@ -96,16 +93,6 @@ class Rule:
     # upper limit of a second allowed range, which has no lower limit
     off: float | None = None
     off_text: str = ""
-
-    def __post_init__(self) -> None:
-        ranged = self.low is not None or self.high is not None
-        given = (ranged, self.values, self.bits_set is not None, self.bits_clear is not None, self.not_zero)
-        if sum(map(bool, given)) != 1:
-            raise ValueError(f"{self.means}: exactly one condition is needed")
-        if any(not re.match(r"-?\d+ \(.+\)$", value) for value in (*self.values, *self.stops)):
-            raise ValueError(f"{self.means}: values are whole numbers with their meaning, as '4 (land)'")
-        if not self.names or any(not 0 < len(each.name) <= _NAME_MAX for each in self.names):
-            raise ValueError(f"{self.means}: names of 1 to {_NAME_MAX} characters are needed")
 
     def safe(self, number: float, needs: Needs) -> bool:
         """Whether a number, in the rule's unit, is safe for a flight."""
@@ -121,9 +108,6 @@ class Rule:
             return number != 0.0
         low, high = _number(self.low, needs), _number(self.high, needs)
         return (low is None or number >= low - _SLACK) and (high is None or number <= high + _SLACK)
-
-    def stops_motors(self, number: float) -> bool:
-        return number in _numbers(self.stops)
 
     def wanted_in(self, name: Name, needs: Needs) -> str:
         """Return the required value of the parameter in its unit, rounded up so that it suffices."""
@@ -174,20 +158,6 @@ class Table:
     title: str
     releases: tuple[str, ...]  # known releases, the oldest first
     rule: tuple[Rule, ...]
-
-    def __post_init__(self) -> None:
-        if not self.releases or list(self.releases) != sorted(self.releases, key=minor):
-            raise ValueError("releases: a list in rising order is needed")
-        known = ("", *self.releases)
-        for one in self.rule:
-            for name in one.names:
-                if name.since not in known or name.before not in known:
-                    raise ValueError(f"{name.name}: since and before are of {', '.join(self.releases)}")
-        for release in self.releases:
-            for a, b in combinations(((n, r) for r in self.rule for n in r.names if n.has(release)), 2):
-                shared = set(a[1].profiles) & set(b[1].profiles) or not (a[1].profiles and b[1].profiles)
-                if a[0].name == b[0].name and shared:
-                    raise ValueError(f"{a[0].name}: two rules for release {release}")
 
     def asked(self, profile: str, release: str) -> tuple[Asked, ...]:
         """Return the parameters of one of the table's releases for one of its profiles."""
@@ -263,28 +233,21 @@ def judge(
     ``values``: received values by name; ``missing``: reasons for the other names; ``accepted``: names, of any
     release, whose value the operator accepts.
     """
-    found = (_finding(each, values.get(each.name.name), missing, needs, accepted) for each in asked)
-    return [finding for finding in found if finding is not None]
-
-
-def _finding(
-    asked: Asked, value: float | None, missing: Mapping[str, str], needs: Needs, accepted: Collection[str]
-) -> Finding | None:
-    name, rule = asked.name, asked.rule
-    wanted, why, level = rule.wanted_in(name, needs), rule.text, Level.OK
-    if value is None:
-        level = rule.missing or rule.severity
-        if level is Level.IGNORED:
-            return None
-        why = f"{missing.get(name.name, 'not asked')}; {why}"
-    elif rule.stops_motors(value * name.scale):
-        level, why = Level.UNSAFE, "in the air the motors stop"
-    elif not rule.safe(value * name.scale, needs):
-        level = rule.severity
-    if level is Level.UNSAFE and {name.name, *(other.name for other, _ in asked.others)} & set(accepted):
-        level = Level.ACCEPTED
-    why = "" if level is Level.OK else why
-    return Finding(name.name, level, value, name.unit, wanted, why, rule.means, asked.elsewhere(value))
+    findings = []
+    for each in asked:
+        name, rule, value, why, level = each.name, each.rule, values.get(each.name.name), "", Level.OK
+        if value is None:
+            level, why = rule.missing or rule.severity, f"{missing.get(name.name, 'not asked')}; {rule.text}"
+        elif value * name.scale in _numbers(rule.stops):
+            level, why = Level.UNSAFE, "in the air the motors stop"
+        elif not rule.safe(value * name.scale, needs):
+            level, why = rule.severity, rule.text
+        if level is Level.UNSAFE and {name.name, *(other.name for other, _ in each.others)} & set(accepted):
+            level = Level.ACCEPTED
+        if level is not Level.IGNORED:
+            wanted, elsewhere = rule.wanted_in(name, needs), each.elsewhere(value)
+            findings.append(Finding(name.name, level, value, name.unit, wanted, why, rule.means, elsewhere))
+    return findings
 
 
 class Release(NamedTuple):

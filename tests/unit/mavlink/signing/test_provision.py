@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.preflight.provision import provision
+from bridge.mavlink.preflight.examine import provision
 from bridge.mavlink.signing import load_key, make_key
 from flightstack.cli.preflight import preflight
 
@@ -83,7 +83,7 @@ def test_an_armed_vehicle_keeps_its_key(key):
 
 
 def test_a_vehicle_that_does_not_obey_is_told(key, monkeypatch):
-    monkeypatch.setattr("bridge.mavlink.preflight.provision._TRIES", 2)
+    monkeypatch.setattr("bridge.mavlink.preflight.examine._KEY_TRIES", 2)
     with Vehicle(obeys=False) as vehicle:
         assert "does not sign after 2 tries" in provision(vehicle.url, 1, key, remove=False, wait_s=10.0)
     assert "no heartbeat of system 1" in provision(vehicle.url, 1, key, remove=False, wait_s=0.2)
