@@ -90,7 +90,7 @@ class ValidateOptions(shared.Result):
         "FILE", path="file", exists=True
     )] = None  # fmt: skip
     vehicle: Annotated[str | None, Option(
-        "--vehicle", "Vehicle to simulate: a name of sim/vehicles or a file; default: crazyflie21_room.",
+        "--vehicle", "Vehicle to simulate: a name of sim/plant or a file; default: crazyflie21_room.",
         "NAME_OR_FILE"
     )] = None  # fmt: skip
     seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0

@@ -11,7 +11,7 @@ import hypothesis
 import pytest
 
 from bridge.mavlink.profiles import AUTO, CHOICES
-from flightstack.config.files import path_of
+from flightstack.config import path_of
 from tests.real_time import in_real_time, repeated_after_a_pause
 from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 

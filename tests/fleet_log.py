@@ -11,12 +11,10 @@ from flightstack.common.pacing import EPOCH_NS
 from flightstack.common.strict_toml import dumps
 from flightstack.onboard.log import OnboardLog
 from logs.recorder.feed import Kind, Record, encode_json
-from logs.recorder.mcap_file import McapFile
-from logs.recorder.recording import Recorder
-from logs.schema import schemas
+from logs.recorder.recording import McapFile, Recorder
+from logs.schema import Names, schemas
 from logs.schema.controller_rows import word_row
 from logs.schema.events import CONTROLLER, pack_log
-from logs.schema.names import Names
 from sim.campaign.rows import judge_team
 from sim.runners import landing as team_runner
 from sim.runners.landing import Companion

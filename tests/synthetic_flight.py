@@ -15,7 +15,7 @@ from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import nominal_velocity, slew
 from flightstack.core.safety.projection import project
 from flightstack.core.types import Phase
-from logs.recorder.mcap_file import McapFile
+from logs.recorder.recording import McapFile
 from logs.schema import schemas
 from logs.schema.events import pack_log
 from logs.schema.rows import ControllerStepRow, LoopTimingRow, TrueStateRow

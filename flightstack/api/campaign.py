@@ -18,13 +18,12 @@ from flightstack.api.frames import frame
 from flightstack.api.scenario import Changes, FilterLike, scenario, whole
 from flightstack.common.forked import may_fork
 from flightstack.common.strict_toml import ConfigError
-from flightstack.common.terminal import Terminal
+from flightstack.common.terminal import Bar, Terminal
 from flightstack.core.parameters.filters import given
 from flightstack.verify.certificate import problems
 from logs.report.style import layout
-from sim.campaign.progress import Bar
 from sim.campaign.rows import Row, failed_rows, row_of
-from sim.campaign.summary import summary
+from sim.campaign.summary import kinds, summary
 from sim.campaign.workers import Workers
 from sim.runners.landing import land_team, warm_up
 from sim.scenarios.scenario import Scenario
@@ -233,7 +232,7 @@ def _flown(
             rows, began_s = [], time.monotonic()
             for row in _rows(team, seeds, number):
                 rows.append(row)
-                bar.row(row)
+                bar.done(*kinds(row))
             by_seed = tuple(sorted(rows, key=lambda row: row.seed))
             if problem := failed_rows(by_seed):
                 console.print(problem, soft_wrap=True, markup=False)

@@ -14,10 +14,9 @@ from rich.table import Column, Table
 
 from flightstack.cli.options import takes
 from flightstack.common.options import Argument, Option
-from flightstack.common.terminal import Terminal
+from flightstack.common.terminal import Bar, Terminal
 from flightstack.config import options as shared
 from flightstack.core.parameters.filters import short_name
-from sim.campaign.progress import Bar
 
 if TYPE_CHECKING:
     from sim.campaign.run import Flown, Plan
@@ -56,6 +55,7 @@ def campaign(options: CampaignOptions) -> None:
     """
     from flightstack.onboard.recording import new_folder
     from sim.campaign import run as core
+    from sim.campaign.summary import kinds
     from sim.vehicle.declared import not_proven
 
     wanted = core.plan(options.scenario, options.runs, options.first_seed, options.filter)
@@ -67,7 +67,7 @@ def campaign(options: CampaignOptions) -> None:
     with Bar(console, f"{scenario.name}, filter {wanted.filter_name}", wanted.runs) as bar:
         flown = core.fly(
             wanted, folder, workers=options.workers or os.cpu_count() or 1, cluster=options.cluster,
-            on_row=bar.row,
+            on_row=lambda row: bar.done(*kinds(row)),
         )  # fmt: skip
     sys.exit(_print(console, wanted, folder, flown, as_json=options.as_json, with_report=options.with_report))
 
@@ -92,7 +92,7 @@ def _print(
         from logs.report.page import ReportError
 
         try:
-            from sim.campaign.page import write_page
+            from sim.campaign.run import write_page
 
             write_page(folder / PAGE, wanted, flown)
         except ReportError as error:  # the printed results are valid without a page

@@ -16,8 +16,8 @@ from flightstack.cli.options import takes
 from flightstack.common.options import Argument, Option
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml
 from flightstack.common.text import labels
+from flightstack.config import load, names, path_of
 from flightstack.config import options as shared
-from flightstack.config.files import load, names, path_of
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import ignored
 

@@ -61,7 +61,7 @@ def onboard(options: OnboardOptions) -> None:
     the vehicle flies clear and lands. A second Ctrl-C requests an immediate landing and ends the process.
     """
     from flightstack.common.processes import LaunchError
-    from flightstack.config.files import load
+    from flightstack.config import load
     from flightstack.onboard import process
 
     try:
@@ -94,7 +94,7 @@ def vehicle(options: VehicleOptions) -> None:
 
 
 def _run_world(options: VehicleOptions) -> None:
-    from logs.schema.names import member_name
+    from logs.schema import member_name
     from sim.runners import world_process
     from sim.scenarios.team import TeamScenario, load
 
@@ -132,7 +132,7 @@ def px4_sim(options: Px4SimOptions) -> None:
     PX4 connects over TCP, and both run in lockstep. Exit status: 0 normal end, 1 PX4 no longer replies, 2
     wrong input.
     """
-    from logs.schema.names import member_name
+    from logs.schema import member_name
     from sim.plant import params
     from sim.px4 import process
     from sim.px4.airframe import parameter_text

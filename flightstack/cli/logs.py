@@ -40,7 +40,7 @@ def log() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def info(log_file: Path, member: str | None, as_json: bool) -> None:
     """Show duration, topics, metadata and attachments of a LOG, and whether it is complete."""
-    from logs.tools import info as tools_info
+    from logs import info as tools_info
 
     found = tools_info.gather(_open(log_file, member))
     click.echo(json.dumps(found) if as_json else plain("\n".join(tools_info.lines(found))))
@@ -87,8 +87,8 @@ def compare(log_a: Path, log_b: Path) -> None:
     The last line names the first tick with a difference. Wall-clock measurements (loop timing) are not
     compared.
     """
-    from logs.tools.compare import compare as differences_of
-    from logs.tools.compare import first_tick
+    from logs.compare import compare as differences_of
+    from logs.compare import first_tick
 
     differences = differences_of(log_a, log_b)
     for difference in differences[:DIFFERENCES_MAX]:
@@ -125,8 +125,8 @@ def identify(options: IdentifyOptions) -> None:
 
     Exit status: 0 found, 2 wrong input or flights without enough excitation; the text says what to fly.
     """
+    from logs import identified
     from logs.reader.flight import load_fleet
-    from logs.tools import identified
 
     flights = [flight for path in options.logs for flight in load_fleet(path).flights.values()]
     found = identified.gather(flights)
@@ -221,7 +221,7 @@ def view(log_file: Path, save: Path | None, web: bool, member: str | None, force
         raise without_rerun(error, "view") from error
     recording = Recording(log_file, member)
     if save is not None:
-        from logs.tools.file import new_file
+        from logs.files import new_file
 
         with new_file(save, force=force) as part:
             recording.save(part)

@@ -19,8 +19,8 @@ from bridge.mavlink.signing import load_key
 from flightstack.cli.options import takes
 from flightstack.common.options import Option
 from flightstack.common.terminal import Terminal
+from flightstack.config import load
 from flightstack.config import options as shared
-from flightstack.config.files import load
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.onboard import preflight as checks
 

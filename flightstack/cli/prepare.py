@@ -21,8 +21,8 @@ from flightstack.config import options as shared
 @click.argument("name", required=False)
 def config(name: str | None) -> None:
     """List the packaged configurations of the onboard process, or print the one with the given NAME."""
+    from flightstack import config as known
     from flightstack.common.strict_toml import decoded
-    from flightstack.config import files as known
 
     if name is not None:
         click.echo(decoded(known.path_of(name).read_bytes()), nl=False)

@@ -19,8 +19,8 @@ from flightstack.config import options as shared
 from flightstack.core.parameters.filters import FILTERS
 
 if TYPE_CHECKING:
+    from logs.compare import Tally
     from logs.replay.replay import PhaseChange, Result
-    from logs.tools.compare import Tally
 
 EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
 _STATUS = {"unusable": UNUSABLE, "different": DIFFERENT, "equal": EQUAL}  # ordered from worst to best

@@ -15,9 +15,8 @@ from rich.table import Table
 from rich.text import Text
 
 from flightstack.cli.options import takes, without
-from flightstack.common.terminal import Terminal
+from flightstack.common.terminal import Bar, Terminal
 from flightstack.common.text import pip_install
-from sim.campaign.progress import Bar
 from sim.options import ValidateOptions
 
 PASSED, FAILED = 0, 1

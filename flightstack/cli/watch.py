@@ -100,7 +100,7 @@ def _view(options: WatchOptions, where: str) -> Callable[[Watch, Stop], None]:
     Raises ConfigError: the configuration is wrong; ValueError: Rerun is not installed, or the output file is
     not allowed.
     """
-    from flightstack.config.files import load
+    from flightstack.config import load
     from logs.reader.flight_data import shape
 
     try:

@@ -52,7 +52,7 @@ def _filter_name(given: str) -> str:
 
 def _configuration(given: str) -> Path:
     """Return the path of a configuration that is given by name or path."""
-    from flightstack.config.files import path_of
+    from flightstack.config import path_of
 
     return path_of(given)
 

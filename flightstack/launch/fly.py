@@ -7,14 +7,14 @@ from rich.console import Console
 from bridge.zenoh.zenoh_link import is_client
 from flightstack.common.options import shared
 from flightstack.common.strict_toml import ConfigError, dumps
-from flightstack.config.files import load
+from flightstack.config import load
 from flightstack.config.options import OnboardOptions
 from flightstack.launch.launcher import Followed, Launcher
 from flightstack.launch.result import Flown
 from flightstack.launch.run_options import FlyOptions
 from flightstack.onboard.fleet_wire import namespace_of
 from flightstack.onboard.recording import Described, describe, log_in, new_folder
-from logs.schema.names import Names
+from logs.schema import Names
 
 
 def run(options: FlyOptions, console: Console) -> Flown:

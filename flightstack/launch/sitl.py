@@ -11,7 +11,7 @@ from rich.console import Console
 from flightstack.common.options import shared
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.common.text import labels
-from flightstack.config.files import load as load_config
+from flightstack.config import load as load_config
 from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.filters import short_name
 from flightstack.core.parameters.flight import FlightConfig
@@ -28,7 +28,7 @@ from flightstack.launch.vehicles import (
 from flightstack.onboard import process  # noqa: F401  # forked onboard processes then need not load it
 from flightstack.onboard.recording import Described, describe, log_in, new_folder
 from flightstack.verify.certificate import problems
-from logs.schema.names import NO_PAD, SCENARIO, Names
+from logs.schema import NO_PAD, SCENARIO, Names
 from sim.options import TargetOptions
 from sim.robot.course import try_out
 from sim.scenarios.scenario import Scenario

@@ -23,7 +23,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import Vec3
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
-from logs.schema.names import SCENARIO
+from logs.schema import SCENARIO
 from sim.autopilot.telemetry import ORIGIN_WGS84
 from sim.options import Px4SimOptions, WorldOptions
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program

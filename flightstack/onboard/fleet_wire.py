@@ -33,8 +33,8 @@ from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.sender_clock import Reading, SenderClock
 from flightstack.core.types import Neighbour
+from logs.schema import member_name
 from logs.schema.controller_rows import Echo, neighbour_of, word_row
-from logs.schema.names import member_name
 from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import FLEET_WORD
 

@@ -17,6 +17,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
 from logs.recorder.feed import Feed
+from logs.schema import Names
 from logs.schema.controller_rows import (
     TickInputs,
     pack_controller_input,
@@ -26,7 +27,6 @@ from logs.schema.controller_rows import (
 )
 from logs.schema.events import CONTROLLER, ONBOARD, pack_log
 from logs.schema.mavlink import MAVLINK_PEERS, PeerNames, pack_mavlink
-from logs.schema.names import Names
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, HealthRow, LoopTimingRow
 from logs.schema.schemas import (
     CONTROLLER_INPUT,

@@ -50,8 +50,8 @@ from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.zenoh_wires import ZenohWires
 from flightstack.verify.certificate import certificate_of, problems
 from logs.recorder.feed import Feed
+from logs.schema import Names
 from logs.schema.events import CAUSE, ONBOARD
-from logs.schema.names import Names
 
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
 

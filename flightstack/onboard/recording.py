@@ -20,7 +20,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import own_boundary
 from logs.recorder.feed import Feed
-from logs.schema.names import FLEET, Names
+from logs.schema import FLEET, Names
 
 LOG = "flight.mcap"
 _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")

@@ -36,7 +36,7 @@ from logs.reader.flight_data import (
     shape,
 )
 from logs.reader.reader import LogError, LogFile, Members, Message
-from logs.schema.names import NO_PAD
+from logs.schema import NO_PAD
 from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE, codec
 

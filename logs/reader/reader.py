@@ -28,7 +28,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.records import Message as MessageRecord
 
 from logs.reader.mcap_records import MAGIC, Records, named, no_file
-from logs.schema.names import FLEET, LOSSES, SCENARIO, member_name, split
+from logs.schema import FLEET, LOSSES, SCENARIO, member_name, split
 from logs.schema.rows import LogRow
 from logs.schema.schemas import LOG, same_fields
 

@@ -21,9 +21,9 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import ZERO, Vec3
 from logs.reader.flight_data import ATTACHMENT, read_config, shape
 from logs.recorder.markers import Scene
+from logs.schema import Names, split
 from logs.schema.events import pack_string
 from logs.schema.mavlink import PEER_CHARACTERS, Type, of, parts, peer_of, unpack_mavlink
-from logs.schema.names import Names, split
 from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import (
     CONTROLLER_STEP,

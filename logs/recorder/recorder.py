@@ -22,8 +22,7 @@ from pathlib import Path
 
 from flightstack.common.hangup import ASK, begun, handle
 from logs.recorder.feed import SOCKET_PATH_MAX, Splitter, WireError
-from logs.recorder.mcap_file import McapFile
-from logs.recorder.recording import Recorder, RecorderError, Statistics
+from logs.recorder.recording import McapFile, Recorder, RecorderError, Statistics
 from logs.schema.schemas import typestore
 
 # Wall time, s; `recording` flushes by log time. A killed recorder loses the data of this time, of the sockets

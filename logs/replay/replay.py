@@ -21,6 +21,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Neighbour, Operator, Phase, VehicleStatus
 from flightstack.onboard.runner import Arrived, Runner, Taken, VehicleInputs
 from flightstack.onboard.state_text import StateText, StateTextError
+from logs.compare import Tally, TickDifference, messages_of, values_of
 from logs.reader.flight_data import phase_name
 from logs.replay.read import ROSOUT, FlightInputs, ReplayError, TickRecord
 from logs.replay.wire import WireReplay
@@ -28,7 +29,6 @@ from logs.schema.controller_rows import TickInputs, power_row, step_row
 from logs.schema.events import CONTROLLER
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, LogRow
 from logs.schema.schemas import CONTROLLER_POWER, CONTROLLER_STEP
-from logs.tools.compare import Tally, TickDifference, messages_of, values_of
 
 __all__ = ["FlightInputs", "PhaseChange", "ReplayError", "Result", "TickDifference", "replay"]
 

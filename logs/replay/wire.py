@@ -26,9 +26,9 @@ from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Inputs
 from flightstack.onboard.runner import LinkedVehicle, Refusals, decoded
+from logs.compare import TickDifference, values_of
 from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
 from logs.schema.controller_rows import TickInputs
-from logs.tools.compare import TickDifference, values_of
 
 _SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # other texts concern the socket
 _ID_AND_PAYLOAD = slice(7, -2)  # part of an unsigned frame without head, sequence number and checksum

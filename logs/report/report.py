@@ -24,7 +24,7 @@ from logs.report.page import (
     time_bar,
     write,
 )
-from logs.schema.names import FLEET, SCENARIO
+from logs.schema import FLEET, SCENARIO
 from logs.verdict.types import SOURCES, TRUTH, Outcome, Verdict
 from logs.verdict.verdict import (
     FleetVerdict,

@@ -39,8 +39,8 @@ import numpy as np
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Bools, Fleet, Flight, Floats
 from logs.reader.reader import LogFile
+from logs.schema import FLEET, LOSSES
 from logs.schema.events import ContactBit
-from logs.schema.names import FLEET, LOSSES
 from logs.verdict.estimate import judge_estimate
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import GAP_MAX_S, RADIUS_ABOVE_M, RADIUS_BESIDE_M, Outcome, Verdict

@@ -21,8 +21,8 @@ from flightstack.core.safety.barrier import Barrier
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import PAD_RADIUS_M, Event, Flight, Floats, Ints, phase_name
 from logs.recorder import markers
+from logs.schema import FLEET
 from logs.schema.events import Severity
-from logs.schema.names import FLEET
 from logs.view.canvas import AXES, EVENTS, PHASE, RUN, WORLD, Canvas, blueprint, every, rgba, run_of, times
 
 SCENE_PERIOD_NS = 20_000_000  # period of 50 Hz

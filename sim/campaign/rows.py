@@ -21,7 +21,7 @@ import numpy as np
 
 from flightstack.common.text import failed_code
 from flightstack.core.types import Phase
-from logs.schema.names import member_name
+from logs.schema import member_name
 from logs.verdict.types import Outcome
 from logs.verdict.verdict import FleetVerdict, any_known, fleet_verdict, least
 from sim.runners.landing import Landing, TeamLanding

@@ -55,6 +55,11 @@ def count(rows: Sequence[Row]) -> Counts:
     )
 
 
+def kinds(row: Row) -> list[str]:
+    """Return the names under which a progress bar counts a landing."""
+    return [row.outcome, *(["violations"] if row.violation else [])]
+
+
 def upper_bound(events: int, runs: int, confidence: float = CONFIDENCE) -> float:
     """Return the one-sided upper Clopper-Pearson bound of a rate: p with P(X <= events) = 1 - confidence."""
     if not 0 <= events <= runs or runs < 1:

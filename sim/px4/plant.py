@@ -18,8 +18,15 @@ from sim.plant.params import Params
 from sim.plant.rotors import speed_limit
 from sim.plant.states import Truth
 from sim.scenarios.scenario import Scenario, StartKind
-from sim.vehicle.loop import CONTROL_EVERY_MS, VehicleRecord, apply_ground_effect, move, push, surround
-from sim.vehicle.physics import Physics
+from sim.vehicle.physics import (
+    CONTROL_EVERY_MS,
+    Physics,
+    VehicleRecord,
+    apply_ground_effect,
+    move,
+    push,
+    surround,
+)
 
 SUPPLY_MS = 1000  # time for which random numbers are drawn in advance: at least 340, one is used every 5 ms
 

@@ -18,7 +18,7 @@ from flightstack.common.pacing import (
     quiet_garbage_collector,
 )
 from logs.recorder.feed import Feed
-from logs.schema.names import Names
+from logs.schema import Names
 from sim.clock import NS_PER_S, run_process
 from sim.options import Px4SimOptions
 from sim.plant.states import Truth

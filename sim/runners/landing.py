@@ -30,7 +30,7 @@ from flightstack.onboard.leaving import Leaving
 from flightstack.onboard.lockstep import VehicleTicks
 from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
 from logs.recorder.feed import Feed
-from logs.schema.names import Names, member_name
+from logs.schema import Names, member_name
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Verdict
 from sim.autopilot.autopilot import Autopilot

@@ -21,9 +21,8 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Event, Floats, Ints, Judged, Truth
 from logs.recorder.feed import Feed
-from logs.schema import schemas
+from logs.schema import Names, schemas
 from logs.schema.events import ContactBit, Severity, pack_log
-from logs.schema.names import Names
 from logs.schema.rows import TrueStateRow
 from sim.plant import states
 from sim.plant.states import truth_of

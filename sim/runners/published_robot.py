@@ -41,8 +41,8 @@ from flightstack.compiled.records import F64
 from flightstack.core.types import Phase
 from flightstack.onboard.lockstep import ALIVE
 from logs.recorder.feed import Feed
+from logs.schema import Names
 from logs.schema.events import Severity
-from logs.schema.names import Names
 from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, run_process, wait_until
 from sim.options import TargetOptions, WorldOptions

@@ -36,8 +36,7 @@ from sim.plant.states import rotation_axes
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.judge import Shape, Team, overlapping
-from sim.vehicle.loop import VehicleRecord
-from sim.vehicle.physics import Physics
+from sim.vehicle.physics import Physics, VehicleRecord
 from sim.vehicle.vehicle import VehicleSim
 from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 

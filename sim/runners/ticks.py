@@ -24,8 +24,7 @@ from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.firmware.setpoint import ROOM, WIDTH, InboxRecord
 from sim.plant.rotors import speed_limit
 from sim.vehicle.judge import GAP_MS
-from sim.vehicle.loop import VehicleRecord, fly
-from sim.vehicle.physics import write_truth
+from sim.vehicle.physics import VehicleRecord, fly, write_truth
 from sim.world.bodies import arc_of_step
 
 

@@ -21,7 +21,7 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.recorder.feed import Feed
-from logs.schema.names import Names
+from logs.schema import Names
 from sim.autopilot.autopilot import Autopilot
 from sim.clock import TickGrid, run_process
 from sim.options import VehicleOptions, WorldOptions

@@ -22,7 +22,7 @@ from sim.scenarios.fault_spec import Fault
 BELOW_PAD_MIN_M = 0.03  # smallest height of the pad's top above the floor, m: pad plate and robot below it
 Share = Annotated[float, span(0.0, 1.0)]
 Drag = Annotated[float, span(0.0, 10.0)]
-VEHICLE_FILES = Files(dict, "sim.vehicles", "vehicle.airframe")  # files that ``sim.plant.params`` reads
+VEHICLE_FILES = Files(dict, "sim.plant", "vehicle.airframe")  # files that ``sim.plant.params`` reads
 
 
 class StartKind(Enum):
@@ -181,7 +181,7 @@ class VehicleSpec:
     the accelerometer, and these values of ``kalman.dragB_*``.
     """
 
-    airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or path of a file
+    airframe: str = "crazyflie20"  # name of a file in sim/plant, or path of a file
     velocity_loop: VelocityLoop = VelocityLoop.PAPER  # loop: `paper` (eq. 8) or `pid` (firmware)
     mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the relative random mass error
     # half-width of the relative random error of the motors' time constant

@@ -15,6 +15,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
+from flightstack import config as configurations
 from flightstack.common.strict_toml import (
     ConfigError,
     Files,
@@ -28,10 +29,9 @@ from flightstack.common.strict_toml import (
     to_table,
 )
 from flightstack.common.text import labels
-from flightstack.config import files as configurations
 from flightstack.core.fleet.assignment import assign
 from flightstack.core.types import Vec3
-from logs.schema.names import member_name
+from logs.schema import member_name
 from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.scenarios import scenario as scenarios

@@ -31,7 +31,7 @@ from flightstack.compiled.records import F64, I64, Cell, cell, new
 from sim.flights.screening import Screened
 from sim.plant.params import STEP_S, Params, Plant
 from sim.plant.rotors import Rotors, turn_rotors
-from sim.vehicle.loop import VehicleRecord, push, set_up_drag
+from sim.vehicle.physics import VehicleRecord, push, set_up_drag
 from sim.world.bodies import move_body
 
 HORIZONS_S = (0.1, 0.25, 0.5)

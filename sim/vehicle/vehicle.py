@@ -22,9 +22,8 @@ from sim.plant.sensors import NS_PER_MS, Imu, ms_from
 from sim.plant.states import Estimate, Truth, quaternion_from_axes, rotation_axes
 from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import Scenario, StartKind
-from sim.vehicle.loop import fly
 from sim.vehicle.mocap import MocapTape
-from sim.vehicle.physics import Physics
+from sim.vehicle.physics import Physics, fly
 
 LANDED_AFTER_MS = 150  # time of contact after which the vehicle counts as landed
 _KEPT = "vehicle"  # name of the compiled flight code in the cache folder

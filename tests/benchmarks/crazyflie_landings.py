@@ -22,9 +22,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bridge.zenoh import zenoh_link
+from flightstack import config
 from flightstack.common.processes import ended
 from flightstack.common.strict_toml import dumps, to_table
-from flightstack.config import files as config
 from sim.chance import stream
 from sim.scenarios.scenario import PathKind, Scenario, Start, StartKind, load
 from tests.crazyflie_firmware.firmware import Firmware

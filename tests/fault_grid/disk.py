@@ -22,9 +22,9 @@ from logs.reader.reader import LogFile
 from logs.recorder import feed as feed_module
 from logs.recorder import recorder as recorder_process
 from logs.recorder.feed import Feed
-from logs.recorder.mcap_file import McapFile, SafeStream
 from logs.recorder.recorder import RecorderProcess
-from logs.schema.names import Names
+from logs.recorder.recording import McapFile, SafeStream
+from logs.schema import Names
 from tests.fault_grid.flight import Flight
 from tests.fault_grid.table import Way
 

@@ -13,7 +13,7 @@ from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.profiles import profile
 from bridge.mavlink.signing import load_key
 from flightstack.common.pacing import FastClock, RealTimePacer
-from flightstack.config.files import load
+from flightstack.config import load
 from flightstack.core.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus
 from tests.flight_suite.room import LIMITS, Limits, Room
 

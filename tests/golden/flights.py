@@ -10,7 +10,7 @@ from mcap.writer import CompressionType, Writer
 
 from flightstack.common.strict_toml import dumps, parse_toml
 from logs.reader.reader import ROSOUT, LogFile
-from logs.schema.names import FLEET, Names
+from logs.schema import FLEET, Names
 from logs.schema.schemas import schema_text
 from sim.scenarios.team import load, text
 

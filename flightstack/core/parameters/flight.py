@@ -1,6 +1,6 @@
 """Typed configuration of the onboard process, checked before a flight.
 
-Each class is a table of the file; each field is a key with its unit. ``flightstack.config.files`` reads it.
+Each class is a table of the file; each field is a key with its unit. ``flightstack.config`` reads it.
 The defaults are those of a Crazyflie on a pad of 20 cm; see docs/how_to/autopilots.md for other vehicles.
 """
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from flightstack.common.strict_toml import dumps
-from flightstack.config.files import path_of
+from flightstack.config import path_of
 from flightstack.launch.run_options import Flies
 from flightstack.launch.vehicles import VEHICLES
 from logs.reader.flight import load_flight

@@ -7,7 +7,7 @@ from pathlib import Path
 import plotly.graph_objects as go
 import pytest
 
-from flightstack.config.files import load as load_config
+from flightstack.config import load as load_config
 from sim.scenarios.scenario import load as load_scenario
 
 ROOT = Path(__file__).parents[3]

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from flightstack.cli.main import main
 from flightstack.common import hangup
-from sim.campaign.progress import Bar
+from flightstack.common.terminal import Bar
 from tests.integration.runs import gone
 from tests.integration.sim_processes import COMMAND, wait_for
 from tests.processes.bounded import PATIENCE_S, killed

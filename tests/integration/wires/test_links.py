@@ -11,7 +11,7 @@ from contextlib import ExitStack
 import pytest
 
 from bridge.mavlink.signing import Signer, load_key
-from logs.tools.compare import ABSENT, compare
+from logs.compare import ABSENT, compare
 from tests.flight_suite.room import simulated
 from tests.integration.runs import flightstack, fly
 from tests.integration.sim_processes import PATIENCE_S, Client, is_a, terminate, verb

@@ -10,7 +10,7 @@ import pytest
 
 from flightstack.cli.main import VERBS, main
 from flightstack.common.strict_toml import ConfigError, dumps, from_table, to_table
-from flightstack.config.files import load, names, path_of
+from flightstack.config import load, names, path_of
 from flightstack.core.parameters.filters import check_name
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.robust import RobustFilter

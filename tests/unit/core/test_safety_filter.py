@@ -319,7 +319,7 @@ def test_a_process_that_solves_loads_no_scipy_and_osqp_finds_the_same_module():
     code = (
         "import sys; from flightstack.core.controller import Controller;"
         "from flightstack.core.fleet.program import FleetProgram;"
-        "from flightstack.config.files import load;"
+        "from flightstack.config import load;"
         "from flightstack.core.safety.osqp import compiled_solver;"
         "Controller(load('crazyflie')); FleetProgram();"
         "assert not {'scipy', 'scipy.sparse', 'jinja2', 'osqp'} & sys.modules.keys();"

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
+from flightstack import config as configurations
 from flightstack.common.strict_toml import ConfigError, dumps, from_table
-from flightstack.config import files as configurations
 from sim.scenarios import scenario, team
 from sim.scenarios.team import TeamScenario
 

@@ -8,8 +8,7 @@ import time
 
 from flightstack.common.pacing import EPOCH_NS
 from logs.recorder.feed import Kind, Record, encode_json
-from logs.recorder.mcap_file import McapFile
-from logs.recorder.recording import Recorder
+from logs.recorder.recording import McapFile, Recorder
 from logs.schema import schemas
 from logs.schema.events import Severity, pack_log
 from logs.schema.mavlink import pack_mavlink

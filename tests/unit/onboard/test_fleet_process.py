@@ -11,7 +11,7 @@ from bridge.mavlink.preflight.examine import Report
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.strict_toml import ConfigError
-from flightstack.config.files import load, path_of
+from flightstack.config import load, path_of
 from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, Neighbour, Operator, Phase

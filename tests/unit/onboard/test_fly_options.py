@@ -13,7 +13,7 @@ from flightstack.cli.main import main
 from flightstack.cli.options import takes
 from flightstack.common.options import argv, declared
 from flightstack.common.processes import LaunchError
-from flightstack.config.files import load, path_of
+from flightstack.config import load, path_of
 from flightstack.config.options import FlightOptions, OnboardOptions, WatchOptions
 from flightstack.launch import fly
 from flightstack.launch.launcher import Launcher

@@ -18,8 +18,8 @@ from flightstack.common.processes import socket_folder
 from flightstack.common.strict_toml import ConfigError, decoded, parse_toml, read_toml
 from flightstack.compiled import jit
 from flightstack.config import options
+from logs.files import new_file
 from logs.report.page import Page, ReportError, write
-from logs.tools.file import new_file
 from tests.integration.sim_processes import COMMAND
 
 SHIPPED = Path(options.__file__).parent / "sitl-1kg.toml"

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pytest
 
 from flightstack.common.pacing import Tick
-from flightstack.config.files import load
+from flightstack.config import load
 from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig, Retreat
 from flightstack.core.snapshot import Snapshot

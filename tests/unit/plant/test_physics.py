@@ -5,7 +5,7 @@ import pytest
 
 from sim.plant.params import STEP_S, load
 from sim.scenarios.scenario import OdometryLink, VehicleSpec
-from sim.vehicle.loop import push
+from sim.vehicle.physics import push
 from sim.world.step import physics_step
 from tests import independent_plant as other
 from tests.unit.vehicle.vehicle_sim_helpers import vehicle

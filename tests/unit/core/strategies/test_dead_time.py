@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.config.files import load as load_config
+from flightstack.config import load as load_config
 from flightstack.core.controller import Controller, state_class
 from flightstack.core.parameters.robust import VelocityLoop
 from flightstack.core.strategies.velocity_tracking import VelocityTracking

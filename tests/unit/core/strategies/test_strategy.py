@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.config.files import load
+from flightstack.config import load
 from flightstack.core.parameters.filters import FILTERS, look_here, named
 from flightstack.core.strategies.strategy import (
     ignored,

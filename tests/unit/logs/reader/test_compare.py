@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from logs.compare import ABSENT, compare, first_tick
 from logs.reader.reader import LogError
-from logs.recorder.mcap_file import McapFile
-from logs.recorder.recording import RECORDER_NAME
+from logs.recorder.recording import RECORDER_NAME, McapFile
 from logs.schema import schemas
 from logs.schema.events import pack_log
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
-from logs.tools.compare import ABSENT, compare, first_tick
 
 ZERO = (0.0, 0.0, 0.0)
 STEP_TOPIC = "/cf1/controller/step"

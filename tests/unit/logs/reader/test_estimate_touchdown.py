@@ -98,7 +98,7 @@ def test_pad_and_feet_are_those_of_the_configuration(flight):
 
 def test_a_log_of_a_real_flight_gives_the_pad_of_its_configuration(tmp_path):
     from flightstack.common.strict_toml import dumps
-    from logs.recorder.mcap_file import McapFile
+    from logs.recorder.recording import McapFile
 
     rows = landing()
     rows.run = {}

@@ -7,7 +7,7 @@ import pytest
 
 from logs.reader.flight import load_fleet, load_flight
 from logs.reader.reader import LogError, LogFile
-from logs.recorder.mcap_file import McapFile
+from logs.recorder.recording import McapFile
 from logs.schema import schemas
 from logs.schema.events import pack_log
 from logs.schema.rows import FleetPairRow, LogRow

@@ -12,7 +12,7 @@ from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogError
-from logs.recorder.mcap_file import McapFile
+from logs.recorder.recording import McapFile
 from logs.replay.replay import ReplayError, replay
 from logs.schema import schemas
 from tests.synthetic_flight import landing, write_log
@@ -119,7 +119,7 @@ def test_a_log_with_other_fields_names_the_version_that_recorded_it(log, monkeyp
     def older(name):
         return schemas.schema_text(name).replace("float64 command_yaw_rad", "# ", 1)
 
-    monkeypatch.setattr("logs.recorder.mcap_file.schema_text", older)
+    monkeypatch.setattr("logs.recorder.recording.schema_text", older)
     close = McapFile.close
 
     def made(self):

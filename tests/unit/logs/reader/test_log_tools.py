@@ -8,11 +8,11 @@ import pytest
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
+from logs.info import gather
 from logs.reader.reader import LogFile
-from logs.recorder.mcap_file import McapFile
+from logs.recorder.recording import McapFile
 from logs.schema import schemas
 from logs.schema.rows import LoopTimingRow
-from logs.tools.info import gather
 from tests.unit.logs.helpers import EPOCH_NS, record
 
 

@@ -27,7 +27,7 @@ from flightstack.onboard.recording import new_folder
 from flightstack.watch import News, draw_fleet
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
-from logs.recorder.mcap_file import McapFile
+from logs.recorder.recording import McapFile
 from logs.report.report import write_report
 from logs.schema import schemas
 from logs.schema.events import Severity, pack_log

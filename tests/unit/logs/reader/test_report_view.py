@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
-from flightstack.config.files import load, path_of
+from flightstack.config import load, path_of
 from flightstack.core.safety.barrier import RobustBarrier
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus, Phase

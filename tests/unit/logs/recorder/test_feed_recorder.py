@@ -11,9 +11,8 @@ from mcap.reader import make_reader
 from logs.reader.reader import LogFile
 from logs.recorder import feed
 from logs.recorder.feed import HEADER, Feed, FeedError, Kind, Splitter, encode, encode_json
-from logs.recorder.mcap_file import McapFile
 from logs.recorder.recorder import RecorderError, RecorderProcess, problems
-from logs.recorder.recording import Recorder
+from logs.recorder.recording import McapFile, Recorder
 from logs.schema import schemas
 from logs.schema.events import Severity
 from logs.schema.rows import LogRow

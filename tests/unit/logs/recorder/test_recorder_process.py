@@ -14,8 +14,8 @@ import pytest
 
 from logs.reader.reader import LogFile
 from logs.recorder.feed import Feed
-from logs.recorder.mcap_file import McapFile, SafeStream
 from logs.recorder.recorder import RecorderProcess, Syncer, problems
+from logs.recorder.recording import McapFile, SafeStream
 from logs.schema import schemas
 from tests.processes.bounded import line_of
 from tests.unit.logs.helpers import DEADLINE_S, timing, wait_until

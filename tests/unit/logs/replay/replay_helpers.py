@@ -9,8 +9,8 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
 from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.runner import Taken
-from logs.recorder.mcap_file import McapFile
-from logs.schema.names import Names
+from logs.recorder.recording import McapFile
+from logs.schema import Names
 from tests.point_mass import DT_S, World
 
 CONFIG = from_table(

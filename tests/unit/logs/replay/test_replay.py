@@ -13,13 +13,13 @@ from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.mission.machine import Mission
 from flightstack.core.parameters.reserve import Reserve
 from flightstack.core.types import OwnState, Power
+from logs.compare import messages_of
 from logs.reader.reader import LogFile
 from logs.replay.replay import ReplayError, replay
 from logs.schema import schemas
 from logs.schema.controller_rows import pack_controller_input, unpack_controller_input
 from logs.schema.rows import ControllerStateRow, LogRow
 from logs.schema.schemas import CONTROLLER_STEP
-from logs.tools.compare import messages_of
 from tests.golden.flights import write_kept
 from tests.point_mass import World
 from tests.synthetic_flight import landing, write_log

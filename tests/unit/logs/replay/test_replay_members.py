@@ -6,7 +6,7 @@ import pytest
 
 from flightstack.cli.main import main
 from logs.reader.reader import LogFile
-from logs.recorder.mcap_file import McapFile
+from logs.recorder.recording import McapFile
 from logs.replay.read import FlightInputs, ReplayError
 
 pytestmark = pytest.mark.xdist_group("fleet_log")

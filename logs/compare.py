@@ -23,8 +23,8 @@ import numpy as np
 from flightstack.common.text import one_line
 from logs.reader.reader import LogError, LogFile, Message
 from logs.recorder.recording import RECORDER, RECORDER_NAME
+from logs.schema import LOSSES, split
 from logs.schema.mavlink import MAVLINK_PEERS
-from logs.schema.names import LOSSES, split
 from logs.schema.rows import LogRow
 from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, store_for
 

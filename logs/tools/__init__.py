@@ -1,1 +1,0 @@
-"""Tools that summarise, compare and identify from logs."""
