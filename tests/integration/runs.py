@@ -14,7 +14,7 @@ from pathlib import Path
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
-from tests.integration.sim_processes import COMMAND, ROOT, wait_for
+from tests.integration.sim_processes import COMMAND, ROOT
 from tests.processes.bounded import PATIENCE_S, killed
 from tests.processes.started import Started, run_verb
 
@@ -33,7 +33,6 @@ CALLED = {
     "report",
     "scenarios",
 }
-SOME_BYTES = 400_000  # size of a log, which grows by 170 kB a second
 
 
 @dataclass
@@ -64,13 +63,8 @@ def flightstack(*arguments, cwd=None, apart=False) -> Result:
 
 def called(*arguments, cwd=None) -> Result:
     """Run a subcommand in this process; the subcommand must only read, or reject its arguments."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        with contextlib.chdir(cwd or Path.cwd()):
-            done = CliRunner().invoke(main, [str(one) for one in arguments])
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+    with contextlib.chdir(cwd or Path.cwd()):
+        done = CliRunner().invoke(main, [str(one) for one in arguments])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         raise done.exception
     return Result(done.exit_code, done.stdout, done.stderr)
@@ -172,26 +166,6 @@ class Flying(Background):
         self.out = out
         super().__init__("sitl", "--no-report", "--out", out, *arguments)
 
-    def some_log(self, some_bytes: int = SOME_BYTES) -> Path:
-        """Wait until the log has data and return it; on a busy machine the recorder is behind the flight."""
-        log = self.out / "flight.mcap"
-        wait_for(lambda: log.stat().st_size > some_bytes, "a log that grows")
-        return log
-
 
 def kill(pid: int, number: int = signal.SIGKILL) -> None:
     os.kill(pid, number)
-
-
-def gone(pid: int, within_s: float = 10.0) -> bool:
-    """Return whether a process has ended, after waiting at most this time."""
-    until = time.monotonic() + within_s
-    while time.monotonic() < until:
-        try:
-            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-        except FileNotFoundError:
-            return True
-        if state == "Z":
-            return True
-        time.sleep(0.02)  # polls another process, which has no event
-    return False

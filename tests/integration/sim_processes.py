@@ -82,13 +82,6 @@ def prompt_threads(pid: int) -> set[int]:
     return found
 
 
-def wait_for(done: Callable[[], bool], what: str, within_s: float = PATIENCE_S) -> None:
-    deadline_s = time.monotonic() + within_s
-    while not done():
-        assert time.monotonic() < deadline_s, f"{what} did not come"
-        time.sleep(0.001)
-
-
 class Client:
     """A MAVLink client from a socket and pymavlink's parser, independent of this project."""
 

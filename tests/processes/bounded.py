@@ -7,14 +7,27 @@ import os
 import select
 import subprocess
 import time
-from collections.abc import Iterator
-from typing import IO, TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from tests.processes.started import Started
 
 PATIENCE_S = 60.0  # time-out of the start of a process on an overloaded machine, s
 AT_ONCE_S = 10.0  # time-out of an immediate action, s; the end of a process took up to 3.2 s
+
+
+T = TypeVar("T")
+
+
+def wait_for(done: Callable[[], T], what: str = "it", within_s: float = PATIENCE_S) -> T:
+    """Poll until a condition of another thread or process holds; return its value."""
+    until_s = time.monotonic() + within_s
+    while not (found := done()):
+        assert time.monotonic() < until_s, f"{what} did not come"
+        time.sleep(0.001)
+    return found
 
 
 def line_of(stream: IO[Any], within_s: float = PATIENCE_S) -> str:
@@ -59,3 +72,18 @@ def killed(child: subprocess.Popen[Any] | Started, within_s: float = PATIENCE_S)
         pipe.close()
     child.wait(within_s)
     return said.decode(errors="replace") if isinstance(said, bytes) else said or ""
+
+
+def gone(pid: int, within_s: float = PATIENCE_S) -> bool:
+    """Return whether a process has ended, after waiting at most this time."""
+
+    def ended() -> bool:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except (FileNotFoundError, ProcessLookupError):  # it may end between the opening and the reading
+            return True
+        return state == "Z"
+
+    with contextlib.suppress(AssertionError):
+        return wait_for(ended, within_s=within_s)
+    return False

@@ -26,8 +26,7 @@ from sim.scenarios.scenario import load
 from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.room import on_px4
-from tests.integration.sim_processes import wait_for
-from tests.processes.bounded import AT_ONCE_S
+from tests.processes.bounded import AT_ONCE_S, wait_for
 from tests.processes.started import StartedChild
 from tests.px4_place import px4_or_skip
 

@@ -20,7 +20,8 @@ from bridge.zenoh.zenoh_link import drain, open_session, ring_subscriber
 from logs.reader.flight import load_flight
 from sim.runners.robot import deck_state
 from tests.integration.runs import WALL_MAX_S, flightstack
-from tests.integration.sim_processes import PATIENCE_S, verb, wait_for
+from tests.integration.sim_processes import verb
+from tests.processes.bounded import PATIENCE_S, wait_for
 from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import ODOMETRY, decode
 

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from unittest import mock
 
@@ -16,9 +15,8 @@ from rich.console import Console
 from flightstack.cli.main import main
 from flightstack.common import hangup
 from flightstack.common.terminal import Bar
-from tests.integration.runs import gone
-from tests.integration.sim_processes import COMMAND, wait_for
-from tests.processes.bounded import PATIENCE_S, killed
+from tests.integration.sim_processes import COMMAND
+from tests.processes.bounded import PATIENCE_S, gone, killed, wait_for
 from tests.processes.ports import free_port
 
 pytestmark = pytest.mark.xdist_group("real-time")
@@ -58,31 +56,23 @@ def test_a_signal_while_the_recorder_starts_calls_the_flight_off(name, number, t
         wait_for(lambda: list(tmp_path.rglob("flight.mcap")), "the recorder")
         started = children(child.pid)
         os.kill(child.pid, number)
-        began_s = time.monotonic()
         said = child.communicate(timeout=PATIENCE_S)[0]
-        took_s = time.monotonic() - began_s
     finally:
         killed(child)
     assert child.returncode == 1, said
     assert "Traceback" not in said
-    assert took_s < PATIENCE_S / 2
     assert all(gone(pid) for pid in started)
     assert "TAKEOFF" not in said
 
 
 def test_a_signal_whose_exception_was_dropped_is_raised_when_the_start_is_over(monkeypatch):
     monkeypatch.setattr(hangup, "_came", [])
-    before = {number: signal.getsignal(number) for number in (*hangup.ASK, signal.SIGHUP)}
-    try:
-        hangup.start()
-        hangup.begun()
-        with pytest.raises(hangup.CalledOffError, match="SIGTERM"):
-            os.kill(os.getpid(), signal.SIGTERM)
-        with pytest.raises(hangup.CalledOffError, match="SIGTERM"):
-            hangup.Stop().install()
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    hangup.start()
+    hangup.begun()
+    with pytest.raises(hangup.CalledOffError, match="SIGTERM"):
+        os.kill(os.getpid(), signal.SIGTERM)
+    with pytest.raises(hangup.CalledOffError, match="SIGTERM"):
+        hangup.Stop().install()
 
 
 def test_a_command_with_many_results_obeys_a_dropped_signal_with_the_next_result(monkeypatch):

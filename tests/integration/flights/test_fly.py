@@ -14,8 +14,8 @@ from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from tests.flight_suite.room import simulated
 from tests.integration.runs import COMMAND, WALL_MAX_S, Background, called, flightstack, replayed
-from tests.integration.sim_processes import ROOT, wait_for
-from tests.processes.bounded import killed, lines_of
+from tests.integration.sim_processes import ROOT
+from tests.processes.bounded import killed, lines_of, wait_for
 from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target import ros2_helpers as ros
 

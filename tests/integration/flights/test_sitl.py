@@ -13,7 +13,8 @@ from flightstack.core.types import ZERO, Phase
 from logs.reader.flight import load_flight
 from sim.runners.landing import land
 from sim.scenarios.scenario import load
-from tests.integration.runs import Flying, flightstack, fly, gone, kill, replayed
+from tests.integration.runs import Flying, flightstack, fly, kill, replayed
+from tests.processes.bounded import gone
 
 RUNS = [
     ("paper_static_1", 0, ()),  # starts on the ground

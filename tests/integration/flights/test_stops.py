@@ -27,8 +27,9 @@ from tests.fault_grid.flight import Flight
 from tests.fault_grid.run import SEED, end_of, impact, scenario
 from tests.fault_grid.table import End
 from tests.integration.runs import COMMAND, Flying
-from tests.integration.sim_processes import PATIENCE_S, Client, is_a, wait_for
+from tests.integration.sim_processes import Client, is_a
 from tests.integration.wires.bridge_processes import KEY, Mocap, fly, plain_vehicle, verb
+from tests.processes.bounded import PATIENCE_S, wait_for
 
 STOPPED_S = 0.3  # time-out from the emergency stop to motors off
 # fault that causes the phases that an undisturbed flight does not have

@@ -13,8 +13,8 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.processes import Port
 from logs.view.live import LiveRecording
 from tests.integration.runs import COMMAND, called, flightstack
-from tests.integration.sim_processes import ROOT, wait_for
-from tests.processes.bounded import killed, line_of
+from tests.integration.sim_processes import ROOT
+from tests.processes.bounded import killed, line_of, wait_for
 from tests.synthetic_flight import landing
 
 pytestmark = pytest.mark.xdist_group("real-time")

@@ -18,7 +18,7 @@ from flightstack.watch import STALE_S, News, Watch, draw, snapshot
 from logs.schema.rows import HealthRow
 from tests.integration.runs import called
 from tests.integration.sim_processes import ROOT
-from tests.processes.bounded import PATIENCE_S, killed, line_of
+from tests.processes.bounded import PATIENCE_S, killed, line_of, wait_for
 from tests.synthetic_flight import landing
 
 KEYS = ("controller/step", "loop/timing", "health")
@@ -46,10 +46,7 @@ class Sender:
         self.puts = {key: zenoh_link.dropping_publisher(self.session, f"{namespace}/{key}") for key in KEYS}
 
     def wait(self):
-        until_s = time.monotonic() + PATIENCE_S
-        while not all(map(zenoh_link.is_matched, self.puts.values())):
-            assert time.monotonic() < until_s, "nobody subscribed"
-            time.sleep(0.005)
+        wait_for(lambda: all(map(zenoh_link.is_matched, self.puts.values())), "a subscription")
 
 
 @contextmanager
@@ -69,11 +66,7 @@ def opened(namespace="cf1"):
 
 
 def until(watch, done, what):
-    end_s = time.monotonic() + PATIENCE_S
-    while not done():
-        assert time.monotonic() < end_s, what
-        time.sleep(0.005)
-        watch.poll()
+    wait_for(lambda: done() or watch.poll(), what)
 
 
 def shown(watch, whom="tcp/lab:7448"):

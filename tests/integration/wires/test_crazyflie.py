@@ -16,14 +16,9 @@ from tests.crazyflie_firmware.server import Server
 from tests.crazyflie_firmware.sim_plant import SimPlant
 from tests.crazyflie_firmware.supervisor import PERIOD_S, TIMEOUT_S, State
 from tests.integration.runs import COMMAND, called
-from tests.integration.sim_processes import (
-    ROOT,
-    is_a,
-    priority_or_skip,
-    prompt_threads,
-    wait_for,
-)
+from tests.integration.sim_processes import ROOT, is_a, priority_or_skip, prompt_threads
 from tests.integration.wires.bridge_processes import KEY, Mocap, bridge, client, fly, verb
+from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
 
 pytestmark = pytest.mark.xdist_group("real-time")

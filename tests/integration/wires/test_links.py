@@ -14,7 +14,8 @@ from bridge.mavlink.signing import Signer, load_key
 from logs.compare import ABSENT, compare
 from tests.flight_suite.room import simulated
 from tests.integration.runs import flightstack, fly
-from tests.integration.sim_processes import PATIENCE_S, Client, is_a, terminate, verb
+from tests.integration.sim_processes import Client, is_a, terminate, verb
+from tests.processes.bounded import PATIENCE_S
 from tests.processes.started import StartedChild
 from tests.serial_relay import PtyEnd, Relay, TcpEnd
 

@@ -15,11 +15,9 @@ from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.server import Server
 from tests.integration.runs import called
-from tests.integration.sim_processes import (
-    is_a,
-    wait_for,
-)
+from tests.integration.sim_processes import is_a
 from tests.integration.wires.bridge_processes import KEY, Mocap, bridge, client, fly, plain_vehicle, verb
+from tests.processes.bounded import wait_for
 
 pytestmark = pytest.mark.xdist_group("real-time")
 

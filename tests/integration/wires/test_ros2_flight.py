@@ -17,8 +17,8 @@ from bridge.ros2.ros2_names import parse_topic_key
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import Phase
 from tests.integration.runs import WALL_MAX_S
-from tests.processes.bounded import killed, line_of
-from tests.unit.target.ros2_helpers import PATIENCE_S, decode, on_free_ports, rmw_session, until
+from tests.processes.bounded import PATIENCE_S, killed, line_of, wait_for
+from tests.unit.target.ros2_helpers import decode, on_free_ports, rmw_session
 
 ROOT = Path(__file__).parents[3]
 
@@ -104,7 +104,7 @@ def test_the_page_lands_and_ros_2_sees_it(tmp_path):
         stack.callback(node.session.close)
         for name in ("target", "vehicle", "onboard"):
             parts.start(name)
-        until(lambda: len(node.tokens()) >= 2 + 1 + 12, "nodes and publishers")
+        wait_for(lambda: len(node.tokens()) >= 2 + 1 + 12, "nodes and publishers")
         tokens = node.tokens()
         onboard, deadline_s = parts.running["onboard"], time.monotonic() + WALL_MAX_S
         while onboard.poll() is None:
@@ -112,7 +112,7 @@ def test_the_page_lands_and_ros_2_sees_it(tmp_path):
             node.poll()
             time.sleep(0.02)
         assert onboard.returncode == 0, onboard.stdout.read() + parts.errors("onboard")
-        until(node.has_all_of_the_flight, "the robot's last place in the flight")
+        wait_for(node.has_all_of_the_flight, "the robot's last place in the flight")
         assert "LANDED" in onboard.stdout.read()
         assert parts.errors("onboard") == ""
     names = {token.split("/")[8] for token in tokens if token.split("/")[5] == "NN"}

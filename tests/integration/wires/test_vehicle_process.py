@@ -23,9 +23,8 @@ from tests.integration.sim_processes import (
     prompt_threads,
     setpoint,
     terminate,
-    wait_for,
 )
-from tests.processes.bounded import AT_ONCE_S
+from tests.processes.bounded import AT_ONCE_S, wait_for
 from tests.processes.ports import free_port
 
 ARMED = 128
@@ -126,7 +125,7 @@ def test_an_answer_from_before_the_end_is_acted_on_however_late_the_vehicle_gets
             assert companion.step()
         os.kill(child.pid, signal.SIGCONT)
         assert companion.step()  # otherwise logs of equal flights would differ by one true state
-        assert child.wait(5.0) == 0
+        assert child.wait(AT_ONCE_S) == 0
 
 
 def test_companion_that_falls_silent_lets_the_vehicle_land_in_simulated_time_and_may_come_back() -> None:
@@ -167,7 +166,7 @@ def test_vehicle_that_calls_loses_nothing_of_the_first_tick() -> None:
         assert ready == f"ready udpout:127.0.0.1:{port}"
         for _ in range(20):
             assert companion.step()
-        assert child.wait(5.0) == 0
+        assert child.wait(AT_ONCE_S) == 0
     times_ms = [m.time_boot_ms for m in companion.log if m.get_type() == "LOCAL_POSITION_NED"]
     assert times_ms == list(range(0, 200, 10))
 

@@ -19,9 +19,9 @@ from bridge.zenoh.zenoh_link import Role, ZenohLinkError
 from logs.reader.reader import LogFile
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import verb
-from tests.processes.bounded import AT_ONCE_S, killed
+from tests.processes.bounded import AT_ONCE_S, PATIENCE_S, killed, wait_for
 from tests.processes.ports import free_endpoint, free_port
-from tests.unit.target.ros2_helpers import PATIENCE_S, rmw_session, until
+from tests.unit.target.ros2_helpers import rmw_session
 
 ROOT = Path(__file__).parents[3]
 FILES = ROOT / "docs" / "how_to" / "zenoh"
@@ -104,7 +104,7 @@ def who_hears(sessions, sender, key):
                 marked.update({name} if payload == marks else set())
         return marked.issuperset(others)
 
-    until(passed, "what the robot sends")
+    wait_for(passed, "what the robot sends")
     for _ in range(20):  # waits once more, because one path is slower
         passed()
         time.sleep(0.005)
@@ -174,7 +174,7 @@ def test_peers_find_each_other(at_home):
     one = zenoh_link.open_session(config_file=file)
     two = zenoh_link.open_session(config_file=file)
     try:
-        until(lambda: zenoh_link.transports(two) == 1, "the other")
+        wait_for(lambda: zenoh_link.transports(two) == 1, "the other")
     finally:
         two.close()
         one.close()
@@ -201,16 +201,16 @@ def test_a_router_that_is_killed_and_comes_back(at_home):
                 put.put(b"x")
                 return zenoh_link.drain(heard)
 
-            until(flows, "the first sample")
+            wait_for(flows, "the first sample")
             child.kill()
             child.wait(PATIENCE_S)
             for session in (robot, companion):
-                until(lambda s=session: zenoh_link.transports(s) == 0, "the end of the connection")
+                wait_for(lambda s=session: zenoh_link.transports(s) == 0, "the end of the connection")
             zenoh_link.drain(heard)  # discards samples in transit
         assert not flows()
         with router_process(endpoint) as (child, _):
             back_s = time.monotonic()
-            until(flows, "a sample after the router came back")
+            wait_for(flows, "a sample after the router came back")
             assert time.monotonic() - back_s < BACK_MAX_S + AT_ONCE_S
             child.send_signal(signal.SIGTERM)
             assert child.wait(PATIENCE_S) == 0

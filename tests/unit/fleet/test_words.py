@@ -17,9 +17,9 @@ from sim.clock import NoAnswerError, TickGrid
 from sim.runners import room as words_wire
 from sim.runners.room import MemberWords, Words
 from sim.scenarios.team import ExchangeLink
+from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
 from tests.unit.fleet.fleet_helpers import FIELD, team_of
-from tests.unit.target.ros2_helpers import until
 
 
 class Said(NamedTuple):
@@ -90,7 +90,7 @@ def ends():
     """Provide both ends of the message links of three members: vehicles and onboard processes."""
     endpoint = free_endpoint()
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
-    until(lambda: zenoh_link.transports(ours) == 1)
+    wait_for(lambda: zenoh_link.transports(ours) == 1)
     vehicles = [MemberWords(ours, name) for name in NAMES]
     processes = [LockstepWords(theirs, name) for name in NAMES]
     for vehicle in vehicles:
@@ -139,7 +139,7 @@ def test_who_leaves_is_gone_with_the_tick_after_its_last_one(ends):
     process.await_tick(first, never)
     process.say(word(1, 0.0))
     process.close()
-    until(lambda: vehicle._poll() or vehicle._last == 0)
+    wait_for(lambda: vehicle._poll() or vehicle._last == 0)
     vehicle.tick = first.number
     assert not vehicle.left  # the reply of this tick may still be in transit
     assert vehicle.take(Silence(), Stop())

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import time
 
 from flightstack.common.pacing import EPOCH_NS
 from logs.recorder.feed import Kind, Record, encode_json
@@ -14,18 +12,9 @@ from logs.schema.events import Severity, pack_log
 from logs.schema.mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow, LoopTimingRow, TrueStateRow
 
-DEADLINE_S = 30.0  # time-out of a test, s
-
 
 def timing(tick):
     return LoopTimingRow(EPOCH_NS + tick, tick, 0.01, 0.0, 0.0, 0.0, 0, 0).pack()
-
-
-def wait_until(condition, what):
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {DEADLINE_S} s for {what}"
-        os.sched_yield()
 
 
 ZERO = (0.0, 0.0, 0.0)

@@ -22,6 +22,7 @@ from flightstack.common.processes import Child, LaunchError
 from flightstack.onboard import lockstep
 from flightstack.onboard.runner import ClockStoppedError
 from sim import clock
+from tests.processes.bounded import PATIENCE_S, wait_for
 
 
 class Clock:
@@ -95,7 +96,7 @@ def test_a_follower_makes_every_tick_however_fast_the_simulator_is(file):
     follower = threading.Thread(target=lambda: ticks.extend(pacer.wait() for _ in range(101)))
     follower.start()
     run(clock, 250)  # one second of simulated time
-    follower.join(5.0)
+    follower.join(PATIENCE_S)
     assert not follower.is_alive()
     assert pacer.overruns == 0
     assert [tick.now_s for tick in ticks] == pytest.approx([k / RATE_HZ for k in range(101)], abs=0.0041)
@@ -108,11 +109,12 @@ def test_the_simulator_stops_where_a_follower_waits(file, monkeypatch):
     followed._cells[followed._place] = 2 * STEP_NS  # the follower waits for this step
     simulator = threading.Thread(target=run, args=(clock, 10))
     simulator.start()
+    wait_for(lambda: clock.unix_ns() - followed._cells[0] == 2 * STEP_NS)
     simulator.join(0.2)
     assert simulator.is_alive()
     assert clock.unix_ns() - followed._cells[0] == 2 * STEP_NS
     followed._cells[followed._place] = 20 * STEP_NS  # the follower has processed every due step
-    simulator.join(5.0)
+    simulator.join(PATIENCE_S)
     assert not simulator.is_alive()
     assert clock.unix_ns() - followed._cells[0] == 10 * STEP_NS
 
@@ -198,6 +200,7 @@ def test_a_long_wait_says_what_it_waits_for_once(monkeypatch, capsys):
 COMPILES = """
 import numpy as np
 from flightstack.compiled import jit
+from tests.processes.bounded import PATIENCE_S, wait_for
 functions = []
 for n in range(10):
     scope = {}

@@ -22,8 +22,8 @@ from flightstack.onboard.runner import LinkedVehicle
 from logs.schema import schemas
 from logs.schema.controller_rows import unpack_neighbours
 from logs.schema.rows import FleetWordRow
+from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
-from tests.unit.target.ros2_helpers import until
 
 LONE = load(path_of("crazyflie"))
 CONFIG = replace(LONE, fleet=Fleet(3, (3, 7)))
@@ -81,7 +81,7 @@ def onboard(feed, endpoint):
 def other(onboard, endpoint):
     """Connection of vehicle 7."""
     session = open_session(connect=[endpoint])
-    until(lambda: zenoh_link.transports(session) == 1)
+    wait_for(lambda: zenoh_link.transports(session) == 1)
     wire = FleetWire(session, "cf7", Fleet(7, (3, 7)))
     yield wire
     wire.close()
@@ -117,7 +117,7 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
         other.say(word(7, clock()))
         return heard and theirs
 
-    until(go_on)
+    wait_for(go_on)
     assert {each.id for each in heard} == {7}
     assert {each.id for each in theirs} == {3}
     assert 0.0 < heard[-1].clock_bound_s < 0.1
@@ -131,9 +131,9 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
 
 
 def test_the_start_is_refused_while_another_process_is_the_same_vehicle(onboard, other, monkeypatch):
-    until(lambda: zenoh_link.is_matched(other._publisher))
+    wait_for(lambda: zenoh_link.is_matched(other._publisher))
     other.say(word(3, 0.0))
-    until(onboard.fleet.namesake)
+    wait_for(onboard.fleet.namesake)
     monkeypatch.setattr(process.preflight, "check", lambda *_, **__: Report(None, None, (), None))
     ended = process._preflight(onboard, nobody(), str)
     assert (ended.phase, ended.exit_code) == (Phase.WAIT, 1)
@@ -152,7 +152,7 @@ def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard,
         found.append(runner.tick())
         return found[-1] is not None
 
-    until(go_on)
+    wait_for(go_on)
     assert "another process has the vehicle id 3" in found[-1].reason
     leaving = process._Leaving(onboard, nobody())
     out = SimpleNamespace(phase=Phase.APPROACH, finished=False)

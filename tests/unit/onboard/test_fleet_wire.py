@@ -1,6 +1,7 @@
 """Fleet messages over Zenoh are converted to the receiver's clock; invalid ones are rejected and reported."""
 
 import time
+from unittest import mock
 
 import pytest
 
@@ -11,8 +12,8 @@ from flightstack.core.types import Intent, Neighbour
 from flightstack.onboard.fleet_wire import BYTES_MAX, FleetWire
 from logs.schema.controller_rows import Echo, word_row
 from logs.schema.rows import FleetWordRow
+from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
-from tests.unit.target.ros2_helpers import until
 
 EPOCH_NS = 1_700_000_000_000_000_000
 AHEAD_NS = 5_000_000_000  # offset of vehicle 7's clock relative to vehicle 3's
@@ -30,7 +31,7 @@ def sessions():
     endpoint = free_endpoint()
     listener = open_session([endpoint])
     dialler = open_session(connect=[endpoint])
-    until(lambda: zenoh_link.transports(listener) == 1)
+    wait_for(lambda: zenoh_link.transports(listener) == 1)
     yield listener, dialler
     dialler.close()
     listener.close()
@@ -47,7 +48,7 @@ class Side:
     def hear(self):
         """Return the messages received within a second."""
         found = []
-        until(lambda: found.extend(self.wire.words()) or found)
+        wait_for(lambda: found.extend(self.wire.words()) or found)
         return found
 
 
@@ -66,13 +67,16 @@ def pass_time(*sides):
         side.now_s += DELAY_S
 
 
-def taken(side):
-    """Let the connection receive messages in transit without forwarding them."""
-    end_s = time.monotonic() + 0.3
-    words = []
-    while time.monotonic() < end_s:
-        words += side.wire.words()
-        time.sleep(0.01)
+def taken(side, count=1):
+    """Receive this number of messages, also of rejected ones; return the accepted ones."""
+    read, words, drain = [], [], zenoh_link.drain
+
+    def drained(subscriber):
+        read.extend(samples := drain(subscriber))
+        return samples
+
+    with mock.patch.object(zenoh_link, "drain", drained):
+        wait_for(lambda: words.extend(side.wire.words()) or len(read) >= count)
     return words
 
 
@@ -91,14 +95,14 @@ def greet(a, b):
                 time.sleep(0.001)
         return heard == {a.id, b.id}
 
-    until(in_turn)
+    wait_for(in_turn)
 
 
 @pytest.fixture
 def stranger(sessions):
     """Publishes arbitrary data in the place of vehicle 7."""
     publisher = zenoh_link.blocking_publisher(sessions[1], "somewhere/else/fleet/word")
-    until(lambda: zenoh_link.is_matched(publisher))
+    wait_for(lambda: zenoh_link.is_matched(publisher))
     yield publisher.put
     publisher.undeclare()
 
@@ -124,7 +128,7 @@ def test_what_is_no_word_is_refused_and_said_on_doublings(sides, stranger):
     a, _ = sides
     for payload in (b"", b"\x00\x01\x00\x00nonsense", b"x" * (BYTES_MAX + 1), *[b"y"] * 4):
         stranger(payload)
-    assert taken(a) == []
+    assert taken(a, 7) == []
     texts = a.wire.texts()
     assert [text.rpartition(": ")[2] for text in texts] == [f"{n} messages rejected" for n in (1, 2, 4)]
     assert all(text.startswith("fleet: malformed (") for text in texts)
@@ -155,15 +159,6 @@ def test_of_two_processes_of_another_vehicle_the_first_is_heard(sides, stranger)
     assert "fleet: vehicle 7 has a new process after 10.0 s" in texts[0]
 
 
-def words_of(side):
-    """Return received messages; wait for one, also if it is rejected."""
-    rows = until(side.wire._rows)
-    side.wire._rows = lambda: rows
-    found = side.wire.words()
-    del side.wire._rows
-    return found
-
-
 @pytest.mark.parametrize(
     ("stamp_s", "clock_s", "lost"), [(3600.0, 0.0, 1), (0.0, 3600.0, 22), (0.0, -0.9, 22)]
 )
@@ -177,8 +172,8 @@ def test_a_wrong_stamp_costs_one_word_and_a_clock_that_was_set_is_followed(sides
         b.now_s += clock_s * (n == 20)
         b.wire.say(told(7, b.now_s + stamp_s * (n == 20)))
         a.wire.say(told(3, a.now_s))
-        heard += [n] * bool(words_of(a))
-        words_of(b)
+        heard += [n] * bool(taken(a))
+        taken(b)
     missing = sorted(set(range(20, 60)) - set(heard))
     assert missing == list(range(20, 20 + len(missing)))
     assert 1 <= len(missing) <= lost

@@ -1,7 +1,6 @@
 """ROS 2 messages by mcap-ros2-support, an independent CDR codec, and Zenoh sessions."""
 
 import re
-import time
 from contextlib import contextmanager
 from functools import cache
 from types import SimpleNamespace
@@ -13,7 +12,6 @@ from bridge.zenoh import zenoh_link
 from logs.schema.schemas import schema_text
 from tests.processes.ports import free_endpoint, free_port
 
-PATIENCE_S = 20.0
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseStamped"
 POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -87,15 +85,6 @@ def on_free_ports(text):
     found = set(re.findall(r":(74\d\d|14\d\d\d)\b", text))
     free = {port: free_port(udp=port.startswith("14")) for port in found}  # Zenoh uses TCP
     return re.sub(r":(74\d\d|14\d\d\d)\b", lambda match: f":{free[match[1]]}", text)
-
-
-def until(condition, what="it", timeout_s=PATIENCE_S):
-    """Wait, by polling, until a condition of another thread or process holds."""
-    deadline_s = time.monotonic() + timeout_s
-    while not (found := condition()):
-        assert time.monotonic() < deadline_s, f"{what} did not come"
-        time.sleep(0.002)
-    return found
 
 
 def rmw_session(endpoint):

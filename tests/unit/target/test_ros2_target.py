@@ -13,8 +13,8 @@ from bridge.target.odometry import RawSample, sample_of
 from bridge.target.ros2_target import ROS_TYPES, TargetSource, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink
+from tests.processes.bounded import wait_for
 from tests.unit.target import ros2_helpers as ros
-from tests.unit.target.ros2_helpers import until
 
 FRAME, CHILD = "odom", "base_footprint"  # TurtleBot3's burger.yaml
 STAMP = 1_700_000_000_500_000_000
@@ -41,7 +41,7 @@ class Robot:
             self.publisher.put(payload)
 
     def wait(self):
-        until(lambda: zenoh_link.is_matched(self._probe), "the subscription")
+        wait_for(lambda: zenoh_link.is_matched(self._probe), "the subscription")
 
 
 @contextmanager
@@ -62,7 +62,7 @@ def _typed(kind):
 
 def collect(listening, count):
     samples = []
-    until(lambda: samples.extend(listening.poll()) or len(samples) >= count, f"sample {count}")
+    wait_for(lambda: samples.extend(listening.poll()) or len(samples) >= count, f"sample {count}")
     return samples
 
 
@@ -73,7 +73,7 @@ def told(listening):
         assert listening.poll() == []
         return listening.take_problems()
 
-    return until(one, "a reason")[0]
+    return wait_for(one, "a reason")[0]
 
 
 def test_a_turtlebot_is_followed_by_its_topic():
@@ -108,7 +108,7 @@ def test_another_type_or_hash_is_refused_with_its_name(name, type_hash, words):
         assert words in text
         assert listening.refused == 1
         robot.put(ros.odometry(STAMP, FRAME, CHILD))
-        until(lambda: listening.poll() == [] and listening.refused == 2)
+        wait_for(lambda: listening.poll() == [] and listening.refused == 2)
         assert listening.take_problems() == []  # the problem is reported only once
 
 

@@ -19,8 +19,8 @@ from bridge.zenoh.zenoh_link import (
     dialled,
     open_session,
 )
+from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
-from tests.unit.target.ros2_helpers import until
 
 KEY = "cf1/target/odom"
 
@@ -30,7 +30,7 @@ def sessions():
     endpoint = free_endpoint()
     listener = open_session([endpoint])
     dialler = open_session(connect=[endpoint])
-    until(lambda: zenoh_link.transports(listener) == 1)
+    wait_for(lambda: zenoh_link.transports(listener) == 1)
     yield listener, dialler
     dialler.close()
     listener.close()
@@ -42,7 +42,7 @@ def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
     assert publisher.matched is False
     declare = zenoh_link.fifo_subscriber if lossless else zenoh_link.ring_subscriber
     subscriber = declare(sessions[1], KEY)
-    until(lambda: publisher.matched)
+    wait_for(lambda: publisher.matched)
     payloads, received = [], []
 
     def count():
@@ -56,8 +56,8 @@ def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
         publisher.put(payload, source_time_ns=1000 + i)
         payloads.append(payload)
         if not lossless:  # a busy machine may drop some of the hundred messages
-            until(lambda: count() == len(payloads))
-    until(lambda: count() == 100)
+            wait_for(lambda: count() == len(payloads))
+    wait_for(lambda: count() == 100)
     assert [raw.payload for raw in received] == payloads
     assert [(raw.sequence, raw.source_time_ns) for raw in received] == [(i + 1, 1000 + i) for i in range(100)]
     assert {len(raw.attachment) for raw in received} == {33}
@@ -204,12 +204,12 @@ def test_a_connection_that_is_not_there_lost_and_back_is_told_once_each():
         assert "certificate or password" in text
         assert alarm.poll(100.0) == []
         other = open_session([endpoint])
-        until(lambda: zenoh_link.transports(session) == 1, "the connection")
+        wait_for(lambda: zenoh_link.transports(session) == 1, "the connection")
         [text] = alarm.poll(200.0)
         assert f"connected to {endpoint} after 200 s" in text
         assert alarm.poll(202.0) == []
         other.close()
-        until(lambda: zenoh_link.transports(session) == 0, "the end")
+        wait_for(lambda: zenoh_link.transports(session) == 0, "the end")
         assert alarm.poll(204.0) == []
         assert "no connection" in alarm.poll(208.0)[0]
     finally:

@@ -16,8 +16,8 @@ from sim.firmware.setpoint import ROOM, STOP, Inbox, InboxRecord, Setpoint, Setp
 from sim.runners import published_robot
 from sim.runners.log import EventLog
 from sim.runners.published_robot import LockstepRobot
+from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
-from tests.unit.target.ros2_helpers import until
 
 GRID = TickGrid(100)
 
@@ -36,7 +36,7 @@ def ends():
     """A session for the robot, and a subscriber to all its data."""
     endpoint = free_endpoint()
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
-    until(lambda: zenoh_link.transports(ours) == 1)
+    wait_for(lambda: zenoh_link.transports(ours) == 1)
     odom, marker = (
         zenoh_link.fifo_subscriber(theirs, f"t/{key}") for key in ("target/odom", "sim/target/tick")
     )
@@ -49,7 +49,7 @@ def ends():
 def robot_of(ends, log):
     waits = fs.scenario("reversing", {"target.wait_for_landing": True})
     made = LockstepRobot(GRID, ends.ours, Stop(), waits, 3, "t", log)
-    until(lambda: zenoh_link.is_matched(ends.credit))
+    wait_for(lambda: zenoh_link.is_matched(ends.credit))
     made.begin()
     return made
 
@@ -57,7 +57,7 @@ def robot_of(ends, log):
 def received(subscriber, number):
     """Return all received data as soon as this number of messages has arrived."""
     came = []
-    until(lambda: came.extend(zenoh_link.drain(subscriber)) or len(came) >= number)
+    wait_for(lambda: came.extend(zenoh_link.drain(subscriber)) or len(came) >= number)
     return came
 
 

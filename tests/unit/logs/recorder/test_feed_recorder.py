@@ -16,7 +16,8 @@ from logs.recorder.recording import McapFile, Recorder
 from logs.schema import schemas
 from logs.schema.events import Severity
 from logs.schema.rows import LogRow
-from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing
+from tests.processes.bounded import PATIENCE_S
+from tests.unit.logs.helpers import EPOCH_NS, timing
 
 
 class InThread:
@@ -40,7 +41,7 @@ class InThread:
     def __exit__(self, *error):
         if self.until is None or error[0]:
             self.process.stop()
-        self.thread.join(DEADLINE_S)
+        self.thread.join(PATIENCE_S)
         assert not self.thread.is_alive()
 
     def feed(self, name, lossless=True):
@@ -198,7 +199,7 @@ def test_lossless_waits_for_a_slow_recorder(tmp_path):
         if i % 7 == 0:
             client.flush()
     client.close()
-    reader.join(DEADLINE_S)
+    reader.join(PATIENCE_S)
     assert sequences == list(range(800))
     assert client.dropped == 0
     peer.close()

@@ -17,8 +17,8 @@ from logs.recorder.feed import Feed
 from logs.recorder.recorder import RecorderProcess, Syncer, problems
 from logs.recorder.recording import McapFile, SafeStream
 from logs.schema import schemas
-from tests.processes.bounded import line_of
-from tests.unit.logs.helpers import DEADLINE_S, timing, wait_until
+from tests.processes.bounded import PATIENCE_S, line_of, wait_for
+from tests.unit.logs.helpers import timing
 
 pytestmark = pytest.mark.slow
 
@@ -58,7 +58,7 @@ def test_told_to_stop_it_takes_what_is_in_the_sockets(tmp_path):
     process.send_signal(signal.SIGTERM)
     process.send_signal(signal.SIGINT)  # the second signal: end immediately, without waiting for the client
     process.send_signal(signal.SIGCONT)
-    _, errors = process.communicate(timeout=DEADLINE_S)
+    _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert "ended without a goodbye" in errors
     log = LogFile(out)
@@ -73,7 +73,7 @@ def test_ends_by_itself_after_the_last_client(tmp_path):
     client = Feed.connect(str(path), "onboard", lossless=True)
     client.write(client.channel("/t", schemas.LOOP_TIMING), 0, 0, 0, timing(0))
     client.close()
-    output, errors = process.communicate(timeout=DEADLINE_S)
+    output, errors = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, output, errors) == (0, "", "")
     assert LogFile(out).complete
 
@@ -81,7 +81,7 @@ def test_ends_by_itself_after_the_last_client(tmp_path):
 def test_a_disk_that_is_full_from_the_start_is_refused(tmp_path):
     process = subprocess.run(
         [sys.executable, "-c", LIMITS.format(0) + RECORD, tmp_path / "feed.sock", tmp_path / "flight.mcap"],
-        cwd=Path(__file__).parents[4], capture_output=True, text=True, timeout=DEADLINE_S, check=False,
+        cwd=Path(__file__).parents[4], capture_output=True, text=True, timeout=PATIENCE_S, check=False,
     )  # fmt: skip
     assert process.returncode == 2
     assert "cannot write the log" in process.stderr
@@ -95,7 +95,7 @@ def test_a_slow_disk_delays_nobody_and_the_last_call_covers_the_end(tmp_path, mo
 
     def slow(descriptor):
         calls.append(os.fstat(descriptor).st_size)
-        assert go.wait(DEADLINE_S)
+        assert go.wait(PATIENCE_S)
 
     monkeypatch.setattr(os, "fdatasync", slow)
     with path.open("wb", buffering=0) as stream:
@@ -104,7 +104,7 @@ def test_a_slow_disk_delays_nobody_and_the_last_call_covers_the_end(tmp_path, mo
             stream.write(b"x")
             syncer.ask()
             if i == 0:
-                wait_until(lambda: calls, "the first call")
+                wait_for(lambda: calls, "the first call")
         assert calls == [1]  # one sync at a time, which ``ask`` does not wait for
     go.set()
     syncer.close()
