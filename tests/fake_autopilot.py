@@ -140,11 +140,13 @@ class Served:
         self._thread.start()
 
     def _run(self):
-        begin_s = time.monotonic()
+        begin_s = None  # time of the first message; until then nobody receives the heartbeats
         while not self._over.is_set():
-            self.endpoint.send(self.step(time.monotonic() - begin_s))
+            if begin_s is not None:
+                self.endpoint.send(self.step(time.monotonic() - begin_s))
             self.endpoint.wait(PERIOD_S)
             for received in self.endpoint.receive():
+                begin_s = begin_s or time.monotonic()
                 self.endpoint.send(self.handle(received.message), received.peer)
 
     def close(self):

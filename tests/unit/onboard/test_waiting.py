@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import pytest
 
+from bridge.zenoh import zenoh_link
+from bridge.zenoh.zenoh_link import Role
 from flightstack.common.pacing import Tick
 from flightstack.config import load
 from flightstack.config.options import OnboardOptions
@@ -178,7 +180,8 @@ def test_wrong_words_are_refused_with_what_is_allowed(words, status, said):
     assert said in done.err
 
 
-def test_a_router_of_ros_that_is_not_there_is_said_before_the_flight():
+def test_a_router_of_ros_that_is_not_there_is_said_before_the_flight(monkeypatch):
+    monkeypatch.setitem(zenoh_link._ROLE_DEFAULTS[Role.CLIENT], "connect/timeout_ms", 100)
     done = called(*ONBOARD, "--ros2", free_endpoint())
     assert done.code == 2
     assert "is the router running, and does it accept us" in done.err

@@ -95,7 +95,8 @@ def test_a_key_is_not_sent_over_a_network(key):
             provision(url, 1, key, remove=False, wait_s=0.1)
 
 
-def test_preflight_gives_it_where_asked_and_only_with_a_key(key):
+def test_preflight_gives_it_where_asked_and_only_with_a_key(key, monkeypatch):
+    monkeypatch.setattr("bridge.mavlink.preflight.examine._READ_MAX_S", 0.1)  # the fake has no parameters
     for words in (
         ["--provision-signing"],
         ["--provision-signing", "--remove-signing", "--signing-key", str(key.path)],
