@@ -7,41 +7,15 @@ from itertools import pairwise
 
 import pytest
 
-from bridge.crazyflie.packets import Order
 from bridge.crazyflie.pilot import UNPLACED_M_S
 from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.state import LATE_MAX_S, BootClock
-from bridge.mavlink.server.profile import FlightMode
 from tests.crazyflie_firmware.bench import Bench
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.supervisor import State
 
 # The clock
-
-
-@pytest.mark.parametrize("rate", [0.9, 0.97, 1.03])
-def test_a_clock_of_any_rate_is_followed(rate):
-    bench = Bench(Firmware(clock_rate=rate)).hover()
-    begin_s = bench.now_s
-    bench.run(20.0)
-    since = [t for t in bench.times("LOCAL_POSITION_NED") if t > begin_s]
-    assert bench.node.late == 0
-    assert max(b - a for a, b in pairwise(since)) < 0.1
-    assert bench.vehicle.mode is FlightMode.HOLD
-    assert bench.now_s - bench.vehicle.state.at_s < 0.08
-
-
-@pytest.mark.parametrize("stall_s", [0.2, 0.5, 0.9])
-def test_a_clock_that_stalls_is_followed_within_half_a_second(stall_s):
-    bench = Bench().offboard()
-    for _ in range(3):
-        stalled_s = bench.now_s
-        bench.firmware.stall(stall_s)
-        bench.run(stall_s + 0.6)
-        assert bench.now_s - bench.vehicle.state.at_s < 0.03
-        assert bench.times("LOCAL_POSITION_NED")[-1] > bench.now_s - 0.03
-        assert bench.vehicle.armed, (stalled_s, bench.texts)
 
 
 @pytest.mark.parametrize(("last_ms", "time_ms", "elapsed_s"), [
@@ -76,112 +50,6 @@ def test_a_known_clock_is_moved_by_no_single_packet_and_follows_those_that_agree
     gap_s = max(b - a for a, b in pairwise(usable_s))
     assert gap_s < (0.03 if wrong_ms > 0 or not stays or wrong_ms < -1_000 else 1.2)
     assert usable_s[-1] == 60.0 + 0.01 * 999
-
-
-# The radio
-
-
-@pytest.mark.parametrize("height_m", [0.3, 0.5, 1.5])
-def test_a_blind_landing_ends_after_the_time_that_its_height_takes(height_m):
-    bench = Bench().armed()
-    bench.command(22, *[math.nan] * 6, height_m)
-    bench.until(lambda: bench.vehicle.mode is FlightMode.HOLD).run(1.0)
-    bench.mute, silent_s = True, bench.now_s
-    bench.until(lambda: not bench.vehicle.armed)
-    assert bench.now_s - silent_s < 1.0 + 1.2 * height_m / 0.25 + 1.2
-    assert "Blind landing over: motors off" in bench.texts
-    assert bench.firmware.plant.on_surface
-    bench.run(0.1)
-    assert not bench.firmware.plant.motors
-
-
-def test_log_blocks_that_the_firmware_has_deleted_do_not_make_a_landing_blind():
-    bench = Bench().hover()
-    bench.firmware._blocks.clear()
-    bench.mute = True
-    bench.run(1.2)
-    bench.mute = False
-    bench.run(0.1)
-    assert bench.vehicle.alive(bench.now_s)
-    bench.until(lambda: not bench.vehicle.armed)
-    assert "Landed, disarmed" in bench.texts
-    assert not bench.orders(Order.RECONNECT)
-
-
-@pytest.mark.parametrize("mode", [FlightMode.HOLD, FlightMode.LAND])
-@pytest.mark.parametrize("away_s", [1.2, 2.5, None])
-def test_a_landing_continues_while_the_link_is_opened_anew(mode, away_s):
-    bench = Bench(Firmware(Point(0.0, 0.0))).hover()
-    if mode is FlightMode.LAND:
-        bench.command(21)
-    bench.mute = True
-    bench.lose()
-    lost_s = bench.now_s
-    if away_s is not None:
-        bench.run(away_s)
-        assert bench.velocities()[-1][0] > bench.now_s - 0.05
-        bench.mute = False
-        bench.connect()
-    bench.until(lambda: not bench.vehicle.armed, 12.0).run(0.2)
-    assert bench.firmware.plant.on_surface
-    assert not bench.firmware.plant.motors
-    assert State.LOCKED not in [s for _, s in bench.firmware.supervisor.history]
-    assert ("Landed, disarmed" in bench.texts) is (away_s is not None), lost_s
-    assert len(bench.times("HEARTBEAT")) > 0
-
-
-def test_a_silent_radio_in_a_blind_landing_is_opened_anew_without_a_stop():
-    bench = Bench(Firmware(Point(0.0, 0.0))).armed()
-    bench.command(22, *[math.nan] * 6, 1.5)
-    bench.until(lambda: bench.vehicle.mode is FlightMode.HOLD).run(1.0)
-    bench.mute = True
-    bench.run(3.2)
-    assert bench.orders(Order.RECONNECT)
-    assert not bench.orders(Order.STOP)
-    assert bench.vehicle.armed
-
-
-def test_a_kill_in_a_blind_landing_without_a_link_ends_it():
-    bench = Bench().hover()
-    bench.lose()
-    bench.run(0.3)
-    assert bench.result(400, 0.0, 21196.0) == 1
-    assert not bench.vehicle.armed
-    bench.run(0.2)
-    assert bench.velocities()[-1][0] < bench.now_s - 0.15
-    bench.connect()
-    bench.run(0.2)
-    assert bench.firmware.supervisor.state is State.LOCKED
-
-
-@pytest.mark.parametrize("flown", ["hover", "offboard"])
-@pytest.mark.parametrize("uptime_s", [0.0, 9_000.0])
-def test_a_firmware_that_restarts_in_the_air_is_noticed(flown, uptime_s):
-    firmware = Firmware()
-    firmware._boot_s = -uptime_s
-    bench = getattr(Bench(firmware), flown)()
-    bench.firmware.restart()
-    bench.until(lambda: bench.orders(Order.RECONNECT), 4.0).run(0.3)
-    bench.connect()
-    bench.run(0.2)
-    assert any("it restarted" in text or "radio lost" in text for text in bench.texts)
-    assert not bench.vehicle.armed
-    assert not bench.firmware.plant.motors
-    bench.stream = None
-    bench.run(2.0)
-    assert bench.hover().firmware.plant.position[2] == pytest.approx(0.5, abs=0.05)
-
-
-def test_one_that_restarts_within_a_blind_landing_is_flown_no_more():
-    bench = Bench().hover()
-    bench.lose()
-    bench.firmware._start()  # the firmware restarts immediately
-    bench.run(0.5)
-    assert bench.vehicle.armed
-    bench.connect()
-    bench.run(0.1)
-    assert any("Disarmed: it restarted" in text for text in bench.texts)
-    assert not bench.vehicle.armed
 
 
 # Motion capture
@@ -268,22 +136,3 @@ def test_firmware_that_arms_itself_anew_every_30_seconds_is_no_one_who_disarms()
     said = [text for text in bench.texts if "Disarmed: by" in text or "refused" in text or "failed" in text]
     assert not said
     assert bench.texts.count("Ready to arm") == 1
-
-
-def test_after_a_crash_arming_it_once_recovers_it():
-    bench = Bench().offboard()
-    supervisor = bench.firmware.supervisor
-    supervisor.tumbled = True
-    bench.run(0.3)
-    assert supervisor.state is State.CRASHED
-    bench.stream = None
-    assert bench.result(400, 1.0) == 1
-    assert not bench.orders(Order.RECOVER), "on its back it is not recovered"
-    supervisor.tumbled = False
-    bench.run(0.5)
-    assert bench.vehicle.problems(bench.now_s)[0].startswith("supervisor saw a crash")
-    assert bench.result(400, 1.0) == 1
-    bench.run(1.0)
-    assert "Arming refused: crash recovery begun: look for damage, then arm again" in bench.texts
-    assert not bench.vehicle.armed
-    bench.until(lambda: bench.firmware.plant.on_surface).run(6.0).hover()

@@ -164,15 +164,3 @@ def test_a_take_off_from_a_deck_that_drives_rises_above_its_place_on_the_deck_th
     assert rise_m == pytest.approx(0.5, abs=0.06)
     beyond_m = math.hypot(x - left[0], y - left[1])  # the vehicle stops without flying back
     assert beyond_m == pytest.approx(min(speed_m_s, CARRIED_MAX_M_S) / GAIN_1_S, rel=0.3, abs=0.01)
-
-
-def test_an_offboard_mode_without_a_stream_ends_on_the_ground_too():
-    bench = Bench().ready()
-    bench.stream = (0.0, 0.0, 0.0)
-    bench.run(0.1)
-    assert bench.result(176, 1.0, 6.0) == 0
-    bench.stream = None
-    bench.run(0.9)
-    assert bench.vehicle.mode is FlightMode.OFFBOARD
-    bench.run(0.2)
-    assert bench.vehicle.mode is FlightMode.HOLD

@@ -1,7 +1,6 @@
 """Both connections of the Crazyflie bridge: cflib's log packets and queues, MAVLink, rejections of arming."""
 
 import math
-import re
 from types import SimpleNamespace
 
 import pytest
@@ -18,7 +17,7 @@ from bridge.mavlink.codec.messages import pack
 from bridge.mavlink.profiles import profile
 from flightstack.common.hangup import Stop
 from flightstack.core.types import Landed, Mode
-from tests.crazyflie_firmware.bench import CLIENT, GROUND, NAN, Bench
+from tests.crazyflie_firmware.bench import Bench
 from tests.crazyflie_firmware.firmware import Firmware, quaternion_bits
 from tests.crazyflie_firmware.plant import Point
 
@@ -167,39 +166,6 @@ def test_the_throttle_is_the_mean_of_the_motors_and_comes_when_it_is_asked_for()
     assert (state.power.voltage_v, state.power.cos_tilt) == pytest.approx((4.1, 1.0), abs=0.01)
 
 
-COMMANDS = {
-    "a mode of PX4 that it does not have": ((176, 1.0, 4.0, 5.0), 2),
-    "offboard without a stream": ((176, 1.0, 6.0), 1),
-    "hold": ((176, 1.0, 4.0, 3.0), 0),
-    "take-off too high": ((22, NAN, NAN, NAN, NAN, NAN, NAN, 50.0), 1),
-    "land on the ground": ((21,), 0),
-    "disarm disarmed": ((400, 0.0), 0),
-    "force disarm disarmed": ((400, 0.0, 21196.0), 0),
-    "termination unsure": ((185, 0.0), 2),
-}
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_commands_are_answered_and_refusals_explained(name):
-    (number, *params), result = COMMANDS[name]
-    bench = Bench().ready()
-    answers = bench.command(number, *params)
-    assert [(a.command, a.result, a.target_system, a.target_component) for a in answers] == [
-        (number, result, *CLIENT)
-    ]
-    bench.step()
-    assert any(re.search("refused|denied|not supported|must be", t) for t in bench.texts) == bool(result)
-
-
-def test_arming_is_acknowledged_when_it_shows_and_repeats_do_no_harm():
-    bench = Bench(Firmware(auto_arm=False)).ready()
-    assert bench.command(400, 1.0) == []
-    assert bench.command(400, 1.0, sender=GROUND) == []
-    bench.until(lambda: bench.vehicle.armed).step()
-    assert sorted((r.result, r.target_system) for r in bench.replies) == [(0, 1), (0, 255)]
-    assert bench.result(400, 1.0) == 0
-
-
 @given(ned=st.tuples(*[st.floats(-0.5, 0.5)] * 3), rate=st.floats(-3.0, 3.0), yaw=st.floats(-3.0, 3.0))
 def test_velocities_and_rates_arrive_in_the_crazyflies_frame(ned, rate, yaw):
     bench = FLYING
@@ -218,73 +184,6 @@ def test_velocities_and_rates_arrive_in_the_crazyflies_frame(ned, rate, yaw):
 
 
 FLYING = Bench().offboard()
-
-
-def set_param(name, value):
-    def change(bench):
-        bench.firmware.params[name].value = value
-
-    return change
-
-
-def set_attribute(path, value):
-    def change(bench):
-        *way, last = path.split(".")
-        owner = bench.firmware
-        for step in way:
-            owner = getattr(owner, step)
-        setattr(owner, last, value)
-
-    return change
-
-
-def silent(bench):
-    bench.run(0.5)
-    bench.mute = True
-    bench.run(0.4)
-
-
-REFUSALS = {
-    "old protocol": (set_attribute("protocol", 9), "firmware has CRTP protocol 9, arming needs 12"),
-    "tumbled": (set_attribute("supervisor.tumbled", True), "lies on its side"),
-    "checks": (set_attribute("supervisor.checks_pass", False), "pre-flight checks have not passed"),
-    "charging": (set_attribute("power_state", 1), "it is charging"),
-    "low power": (set_attribute("power_state", 3), "battery at 4.10 V"),
-    "low battery": (set_attribute("battery_v", 3.5), "battery at 3.50 V, 3.7 V needed"),
-    "mellinger": (set_param("stabilizer.controller", 2), "controller is 2, which follows no velocities"),
-    "no position": (set_attribute("needs_poses", True), "Lighthouse deck: are the base stations seen"),
-    "silent": (silent, "s old: radio too weak?"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSALS)
-def test_refuses_to_arm_and_says_why(name):
-    change, reason = REFUSALS[name]
-    firmware = Firmware(auto_arm=False)
-    bench = Bench(firmware)
-    change(bench)
-    if not bench.mute:
-        bench = Bench(firmware).run(1.0)
-    assert bench.result(400, 1.0) == 1
-    bench.step()
-    said = [text for text in bench.texts if text.startswith("Arming refused: ")]
-    assert len(said) == 1
-    assert reason in said[0]
-    assert not bench.vehicle.armed
-    assert not bench.firmware.supervisor.armed
-    assert not bench.last("SYS_STATUS").onboard_control_sensors_health & 0x10000000
-
-
-def test_what_keeps_it_from_arming_is_said_when_it_changes_and_not_again():
-    firmware = Firmware(auto_arm=False)
-    bench = Bench(firmware).run(3.0)
-    for volts in (3.6, 3.5, 3.4):
-        firmware.battery_v = volts
-        bench.run(2.0)
-    firmware.battery_v = 4.0
-    bench.run(2.0)
-    said = [t for t in bench.texts if t == "Ready to arm" or t.startswith("Not ready")]
-    assert said == ["Ready to arm", "Not ready: battery at 3.60 V, 3.7 V needed: charge it", "Ready to arm"]
 
 
 def test_an_exception_in_the_bridge_lands_the_crazyflie_before_it_ends():
