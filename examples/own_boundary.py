@@ -26,7 +26,7 @@ from flightstack.verify.types import Check
 
 @dataclass(frozen=True)
 class Cone:
-    """h(e) = e_z - min(slope d, height): a cone truncated at the height of the barrier's peak."""
+    """h(e) = e_z - min(slope d, height), d: horizontal distance; a cone truncated at the barrier's peak."""
 
     slope: float
     height_m: float
@@ -44,10 +44,10 @@ class Cone:
         return self.h(e_m), (gx, gy, 1.0), -(gx * vx + gy * vy + vz)
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Return the largest error of a linear prediction of h after a horizontal motion of m = ``moved_m``.
+        """Return the largest error of a linear prediction of h after a horizontal motion by s = ``moved_m``.
 
-        With d, the distance from the axis, the error is slope * m^2 / (2 d) for a motion around the axis, and
-        slope * 2 (m - d) for a motion across it.
+        With d, the distance from the axis, the error is slope * s^2 / (2 d) for a motion around the axis, and
+        slope * 2 (s - d) for a motion across it.
         """
         d = math.hypot(e_m[0], e_m[1])
         if d == 0.0:
@@ -68,7 +68,7 @@ class Projection:
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
     ) -> FilterResult:
-        """Return the nearest admissible velocity in the box, or the corner that raises h fastest."""
+        """Return the nearest admissible velocity in the box; if none, the corner that raises h fastest."""
         bound = -self._rate_1_s * h_m - dh_dt_m_s
         found = project(nominal, gradient, bound, lower, upper)
         velocity = found if found is not None else best_corner(gradient, lower, upper)

@@ -49,7 +49,7 @@ training = VecNormalize(make_vec_env(lambda: made(changes=TRAINING), n_envs=16, 
 ppo = {"n_steps": 64, "batch_size": 256, "gamma": GAMMA, "learning_rate": 1e-3}
 agent = PPO("MlpPolicy", training, **ppo, seed=0, device="cpu", verbose=1)
 agent.learn(decisions)
-training.training = False  # stops the update of the observations' mean and variance
+training.training = False  # the evaluation does not change the mean and variance of the observations
 for name in (None, "paper", "robust"):
     env, found = made(name), Counter[str]()
     for seed in range(seeds):

@@ -17,7 +17,8 @@ def gather(log: LogFile) -> dict[str, Any]:
     ``problem``: unreadable part, empty for a complete log; ``readable_bytes``: from the start to the first
     damage, the size of a complete file; ``start_ns``, ``end_ns``: log times of the messages, Unix.
     """
-    found: dict[tuple[str, str], tuple[int, int, int]] = {}  # messages, first and last log time
+    # by (topic, schema): number of messages, first and last log time, ns
+    found: dict[tuple[str, str], tuple[int, int, int]] = {}
     for message in log.messages():
         key, now_ns = (message.topic, message.schema), message.log_time_ns
         number, first_ns, last_ns = found.get(key, (0, now_ns, now_ns))

@@ -23,7 +23,7 @@ STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # "stream 0" f
 
 # A shell starts background jobs with Ctrl-C ignored, and the processes of the tests would inherit this.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # a process started by nohup ignores a closed terminal
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup lets processes ignore a closed terminal
 
 # A busy machine must not cause failures, and runs must be reproducible. New examples: pytest
 # --hypothesis-profile="new examples"
@@ -98,7 +98,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """If a vehicle is given, run only the tests made for it; tests that arm need ``--arm-ok``."""
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
-        if config.getoption("--flights") == 1:  # other tests already fly the simulated vehicle
+        if config.getoption("--flights") == 1:  # other tests already fly the simulated vehicle once
             items[:] = [item for item in items if not _marked(item, "given")]
             _deal_out(items)
         return
@@ -114,7 +114,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _deal_out(items: list[pytest.Item]) -> None:
-    """Distribute the real-time flights over the streams; a test can name its stream."""
+    """Assign each real-time flight to a stream (a worker); a test can name its stream."""
     turn = itertools.cycle(STREAM_NAMES)
     for item in items:
         if _marked(item, "vehicle"):

@@ -1,4 +1,4 @@
-"""Imitates ArduCopter, or the parameters of PX4, for tests of the companion: any release, any parameters.
+"""Imitates ArduCopter, or the parameters of PX4, of any release with any parameters, for companion tests.
 
 In mode GUIDED the vehicle is a point that follows velocities in NED. It shares no code with the simulator.
 """
@@ -18,8 +18,7 @@ PERIOD_S = 0.01
 
 
 class FakeAutopilot:
-    """Computes replies from messages and times; ``says_unknown``: requests of unknown
-    parameters get a reply."""
+    """Computes replies from messages and times; ``says_unknown``: it replies to unknown parameter names."""
 
     def __init__(self, autopilot, version, parameters, *, says_unknown=True):
         self._px4 = autopilot == "px4"
@@ -35,7 +34,7 @@ class FakeAutopilot:
         return self.position[2] >= -FEET_M - 1e-9
 
     def step(self, now_s):
-        """Simulate up to now; return due telemetry."""
+        """Simulate the vehicle up to this time; return the telemetry that is due."""
         dt_s, self.now_s = min(now_s - self.now_s, 0.1), now_s
         wanted = [0.0, 0.0, SINK_M_S] if self.mode == LAND else list(self._wanted)
         if self._climb_to_m is not None:
@@ -129,7 +128,7 @@ class FakeAutopilot:
 
 
 class Served:
-    """An autopilot with ``step`` and ``handle`` on a socket, served by a thread until closed."""
+    """A thread that serves an autopilot (``step``, ``handle``) on a socket until it is closed."""
 
     def __init__(self, *given, **options):
         super().__init__(*given, **options)
@@ -156,4 +155,4 @@ class Served:
 
 
 class OnUdp(Served, FakeAutopilot):
-    """The fake autopilot on a socket."""
+    """The fake autopilot on a UDP socket."""

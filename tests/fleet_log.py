@@ -1,4 +1,4 @@
-"""Writes the log of a fleet flown in one process, as onboard processes and simulator write it.
+"""Flies a fleet in one process and writes its log as onboard processes and simulator would write it.
 
 ``land_team`` flies; the logging code is that of the processes and of the recorder, including derived topics.
 Only the transports are missing: MAVLink frames and the bytes of the targets' samples.
@@ -35,7 +35,7 @@ def near() -> TeamScenario:
 
 
 class MemberFeed:
-    """A feed of one member into a recorder."""
+    """Connection of one member to a recorder in the same process."""
 
     connected = True
 
@@ -128,7 +128,7 @@ class RecordedRoom(Room):
 
 
 def fly_fleet(path: Path, team: TeamScenario, seed: int, monkeypatch):
-    """Fly a team and write its log; return the campaign's verdict on it."""
+    """Fly a team and write its log; return the verdict of the campaign on the flight."""
     recorder = Recorder(McapFile(path))
     names = [f"cf{number}" for number in range(1, len(team.member) + 1)]
     first = MemberFeed(recorder, 0)

@@ -1,4 +1,4 @@
-"""A second model of the vehicle in free flight, written from the equations; shares nothing with ``sim``.
+"""A second model of the vehicle in free flight, written from the equations, without code of ``sim``.
 
 Rigid body and four rotors with vertical shafts, angular momentum balance of the whole:
 
@@ -20,7 +20,7 @@ G = 9.81  # gravity, m/s^2
 MASS = 0.0319  # vehicle mass, kg
 INERTIA = np.array([16.8e-6, 16.8e-6, 29.8e-6])  # moments of inertia, body axes, kg m^2
 DRAG = np.array([0.0147, 0.0147, 0.0128])  # drag coefficients along the body axes, N s/m
-ARM = 0.03253  # distance along x and along y, m
+ARM = 0.03253  # distance of a rotor from the centre along x and along y, m
 ROTOR_XY = ARM * np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]])  # M1 front right, then clockwise from above
 SPIN = np.array([1, -1, 1, -1])  # sense of rotation; M1 and M3 turn counter-clockwise
 THRUST = np.array([2.4583e-10, -5.382e-7, 0.0])  # thrust, N, as polynomial of rpm
@@ -39,7 +39,7 @@ class Lag:
     fall_1_rpm_s: float = 0.0
 
     def rate(self, rpm, command):
-        """Return the change of the speeds, rpm/s."""
+        """Return the rate of change of the rotor speeds, rpm/s."""
         if self.rise_1_s is None:
             return (command - rpm) / self.time_s
         return np.where(
@@ -51,7 +51,7 @@ SLOW = Lag(rise_1_s=7.3556, fall_1_rpm_s=2.4444e-4)
 
 
 def rotation(q):
-    """Return the matrix of a quaternion w, x, y, z, body to world."""
+    """Return the rotation matrix, body to world, of a quaternion w, x, y, z."""
     w, v = q[0], q[1:]
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
@@ -73,7 +73,7 @@ def derivative(state, command, lag, drag, wind):
 
 
 def fly(state, commands, hold_s, lag=None, drag=DRAG, wind=(0.0, 0.0, 0.0)):
-    """Integrate commands (n, 4), each held for ``hold_s``; return the states after each (n, 17)."""
+    """Integrate rotor commands (n, 4), each constant for ``hold_s``; return the state after each, (n, 17)."""
     out = []
     for command in np.asarray(commands, float):
         solved = solve_ivp(

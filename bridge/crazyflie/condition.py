@@ -1,4 +1,4 @@
-"""Newest state of a Crazyflie, whether its position estimate is good, and the reasons against arming."""
+"""Stores the newest state of a Crazyflie, checks its position estimate, and lists reasons against arming."""
 
 from __future__ import annotations
 

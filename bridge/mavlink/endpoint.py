@@ -87,10 +87,10 @@ class Endpoint:
     ) -> None:
         """Open the socket or line.
 
-        ``max_peers``: maximum number of peers that are known by a heartbeat; ``always``: peers of ``udpin``
-        that receive telemetry from the start and never expire; ``allow_unsigned``: permit listening to a
-        network without a key. A refused TCP connection is no error: the endpoint retries, and
-        ``take_notices`` reports it.
+        ``max_peers``: largest number of peers that the endpoint learns from their heartbeats.
+        ``always``: peers of ``udpin`` that receive telemetry from the start and never expire.
+        ``allow_unsigned``: permit listening on a network without a key.
+        A refused TCP connection is no error: the endpoint retries, and ``take_notices`` reports it.
         """
         for name, value in (("system", system_id), ("component", component_id)):
             if not 1 <= value <= 255:

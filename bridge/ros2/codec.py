@@ -161,7 +161,7 @@ class _Compiler:
         self._after = ["if cdr != CDR: refuse('encoding', cdr, CDR)"]
 
     def message(self, schema: str, value: str) -> str:
-        """Generate code for all fields; return their variables, which form the value."""
+        """Generate code for all fields of a message type; return the names of their variables as a tuple."""
         fields = self._fields(schema)
         names = [f"{value}__{field.name}" for field in fields]
         joined = "".join(f"{name}, " for name in names)

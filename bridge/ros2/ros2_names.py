@@ -144,7 +144,7 @@ def _mangle(name: str) -> str:
     return name.replace("/", "%")
 
 
-_FILES = (".json5", ".json", ".yaml", ".yml")  # file formats that Zenoh reads
+_FILES = (".json5", ".json", ".yaml", ".yml")  # suffixes of Zenoh configuration files
 
 
 def open_network(where: str, domain: int) -> zenoh_link.Session:

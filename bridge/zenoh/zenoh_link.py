@@ -39,9 +39,9 @@ _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 
 class Role(Enum):
     """Role of a session (``mode`` of a Zenoh configuration)."""
 
-    PEER = "peer"  # exchanges data with direct connections only
-    CLIENT = "client"  # exchanges data with all clients and peers of a router
-    ROUTER = "router"  # forwards data, but not between its peers
+    PEER = "peer"  # process that exchanges data with direct connections only
+    CLIENT = "client"  # process that exchanges data with all clients and peers of a router
+    ROUTER = "router"  # process that forwards data, except between two of its peers
 
 
 _DEFAULTS: dict[str, Any] = {

@@ -216,7 +216,7 @@ def ended(process: subprocess.Popen[Any] | Forked, within_s: float = END_TIME_MA
 
 
 def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM) -> list[str]:
-    """Return a command line that starts a program and sends it this signal if this process is killed."""
+    """Return a command line for a program; on Linux the kernel signals the program when this process ends."""
     if sys.platform != "linux":
         return [*map(str, program)]
     return [sys.executable, "-ISc", _TIE, str(int(number)), str(os.getpid()), *map(str, program)]

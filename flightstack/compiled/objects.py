@@ -46,7 +46,7 @@ class Handle(NamedTuple):
 if TYPE_CHECKING or is_off():
 
     def kind_of(one: object) -> Any:
-        """Return the type of an object for compiled code."""
+        """Return the class of an object; without numba no code is compiled."""
         return type(one)
 
 else:

@@ -14,7 +14,7 @@ from flightstack.core.controller import Outputs
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
 
-LAND_SHOWN_MAX_S = 1.0  # maximum time of repeated landing commands without a confirming heartbeat (1 Hz)
+LAND_SHOWN_MAX_S = 1.0  # longest repetition of the landing command without a confirming heartbeat, s
 
 
 class Ended(NamedTuple):

@@ -100,7 +100,7 @@ class Described(NamedTuple):
 
     config: FlightConfig  # configuration of the onboard process
     run: Mapping[str, str]  # metadata of the run; they replace default entries
-    names: Names  # names of the flight's records in the log
+    names: Names  # namespace and MAVLink system id of the vehicle; they form the names of the log's channels
 
 
 def describe(

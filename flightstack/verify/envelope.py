@@ -25,7 +25,7 @@ class Extremes:
     shape: Shape  # boundary; the margin ranges from that of ``usual`` to that of a target at the age limit
     usual: Shape  # boundary with the margin as long as all samples arrive
     pad_radius_m: float  # radius outside which the barrier must hold
-    box_speed_m_s: float  # fastest approach to the target that velocity box and target allow together
+    box_speed_m_s: float  # largest approach speed: diagonal of the velocity box plus fastest target
     target_speed_m_s: float  # horizontal speed of the target, also relative to a hovering vehicle
     target_climb_m_s: float  # vertical speed of the pad
     target_acceleration_m_s2: float  # horizontal acceleration of the target

@@ -24,7 +24,7 @@ from logs.schema.rows import ControllerStepColumns, FleetPairRow, LoopTimingColu
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-PAD_RADIUS_M = 0.10  # pad radius of a Crazyflie, m; used if the log holds neither a run nor a configuration
+PAD_RADIUS_M = 0.10  # pad radius, m, if the log contains neither metadata of the run nor a configuration
 ATTACHMENT = "onboard.toml"  # name of the configuration in the log
 
 

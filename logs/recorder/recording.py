@@ -110,7 +110,7 @@ class McapFile(Writer):  # type: ignore[misc]
         return self._output.failure
 
     def fail(self, why: str) -> None:
-        """Stop writing: the disk has lost earlier data."""
+        """Stop writing, because the disk has lost earlier data."""
         self._output.failure = self._output.failure or why
 
     def descriptor(self) -> int:
@@ -283,7 +283,7 @@ class Recorder:
         return self._file.failure
 
     def fail(self, why: str) -> None:
-        """Stop recording: the disk has lost earlier data."""
+        """Stop recording, because the disk has lost earlier data."""
         self._file.fail(why)
 
     def flush(self) -> None:

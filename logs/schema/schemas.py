@@ -76,7 +76,7 @@ def fields_of(name: str) -> tuple[Field, ...]:
 
 
 def same_fields(name: str, text: str) -> bool:
-    """Return whether a definition in a log, with all types that it uses, has the fields of this version."""
+    """Return whether a type's definition in a log, with all types in it, has the fields of this software."""
     first, *used = text.split(_SEPARATOR)
     texts = {name: first}
     for part in used:

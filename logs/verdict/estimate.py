@@ -47,13 +47,13 @@ BEFORE_S = 0.3  # time before phase TOUCHDOWN, s: a gust may press the vehicle o
 AFTER_S = 1.0  # time after phase TOUCHDOWN, s: with the paper's rule the vehicle falls the last centimetres
 MEMORY_S = 0.15  # time before a contact from which the sink rate is computed, s
 STOPPED_SHARE = 0.5  # fraction of the earlier median sink rate; below it the descent has stopped
-STAYS_S = 0.05  # time for which the mean must remain below this fraction, s; one noisy sample does not count
+STAYS_S = 0.05  # interval after the stop whose mean sink rate must also be below STOPPED_SHARE, s
 SINK_MIN_M_S = 0.05  # slowest descent whose end can be detected, m/s
 # fraction of the highest sink rate; the last step above this fraction was before the contact. A smaller one
 # includes steps of a lagging state (0.03 s at 50 Hz: 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)
 BEGINS_SHARE = 0.95
 BEND_OF_NOISE = 1.65  # median size of the second difference of normal noise, in standard deviations
-FALL_S = 0.06  # time in which the sink rate falls to that fraction, s
+FALL_S = 0.06  # time before the stop in which the last fast step is searched, s
 FIT_S = 0.05  # time before the contact that the straight line covers, s
 HEIGHT_ERROR_MAX_M = 0.05  # maximum error of both estimates together, beyond the configured gap
 _NO_CONTACTS = "an estimate shows no contacts"

@@ -40,9 +40,8 @@ _NAMES = {
     ContactBit.VEHICLE: "another vehicle",
 }
 _HITS = ~int(ContactBit.PAD)  # contacts that are not allowed
-_FALLS = int(
-    ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED | ContactBit.VEHICLE
-)  # contacts that show that the vehicle has left the pad after touchdown
+# contacts after touchdown that prove that the vehicle has left the pad
+_FALLS = int(ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED | ContactBit.VEHICLE)
 
 
 @dataclass(frozen=True, slots=True)

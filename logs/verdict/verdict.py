@@ -290,7 +290,7 @@ class PairSeries(NamedTuple):
     name: str  # names of both members, for example cf1–cf2
     t_s: Floats  # seconds since the origin of the fleet
     distance_m: Floats  # distance of the centres of mass
-    measure: Floats  # distance in the ellipsoid's measure, 1 on its surface
+    measure: Floats  # distance in units of the ellipsoid around both vehicles: 1 on its surface, less inside
     flying: Bools  # whether both vehicles flew
 
 

@@ -235,7 +235,7 @@ def _paths(canvas: Canvas, flight: Flight) -> None:
 
 
 def _velocities(canvas: Canvas, flight: Flight) -> None:
-    """Send velocity arrows at the vehicle, one metre per m/s; none for an unknown velocity."""
+    """Draw velocity arrows that start at the vehicle, 1 m for 1 m/s; an unknown velocity has no arrow."""
     steps = flight.steps
     if steps is None:
         return

@@ -288,7 +288,7 @@ class Estimator:
         _correct(self._cell, x, y, z, yaw)
 
     def take_pose(self, position: Vec3, quaternion: tuple[float, float, float, float]) -> None:
-        """Correct the estimate with a full external pose, in the firmware's form."""
+        """Correct the estimate with an external pose; unlike ``correct``, also correct roll and pitch."""
         w, x, y, z = quaternion
         self.correct(*position, math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
         _correct_tilt(self._cell, np.array(quaternion))

@@ -88,7 +88,7 @@ class Recording:
     # estimate_position_m, estimate_velocity_m_s: (n, 3) output of the on-board estimator
     estimate_position_m: Floats | None = None
     estimate_velocity_m_s: Floats | None = None
-    estimate_attitude_rad: Floats | None = None  # (n, 3) roll, pitch, yaw
+    estimate_attitude_rad: Floats | None = None  # (n, 3) attitude of the on-board estimator: roll, pitch, yaw
     setpoint_position_m: Floats | None = None  # (n, 3) position set-points, world
     setpoint_yaw_rad: Floats | None = None  # (n,) yaw set-points
     thrust_command: Floats | None = None  # (n,) thrust command of the PID controller, 0 to 1

@@ -223,7 +223,7 @@ class Plant:
 
 
 def able_to_hover(plant: Plant, params: Params, reserve: float) -> Plant:
-    """Raise the charge of a drawn plant until each motor can lift its weight share ``reserve`` times."""
+    """Raise the charge, up to full, until each motor can lift ``reserve`` times a quarter of the weight."""
     battery, rotor = params.battery, params.rotor
     thrust_n = 0.25 * reserve * params.body.mass_kg * plant.mass * params.contact.gravity_m_s2 / plant.thrust
     most_v = max(battery.motor_v(rotor.rpm(thrust_n / motor)) for motor in plant.motors)

@@ -52,9 +52,9 @@ OnStep = Callable[[Tick, Outputs], None]
 class Companion:
     """The onboard process; the vehicle's loop calls it when the loop waits for an answer.
 
-    ``controller``: controller to fly instead of the scenario's; ``on_step``: called after every controller
-    step; ``system_id``: MAVLink system id of the vehicle, its number in a team; ``target_seed``: seed of the
-    robot, None: ``seed``; ``alone``: whether no other vehicle is near, so that batches of ticks are allowed.
+    ``controller`` replaces the scenario's controller. ``on_step`` is called after every controller step.
+    ``system_id``: MAVLink system id of the vehicle. ``target_seed``: seed of the robot; if None, ``seed`` is
+    used. ``alone``: whether no other vehicle is near, so that batches of ticks are allowed.
     """
 
     robot_type: ClassVar[type[DirectTarget]] = DirectTarget

@@ -49,7 +49,7 @@ class VelocityLoop(Enum):
     """On-board velocity loop of the vehicle."""
 
     PAPER = "paper"  # eq. 8 with K1, K2 in the Mellinger attitude controller
-    PID = "pid"  # Crazyflie firmware position_controller_pid.c
+    PID = "pid"  # velocity loop of the Crazyflie firmware (position_controller_pid.c)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +74,11 @@ class TargetSpec:
     waypoints_m: tuple[tuple[float, float], ...] = ()  # waypoints for path = waypoints: east and north
     # for path = function: MODULE:NAME, imported from the working folder; it returns speed and turn rate
     function: str = ""
-    random_speed: bool = (
-        False  # draw speed in [0, speed_m_s] and turn rate in +-turn_rate_rad_s from the seed
-    )
+    # whether speed (in [0, speed_m_s]) and turn rate (in +-turn_rate_rad_s) are drawn from the seed
+    random_speed: bool = False
     position_m: tuple[float, float] = (0.0, 0.0)  # position of the axle at time zero
     heading_rad: float = 0.0  # heading at time zero, from east to north
-    random_heading: bool = False  # draw the heading from the seed
+    random_heading: bool = False  # whether the heading is drawn from the seed
     wait_for_landing: bool = True  # the robot does not move until the landing starts
     stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # time between changes of stop_and_go, reversing
     acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # largest acceleration of the wheels

@@ -1,4 +1,4 @@
-"""Limits on the simulator compared with recorded flights, each with its reason, and the verdict.
+"""Criteria that compare the simulator with recorded flights: limits, a reason for each, and the verdict.
 
 Every number is a statistic over flights with a 95 % interval from bootstrap over flights, because the samples
 of one flight are correlated.

@@ -1,7 +1,7 @@
 """Moves a vehicle at rest with the pad, without MuJoCo, until the forces or the deck's motion change.
 
-On a real pad static friction holds the vehicle. MuJoCo's contact is soft: in MuJoCo a vehicle under a steady
-side force creeps, and MuJoCo's part of a step takes ten times as long as all other parts.
+On a real pad static friction holds the vehicle. MuJoCo's contact is soft, so a vehicle at rest creeps under a
+steady side force. MuJoCo also takes ten times as long as all other parts of a step.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class MujocoRecord(Record):
     positions: int  # address of the generalised positions, ``QPOS`` numbers
     velocities: int  # address of the generalised velocities, ``QVEL`` numbers
     applied: int  # address of the generalised forces, ``QVEL`` numbers
-    sensors: int  # address of the ``SENSORS`` sensor readings for the state before the step
+    sensors: int  # address of the sensor readings before the step, ``SENSORS`` numbers
 
 
 class WorldRecord(Record):

@@ -1,10 +1,10 @@
 """Landings on driving pads with the shipped Crazyflie configuration, through bridge and cflib, in real time.
 
-The stand-in for firmware 2026.08 flies the simulated physics by poses of ``bridge crazyflie --mocap``;
-``onboard --config crazyflie`` lands it on a robot of up to 0.3 m/s, which drives before the take-off already.
+A model of firmware 2026.08 flies the simulated vehicle, with poses of ``bridge crazyflie --mocap``;
+``onboard --config crazyflie`` lands it on a robot that drives at up to 0.3 m/s, also before the take-off.
 ``python -m tests.benchmarks crazyflie_landings [SEED ...] [--in-a-row N] [--faults [WORD ...]]``
 
-``--faults`` flies the faults whose effects were measured; each must end on pad or floor.
+``--faults`` flies with one fault each; each flight must end on pad or floor.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from tests.integration.wires.bridge_processes import KEY, Mocap, verb
 from tests.processes.ports import free_endpoint
 
 FLIGHT_MAX_S = 120.0
-REST_S = 2.5  # time after the end before the vehicle is judged
-DOWN_MAX_S = 30.0  # time-out for motors off on pad or floor after the onboard process has ended
+REST_S = 2.5  # time from the end of the flight to the verdict, s
+DOWN_MAX_S = 30.0  # longest time from the end of the onboard process to motors off, s
 FAULT_AFTER_S, FAULT_ABOVE_M = 3.0, 0.5  # a fault starts this time after the vehicle has reached this height
 SPEED_MAX_M_S = 0.3
 PATHS = (PathKind.STRAIGHT, PathKind.CIRCLE, PathKind.STOP_AND_GO, PathKind.REVERSING)
@@ -97,8 +97,8 @@ def fly(
 ) -> list[Landing]:  # fmt: skip
     """Fly consecutive flights with the same firmware and bridge.
 
-    ``options``: of ``bridge crazyflie``; ``loss``: fraction of lost packets in each direction; ``tilt_rad``:
-    rotation of the markers relative to the body, about body y; ``fault``: called once in each flight.
+    ``options``: options of ``bridge crazyflie``; ``loss``: fraction of lost packets in each direction;
+    ``tilt_rad``: rotation of the markers relative to the body, about body y; ``fault``: called once a flight.
     """
     here, there = free_endpoint(), free_endpoint()
     with tempfile.TemporaryDirectory() as folder:
@@ -202,7 +202,7 @@ def line(seed: int, name: str, landing: Landing) -> str:
 
 
 def faults(words: list[str]) -> None:
-    """Fly once each fault whose name contains one of these words; print the results."""
+    """Fly one flight with each fault whose name contains one of these words; print the results."""
     chosen = [name for name in FAULTS if not words or any(word in name for word in words)]
     for seed, name in enumerate(chosen, 1):
         more, fault = FAULTS[name]

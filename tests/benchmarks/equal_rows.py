@@ -32,7 +32,7 @@ def scenario(name: str) -> Scenario:
 
 
 def both(name: str, seed: int) -> tuple[Row, Row]:
-    """Return the rows of one landing, in batches and tick by tick, without wall times."""
+    """Return the two rows of one landing, flown in batches and tick by tick, without wall times."""
     flown = (land(scenario(name), seed), land(scenario(name), seed, on_step=lambda _tick, _out: None))
     one, other = (replace(vehicle_row(each), wall_s=0.0) for each in flown)
     return one, other

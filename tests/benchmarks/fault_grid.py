@@ -28,7 +28,7 @@ def ends(need: Need) -> str:
 
 
 def demand(need: Need) -> str:
-    """Return reason and limits as text."""
+    """Return the reason and the limits of a requirement as text."""
     parts = [need.why]
     if need.undetectable:
         parts.append("not detectable on board")
@@ -42,7 +42,7 @@ def demand(need: Need) -> str:
 
 
 def complaints(need: Need, result: Result) -> list[str]:
-    """Return the requirements that a cell does not meet."""
+    """Return the requirements that the flight of a cell does not meet."""
     found = []
     if result.end not in need.ends | need.short_ends:
         found.append(f"ended {result.end}, allowed: {', '.join(sorted(need.ends))}")
@@ -61,7 +61,7 @@ def _s(value: float, digits: int = 2) -> str:
 
 
 def section(part: Part, rows: list[str]) -> str:
-    """Return the table of one component."""
+    """Return the table of the faults of one component."""
     return "\n".join(
         (
             f"\n## {part[0].upper()}{part[1:]}\n",
@@ -74,7 +74,7 @@ def section(part: Part, rows: list[str]) -> str:
 
 
 def main() -> None:
-    """Fly all cells and write the tables into the page."""
+    """Fly all cells of the grid and write the tables into the page."""
     warm_up(scenario())
     gc.disable()
     sections = []

@@ -1,8 +1,8 @@
-"""Flies teams of ``fleet_3``: one member fails at a random time, or messages arrive late or are lost.
+"""Flies teams of ``fleet_3`` in which one member fails at a random time, or messages are late or lost.
 
 ``python -m tests.benchmarks fleet_faults [--runs N] [--first SEED] [--only KIND ...]``
 
-Prints one table row per kind. The results of the failed member and of the others are counted separately.
+It prints a table row for each kind of fault. The failed member and its neighbours are counted separately.
 """
 
 import argparse
@@ -37,7 +37,7 @@ COLUMNS = (
 
 @dataclass
 class Counts:
-    """Counts for the teams of a kind; ``own``: results of the failed members."""
+    """Results of all teams with one kind of fault; ``own``: results of the failed members."""
 
     teams: int = 0
     others: Counter[Outcome] = field(default_factory=Counter)

@@ -94,7 +94,7 @@ def barrier_value(axes: Axes, truth: Truth, touch_s: float, pad_radius_m: float)
 
 
 def thinned(which: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
-    """Return the indices of the selected rows, at most as many as a line needs."""
+    """Return the indices of the selected rows, thinned to about ``POINTS_MAX``."""
     wanted = np.flatnonzero(which)
     return wanted[:: max(1, len(wanted) // POINTS_MAX)]
 

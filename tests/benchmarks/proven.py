@@ -5,7 +5,7 @@
 KEY: start of a parameter's name, for example ``velocity_loop.`` or ``robust.gain_1_s``. A configuration is
 rejected, not proven, or proven. A proven one that crashes or violates the barrier is a failure. Exit status 1
 after a failure. The scenario's environment does not change. A variant (``deck+feedback``) adds an optional
-part of the configuration, so that its parameters act, too.
+part of the configuration, so that the parameters of this part are tested, too.
 """
 
 import argparse
@@ -35,13 +35,13 @@ DURATION_MAX_S = 60.0
 
 
 def base(name: str, kind: str) -> Scenario:
-    """Return a scenario with a filter; after a "+" with velocity feedback or another touchdown rule."""
+    """Return a scenario with a filter; a variant ("+") adds velocity feedback or another touchdown rule."""
     name, _, variant = name.partition("+")
     scenario = load(name).with_filter(kind)
     if not variant:
         return scenario
     table = to_table(scenario)
-    if variant == "feedback":  # the default rates, or the highest ones that the certificate allows
+    if variant == "feedback":  # the default feedback rates, or the highest ones that the certificate allows
         rate_1_s = scenario.onboard.velocity_loop.rate_xy_1_s
         rates = {"error_rate_1_s": min(5.0, rate_1_s), "tilt_rate_1_s": min(13.0, BANDWIDTH * rate_1_s)}
         rates |= {f"far_{key}": value for key, value in rates.items()} | {"far_m": 1.0, "horizontal": True}
@@ -106,7 +106,7 @@ def changed(name: str, kind: str, path: tuple[str, ...], value: Any) -> Scenario
 
 
 class Result(NamedTuple):
-    """Result of one changed configuration."""
+    """Result of ``check`` and of the flights with one changed configuration."""
 
     scenario: str
     filter: str

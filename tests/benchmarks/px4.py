@@ -33,7 +33,7 @@ from tests.px4_place import PX4_PLACE, px4_place
 SCENARIO = "large"
 PHASE_MAX_S = 90.0  # time-out for the phase of the fault
 DOWN_MAX_S = 180.0  # time-out for motors off after the fault
-REST_M_S = 0.1  # largest vertical velocity estimated by PX4 on the ground
+REST_M_S = 0.1  # largest vertical velocity that PX4 estimates for a vehicle on the ground
 FLOOR_M = 0.25  # largest height on the floor (feet at 0.12 m, plus drift); on the robot it is 0.62 m
 LOOK_S = 0.02
 
@@ -73,7 +73,7 @@ def _cut(seconds: float) -> Act:
     return act
 
 
-FAULTS: list[tuple[str, str, Act]] = [  # name, phase of the flight in which it starts, and effect
+FAULTS: list[tuple[str, str, Act]] = [  # name of the fault, phase in which it starts, and effect
     *(
         ("onboard process killed", phase, _signal(signal.SIGKILL))
         for phase in ("TAKEOFF", "APPROACH", "LAND", "TOUCHDOWN")
@@ -91,7 +91,7 @@ FAULTS: list[tuple[str, str, Act]] = [  # name, phase of the flight in which it 
 
 
 def fly(place: Path, phase: str, act: Act, folder: Path) -> str:
-    """Fly once with a fault; return the end, the time to motors off, and later phases as table cells.
+    """Fly with a fault; return the flight's end, the time to motors off, and later phases as table cells.
 
     Raises LaunchError or AssertionError: a process did not start, or the flight did not reach the phase.
     """
@@ -133,7 +133,7 @@ def fly(place: Path, phase: str, act: Act, folder: Path) -> str:
 
 
 def _place(room: Room, said: list[str]) -> str:
-    """Return the position, from PX4's estimate and from the simulator's contacts."""
+    """Return where the vehicle is (air, floor or robot), by PX4's estimate and the simulator's contacts."""
     listed = room.px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
     found = {words[0]: words[1] for words in map(str.split, listed) if len(words) > 1}
     if abs(float(found["vz:"])) > REST_M_S:
@@ -197,7 +197,7 @@ def speed() -> None:
             used = dict.fromkeys(pids, 0.0)
             while simulator.poll() is None and time.monotonic() - began_s < WALL_MAX_S:
                 for name, pid in pids.items():
-                    if Path(f"/proc/{pid}/cmdline").read_bytes():  # ignores zombies
+                    if Path(f"/proc/{pid}/cmdline").read_bytes():  # empty for a zombie process
                         used[name] = processor_s(pid) - before[name]
                 time.sleep(0.05)
             wall_s = time.monotonic() - began_s

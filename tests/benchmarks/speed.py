@@ -1,4 +1,4 @@
-"""Cost of a control step, its solver, a message, a lockstep run, a campaign and the environment.
+"""Measures the time of a control step, its solver, a message, a lockstep run, a campaign, the environment.
 
 ``paper_runs`` flies the paper's four runs for docs/reference/paper_runs.md.
 """
@@ -53,7 +53,7 @@ APPROACHES, STEPS_MAX, WARM_STEPS = 8, 3000, 50
 
 
 def inputs(tick: int, position_enu_m: Vec3 = (1.1, 0.0, 0.76), velocity_enu_m_s: Vec3 = ZERO) -> Inputs:
-    """Return a vehicle, and a robot that drives away from the origin."""
+    """Return the states of a vehicle, and of a robot that drives away from the origin."""
     t = tick * 0.01
     own = OwnState(t, t, position_enu_m, velocity_enu_m_s, 0.1)
     sample = TargetSample(t, t, "map", "target", (0.1 * t, 0.02 * t, 0.2), (0.1, 0.02, 0.0), 0.0, 0.1)
@@ -93,7 +93,7 @@ def one_round(make: Callable[[FlightConfig], Controller]) -> list[float]:
 
 
 def closed_form() -> float:
-    """Return the median microseconds of the exact projection alone."""
+    """Return the median time of the exact projection alone, us."""
     took = []
     for k in range(TICKS):
         a = k * 0.003
@@ -104,8 +104,7 @@ def closed_form() -> float:
 
 
 def control_step() -> None:
-    """Measure microseconds from inputs to packed set-point: interpreted, compiled, and the closed form
-    alone."""
+    """Measure the time from inputs to set-point, us: interpreted, compiled, and the projection alone."""
     for name, make, asked in (("plain", Controller, (55, 120)), ("compiled", compiled, (30, 80))):
         one_round(make)
         medians, tails = [], []
@@ -199,7 +198,7 @@ for worlds in (1, 64, 1024):
 
 
 def environment() -> None:
-    """Print the steps per second of this environment, of Pendulum-v1, and of crazyflow if requested.
+    """Print steps per second of this Gymnasium environment, of Pendulum-v1, and of crazyflow if requested.
 
     Argument: path of a Python interpreter with crazyflow installed, which is measured with steps of 0.01 s.
     """

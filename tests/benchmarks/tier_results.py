@@ -27,7 +27,7 @@ RUNS = {f"{tier}_{kind}": 10_000 for tier in TIERS for kind in FILTERS} | {
 
 
 def campaign(name: str, kind: str, seed: int, runs: int, folder: Path) -> None:
-    """Fly or continue one campaign."""
+    """Fly one campaign, or continue an interrupted one."""
     command = [
         sys.executable, "-m", "flightstack.cli.main", "campaign", name, "--filter", kind, "--seed", str(seed),
         "--runs", str(runs), "--out", str(folder), "--json", "--no-report",
@@ -56,7 +56,7 @@ def row(tier: str, kind: str, s: dict) -> str:
 
 
 def known(folder: Path) -> list[Row]:
-    """Return the rows flown so far; the campaign may have been interrupted."""
+    """Return the rows that the campaign has written so far."""
     path = folder / "rows.csv"
     return read_rows(path) if path.exists() else []
 

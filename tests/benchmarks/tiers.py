@@ -1,4 +1,4 @@
-"""Limits of the tiers for the results of a campaign with the robust filter."""
+"""Limits of each tier for the results of a campaign with the robust filter."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Limits:
 
     landed_min: float  # smallest fraction of flights that land
     violations_max: float  # largest fraction of flights that violate the barrier
-    error_m: tuple[float, float]  # touchdown error, median and 95th percentile, m
-    vertical_m_s: float  # vertical touchdown speed relative to the pad, 95th percentile
-    horizontal_m_s: float  # horizontal touchdown speed relative to the pad, 95th percentile
-    slower_max: float | None  # ratio of the median time to land to that of the paper's filter; None: no limit
+    error_m: tuple[float, float]  # largest touchdown error, median and 95th percentile, m
+    vertical_m_s: float  # largest vertical touchdown speed relative to the pad, 95th percentile
+    horizontal_m_s: float  # largest horizontal touchdown speed relative to the pad, 95th percentile
+    slower_max: float | None  # largest median landing time over that of the paper's filter; None: no limit
 
 
 LIMITS: dict[Tier, Limits] = {

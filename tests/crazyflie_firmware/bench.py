@@ -27,7 +27,7 @@ _HEADS = {
 
 
 class Bench:
-    """Advances both in steps of 10 ms; a client sends heartbeats and, on request, streams set-points.
+    """Advances bridge and firmware in steps of 10 ms; a client sends heartbeats and optional set-points.
 
     ``mute``: packets from the firmware are lost; ``deaf``: packets to the firmware are lost.
     """
@@ -49,7 +49,7 @@ class Bench:
 
     @property
     def texts(self) -> list[str]:
-        """All received STATUSTEXT messages, with long texts reassembled."""
+        """Texts of all received STATUSTEXT messages; long texts are reassembled."""
         said = ""
         for _, m in self.out:
             if m.get_type() == "STATUSTEXT":

@@ -1,4 +1,4 @@
-"""Model of the Crazyflie's CRTP interface: answers to cflib as a function of packets and times.
+"""Model of the Crazyflie's CRTP interface: computes the answers to cflib from packets and times.
 
 Its unexpected behaviour was measured on firmware 2026.08, compiled for a host.
 """
@@ -28,7 +28,7 @@ class Block:
 
 
 class Firmware:
-    """One Crazyflie.
+    """Firmware of one Crazyflie.
 
     ``protocol``: CRTP protocol version; below 12: CrazySim's firmware of 2024, without the supervisor port;
     ``tables``: entries of the tables of logs and parameters; the real ones have 567 and 334.
@@ -89,7 +89,7 @@ class Firmware:
         return self._now_s
 
     def packet(self, raw: bytes, now_s: float) -> list[bytes]:
-        """Answer one packet; ``now_s``: the host's clock, as in all public methods."""
+        """Return the answers to one packet; ``now_s``: time of the host's clock, as in all public methods."""
         stalls, now_s = now_s < self._stalled_until_s, self._clock(now_s)
         if stalls or now_s < self._started_s:
             return []
@@ -124,7 +124,7 @@ class Firmware:
         stalls, now_s = now_s < self._stalled_until_s, self._clock(now_s)
         dt_s, self._stepped_s = now_s - self._stepped_s, now_s
         while now_s - self._supervised_s >= PERIOD_S:
-            self._supervised_s += PERIOD_S  # the period is fixed, also if the host runs late
+            self._supervised_s += PERIOD_S  # fixed period of the supervisor, also if the host is late
             # with priority 0 the planner sends the set-points, so the watchdog does not act
             age_s = self._supervised_s - self._setpoint_s if self._priority else 0.0
             self.supervisor.setpoints_rule = self._priority > 0
@@ -143,7 +143,7 @@ class Firmware:
             return []
         return [self._data(i, b, now_s) for i, b in self._blocks.items() if self._is_due(b, now_s)]
 
-    # Log and parameters
+    # Tables of log variables and parameters
 
     def _toc(self, toc: Any, data: bytes) -> list[bytes]:
         if data[0] == 3:
@@ -234,7 +234,7 @@ class Firmware:
             self.plant.reset(*(self.params[f"kalman.initial{name}"].value for name in ("X", "Y", "Z", "Yaw")))
         self.plant.know_drag(tuple(param.value if param else 0.0 for param in drag))
 
-    # Flying
+    # Set-points
 
     def _generic_setpoint(self, data: bytes, now_s: float) -> list[bytes]:
         kind = data[0]

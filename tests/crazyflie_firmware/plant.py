@@ -17,7 +17,7 @@ def variance_m2(pose_age_s: float) -> float:
 
 
 class Point:
-    """Point with exact position, velocity and heading estimates; it stands on ``surface_m(x, y)``."""
+    """Point-mass vehicle with exact state estimates; it stands on the surface ``surface_m(x, y)``."""
 
     def __init__(
         self, x: float = 0.0, y: float = 0.0, surface_m: Callable[[float, float], float] | None = None
@@ -69,7 +69,7 @@ class Point:
         """Ignore a new set-point, because ``command`` gets the set-point at every step."""
 
     def command(self, velocity: tuple[float, float, float], yaw_rate: float, level: bool) -> None:
-        """Advance the flight; ``level``: the vehicle keeps zero tilt and controls only its height."""
+        """Advance the vehicle; ``level``: it keeps zero tilt and controls only its height."""
         self._wanted, self._level, self.motors = list(velocity), level, True
         self.yaw_rate = 0.0 if level else yaw_rate
 

@@ -14,7 +14,7 @@ TICK_S = 0.002
 
 
 class Server:
-    """Serves one firmware; ``with Server(firmware) as server: ... server.uri``.
+    """Serves one firmware at ``server.uri`` within ``with Server(firmware) as server``.
 
     ``mute``: packets from the firmware are lost; ``deaf``: packets to the firmware are lost.
     """
@@ -57,7 +57,7 @@ class Server:
             raise self.error
 
     def _run(self) -> None:
-        ask_for_priority()  # this thread has the priority of a real vehicle
+        ask_for_priority()  # a real vehicle also runs in real time
         try:
             while not self._stop.is_set():
                 select.select((self._socket,), (), (), TICK_S)

@@ -1,4 +1,4 @@
-"""The simulated vehicle under the firmware model's CRTP: MuJoCo, rotors, battery, attitude and velocity loop.
+"""Connects the simulated vehicle (MuJoCo, rotors, battery, attitude and velocity loop) to the firmware model.
 
 All scenarios use the filter of the firmware (``sim.firmware.estimator``), with drag only along body z and by
 ``kalman.dragB_*``, and the PID velocity loop of the firmware.
@@ -14,7 +14,7 @@ from sim.scenarios.scenario import Scenario, VelocityLoop, load
 from sim.vehicle.vehicle import VehicleSim, warm_up
 from tests.crazyflie_firmware.plant import variance_m2
 
-MS_MAX = 50  # longest step; during a longer pause of the machine simulated time also pauses
+MS_MAX = 50  # longest step, ms; during a longer pause of the machine simulated time also pauses
 
 
 class SimPlant:

@@ -1,10 +1,10 @@
-"""The firmware's supervisor (supervisor.c, supervisor_state_machine.c of 2026.08), at 25 Hz."""
+"""Model of the firmware's supervisor (supervisor.c, supervisor_state_machine.c of 2026.08), at 25 Hz."""
 
 from enum import Enum, auto
 
 PERIOD_S = 0.04
-WARN_S, TIMEOUT_S = 0.5, 2.0  # set-point age: level out, stop the motors
-FLYING_S = 2.0  # idle time of the motors after which the vehicle no longer counts as flying
+WARN_S, TIMEOUT_S = 0.5, 2.0  # set-point ages at which the vehicle levels out, and stops the motors, s
+FLYING_S = 2.0  # idle time of the motors after which the vehicle does not count as flying, s
 LANDED_S, PREFLIGHT_S = 3.0, 30.0
 
 

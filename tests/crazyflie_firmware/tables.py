@@ -34,7 +34,7 @@ class Param:
 
 
 def params(entries: int) -> dict[str, Param]:
-    """Return the entries that the bridge uses, filled up to a number of entries."""
+    """Return a parameter table with the entries that the bridge uses and this number of entries."""
     known = {
         "stabilizer.estimator": Param("u8", 1),
         "stabilizer.controller": Param("u8", 1),
@@ -70,7 +70,7 @@ class Toc:
 
 
 def log_toc(protocol: int, entries: int) -> Toc:
-    """Return the entries of a firmware with this protocol, filled up to a number of entries."""
+    """Return the log table of a firmware with this protocol and this number of entries."""
     names = [name for name in LOGS if protocol >= SENT_SINCE.get(name, 0)]
     filled = [(f"other.log{i}", LOG_TYPES["f"]) for i in range(entries - len(names))]
     return Toc([(name, LOG_TYPES[LOGS[name]]) for name in names] + filled)

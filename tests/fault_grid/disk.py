@@ -31,7 +31,7 @@ from tests.fault_grid.table import Way
 SLOW_B_S = 1e6  # write speed of a slow disk, bytes/s; a memory card is ten times faster
 LATE_S = 0.2  # delay of a late disk before each block of data
 BLOCK_B = 4096
-CLOSE_S = 0.3  # time-out of the feed for a disk that hangs; the default is 5 s
+CLOSE_S = 0.3  # time-out of the feed for a disk that hangs, s
 END_S = 30.0  # time-out for the recorder's end, wall time
 
 
@@ -63,7 +63,7 @@ class Disk(io.RawIOBase):
         self._healed.set()
 
     def write(self, data: Any) -> int:
-        """Apply the current failure of the disk."""
+        """Write the data, with the current failure of the disk."""
         data = bytes(data)
         return self._file.write(data) if self._way is None else self._ways[self._way](data)
 
@@ -100,7 +100,7 @@ class Disk(io.RawIOBase):
 
 
 class _NoSession:
-    """Replaces Zenoh: there are no subscribers."""
+    """Replaces the Zenoh session; it has no subscribers."""
 
     def declare_publisher(self, *_: object, **__: object) -> _NoSession:
         return self
@@ -110,7 +110,7 @@ class _NoSession:
 
 
 class Recording:
-    """A recorder and the companion's log.
+    """A running recorder and the companion's connection to it.
 
     ``failure``: error that stopped the recorder, empty without an error; ``dropped``: number of records
     that the companion dropped.

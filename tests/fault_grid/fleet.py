@@ -1,4 +1,4 @@
-"""Fault grid of a fleet: flights of ``fleet_3``, each with one fault at one moment."""
+"""Flies the fault grid of a fleet: ``fleet_3`` with one fault at one moment in each flight."""
 
 from __future__ import annotations
 

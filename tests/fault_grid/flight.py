@@ -1,4 +1,4 @@
-"""Flies in one process, with a fault at a chosen moment, and observes the vehicle until it is down.
+"""Flies a landing in one process with a fault at a chosen moment, and simulates it until the vehicle is down.
 
 The vehicle's lockstep loop, its autopilot, the robot, the companion's link and ``Runner`` are those of a real
 run (as in ``sim.runners.landing``); target samples are CDR bytes. When the companion ends, nothing more is
@@ -35,9 +35,9 @@ from sim.runners.robot import DeckState, DirectTarget
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario
 
-REST_S = 2.5  # time after the motors stopped; the judge needs 2 s
-WATCH_MAX_S = 30.0  # longest flight after the disturbance
-CLIMB_M = 0.2  # height above the ground, in the climb of the take-off
+REST_S = 2.5  # simulated time after the motors stop, s; the verdict needs 2 s
+WATCH_MAX_S = 30.0  # longest flight after the disturbance, s
+CLIMB_M = 0.2  # height above the ground at which the vehicle counts as climbing
 
 TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 Mangle = Callable[[list[bytes], float], list[bytes]]  # (payloads, time) -> payloads passed on
@@ -56,7 +56,7 @@ class Flown:
 
     @property
     def failsafe(self) -> bool:
-        """Whether the autopilot had to act without the companion."""
+        """Whether the autopilot started a fail-safe."""
         return not math.isnan(self.failsafe_s)
 
     @property
@@ -65,7 +65,7 @@ class Flown:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """Texts of companion and vehicle, in order."""
+        """Texts of companion and vehicle, in time order."""
         return tuple(event.text for event in self.seen.events)
 
 
@@ -98,7 +98,7 @@ class _Target(DirectTarget):
         return decoded([RawSample(payload) for payload in payloads], now_s)
 
     def fail(self, fault: Fault, now_ns: int) -> None:
-        """Start a fault of the odometry."""
+        """Start a fault of the target's odometry."""
         self._motion.faults.fail([fault], now_ns)
 
 
@@ -201,7 +201,7 @@ class Flight(Companion):
         return self.asked
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """End when the controller has finished, or at the time limit, as if the process were killed."""
+        """Whether the controller has finished, or the time limit, which acts like a kill, is reached."""
         return Ended(out.phase, memory.reason, 1) if out.finished or now_s >= self._duration_s else None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
@@ -218,7 +218,7 @@ class Flight(Companion):
             self.on_step(tick, taken, out)
 
     def _watched(self) -> bool:
-        """Whether the flight was observed to its end."""
+        """Whether the simulation has reached the end of the flight."""
         if not self._disturbed:
             return self._over
         down_s = self.vehicle.time_s - self.node.log.down_s

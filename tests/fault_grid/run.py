@@ -1,4 +1,4 @@
-"""Applies one fault, flies that cell of the grid, and returns its result."""
+"""Flies a cell of the fault grid, a landing with one fault, and returns its result."""
 
 from __future__ import annotations
 
@@ -83,12 +83,12 @@ def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
                 return [payload.replace(b"target\0", b"nearby\0") for payload in payloads]
             case Way.SLOW:
                 return [payload for payload in payloads if next(number) % 10 == 0]
-            case Way.DELAYED:  # delay by 0.2 s, and every tenth by another 30 ms, so that others overtake it
+            case Way.DELAYED:  # delay by 0.2 s, and every tenth by 30 ms more, so that later ones overtake it
                 held += [(now_s + 0.2 + (0.03 if rng.random() < 0.1 else 0.0), each) for each in payloads]
                 due = [payload for at_s, payload in held if at_s <= now_s]
                 held = [one for one in held if one[0] > now_s]
                 return due
-            case Way.INTERMITTENT:  # lose payloads in bursts of 0.3 s every 1.3 s, both mean values
+            case Way.INTERMITTENT:  # lose payloads in bursts of 0.3 s every 1.3 s on average
                 while now_s >= until_s:
                     lost = not lost
                     until_s = max(until_s, now_s) + rng.exponential(0.3 if lost else 1.0)
@@ -128,7 +128,7 @@ def fly(part: Part, way: Way, moment: Moment, seed: int = SEED) -> Result:
 
 
 def _fly_on(way: Way, moment: Moment, seed: int) -> Result:
-    """Fly with a real recorder whose disk fails at this moment; return the result."""
+    """Fly the cell with a real recorder whose disk fails at this moment; return the result."""
     with tempfile.TemporaryDirectory() as folder:
         with recording(Path(folder)) as record:
             flight = Flight(scenario(), seed, AT[moment], lambda _: record.disk.fail(way))
@@ -177,7 +177,7 @@ AT = {
 
 
 def end_of(flown: Flown) -> End:
-    """Return the end of a flight, from true states."""
+    """Return how a flight ended, from its true states."""
     truth = flown.truth
     if truth.motors_running[-1]:
         return End.FLYING
@@ -197,7 +197,7 @@ def end_of(flown: Flown) -> End:
 
 
 def impact(truth: Truth) -> float:
-    """Return the fastest downward speed relative to the pad just before a contact, m/s."""
+    """Return the highest sink rate just before any contact, m/s."""
     touching = truth.contacts != 0
     began = np.flatnonzero(touching[1:] & ~touching[:-1])
     return float(max(0.0, *-truth.velocity_enu_m_s[began, 2])) if len(began) else 0.0

@@ -1,4 +1,4 @@
-"""Requirements of each cell: how the flight may end, how soon it is aborted, how far h may fall.
+"""Requirements of each cell of the grid: how the flight may end, how soon it is aborted, how far h may fall.
 
 A companion that has only its links must not let the vehicle fall, must not continue silently on data that it
 can detect as stale or wrong, and must start to bring the vehicle to safety within 2 s unless it is on the
@@ -42,7 +42,7 @@ class Way(StrEnum):
 class Moment(Enum):
     """Moment of the failure, which is permanent."""
 
-    TAKEOFF = Phase.TAKEOFF  # in the climb at 0.2 m, because a vehicle on the ground cannot fall
+    TAKEOFF = Phase.TAKEOFF  # the vehicle climbs at 0.2 m, because a vehicle on the ground cannot fall
     APPROACH = Phase.APPROACH
     LAND = Phase.LAND
     TOUCHDOWN = Phase.TOUCHDOWN
@@ -53,14 +53,14 @@ class End(StrEnum):
 
     LANDED = "LANDED"  # the vehicle rests upright on the pad, motors off
     ABORTED = "ABORTED"  # the abort is declared; the vehicle rests upright on the floor, motors off
-    VEHICLE_LANDS = "VEHICLE_LANDS"  # upright on the floor after the fail-safe of the autopilot
+    VEHICLE_LANDS = "VEHICLE_LANDS"  # the vehicle rests upright on the floor after the autopilot's fail-safe
     CONTINUES = "CONTINUES"  # the flight equals the flight without the fault bit for bit
     CRASHED = "CRASHED"  # the vehicle fell, tumbled, or hit the robot or the pad's edge
     MISSED = "MISSED"  # the vehicle rests on the floor without a declared abort
     FLYING = "FLYING"  # the motors still run at the end
 
 
-WITHIN_S = 2.0  # time limit until the abort, where one is required
+WITHIN_S = 2.0  # longest time from the fault to the abort, where an abort is required, s
 H_MIN_M = -0.005  # lowest allowed h outside the pad as long as the companion flies
 
 

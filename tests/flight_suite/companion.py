@@ -23,7 +23,7 @@ RADIO_POLL_S = 0.05
 
 
 class Radio:
-    """A relay to use as a context manager.
+    """A relay between companion and vehicle that can drop all datagrams; a context manager.
 
     ``url``: ``udpout:HOST:PORT`` of the vehicle; ``local_port``: loopback UDP port to which the vehicle
     sends; 0: the vehicle replies to the sender.
@@ -85,14 +85,14 @@ class Companion:
         self._start: tuple[float, float, float] | None = None
 
     def until(self, word: str, limit_s: float) -> None:
-        """Watch the flight until the process prints a line with this word.
+        """Observe the flight until the process prints a line with this text.
 
         Raises AssertionError: the flight ended early, took too long, or left the fence and was aborted.
         """
         self._until(lambda: any(word in line for line in self.said), word, limit_s)
 
     def until_high(self, height_m: float, limit_s: float) -> None:
-        """Watch the flight until the vehicle is this height above its first observed position.
+        """Observe the flight until the vehicle is this height above its first observed position.
 
         Raises AssertionError: as in ``until``.
         """
@@ -119,7 +119,7 @@ class Companion:
         return step.own_position_enu_m[2] - self._start[2]
 
     def ended(self, limit_s: float) -> int:
-        """Watch the flight until the process ends; return the exit status."""
+        """Observe the flight until the process ends; return the exit status."""
         until_s = time.monotonic() + limit_s / self._room.speed
         while self.child.alive():
             self._look(POLL_S)

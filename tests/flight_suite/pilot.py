@@ -30,7 +30,7 @@ CLIMB_M_S = 0.5
 
 @dataclass(frozen=True)
 class Setpoint:
-    """A velocity and heading command."""
+    """A commanded velocity and heading."""
 
     velocity_enu_m_s: Vec3
     yaw_rad: float
@@ -57,7 +57,7 @@ class Pilot:
         self.now_s = 0.0
         self.texts: list[str] = []  # texts that the vehicle sent
         self.start_enu_m: Vec3 | None = None
-        self.max_height_m = 0.0  # largest height above the start so far
+        self.max_height_m = 0.0  # largest height above the start so far, m
 
     def __enter__(self) -> Pilot:
         return self
@@ -114,11 +114,11 @@ class Pilot:
         return self.ask(step, Request.NONE, done, limit_s)
 
     def ask(self, step: str, request: Request, done: Callable[[], bool], limit_s: float) -> float:
-        """Send the commands that a request needs."""
+        """Send the MAVLink commands that a request of the operator needs."""
         return self._run(step, lambda: self.link.command(request, self.now_s), done, limit_s)
 
     def fly(self, step: str, velocity_enu_m_s: Vec3, done: Callable[[], bool], limit_s: float) -> float:
-        """Fly a velocity in external mode until the condition holds."""
+        """Send a velocity set-point in external mode until the condition holds."""
         yaw_rad = self.own.yaw_rad
 
         def work() -> None:
@@ -128,7 +128,7 @@ class Pilot:
         return self._run(step, work, done, limit_s)
 
     def fly_for(self, step: str, velocity_enu_m_s: Vec3, time_s: float) -> None:
-        """Fly a velocity for this time."""
+        """Send a velocity set-point for this time, s."""
         until_s = self.vehicle_s + time_s
         self.fly(step, velocity_enu_m_s, lambda: self.vehicle_s >= until_s, time_s + 1.0)
 
@@ -150,7 +150,7 @@ class Pilot:
         return self._run(step, work, done, limit_s)
 
     def take_off(self) -> None:
-        """Climb, then hold position by set-points."""
+        """Take off, then hold position by set-points."""
         enough_m = 0.8 * self._room.takeoff_height_m
         self.rise("take off", lambda: self.height_m > enough_m, 40.0)
         self.fly("hand over", ZERO, lambda: self.status.mode is Mode.EXTERNAL, 10.0)

@@ -34,7 +34,7 @@ class Limits:
     """Limits of the steps for one autopilot."""
 
     settle_s: float  # settling time at zero velocity before the evaluation
-    still_m_s: float  # largest speed of a vehicle that holds
+    still_m_s: float  # largest speed of a vehicle that holds position
     drift_m: float  # largest allowed displacement in five seconds with a zero velocity set-point
     step_m_s: float  # speed of the step to the north and back
     step_s: float  # duration of each direction of the step
@@ -70,7 +70,7 @@ LIMITS: Mapping[str, Limits] = MappingProxyType(
 )
 
 
-SCENARIO = "grid"  # starts on the ground, lands by contact on a driving robot
+SCENARIO = "grid"  # scenario that starts on the ground and lands by contact on a driving robot
 ORIGIN_WGS84 = (47.397742, 8.545594, 10.0)  # origin for ArduPilot without satellites
 
 
@@ -84,7 +84,7 @@ class Fence:
 
 @dataclass(frozen=True)
 class Room:
-    """All parameters of a step."""
+    """All parameters of a flight step: addresses, files, limits and processes."""
 
     url: str  # MAVLink URL of the vehicle
     autopilot: str  # name of the autopilot's profile
@@ -93,7 +93,7 @@ class Room:
     listen: str  # Zenoh endpoint of the onboard process
     config: Path  # configuration of the onboard process
     folder: Path  # folder for output of processes
-    fence: Fence = field(default_factory=Fence)  # limits of place
+    fence: Fence = field(default_factory=Fence)  # fence of the step
     system_id: int = 1  # system id of the vehicle
     signing_key: Path | None = None  # MAVLink signing key; None: unsigned
     takeoff_height_m: float = 0.5  # height of the pilot's climb
@@ -148,7 +148,7 @@ def simulated(folder: Path, scenario_name: str = SCENARIO) -> Iterator[Room]:
 
 @contextlib.contextmanager
 def given(config: pytest.Config, folder: Path) -> Iterator[Room]:
-    """Yield the room of the command line. Raises pytest.UsageError: something is missing."""
+    """Yield the room that the command line describes. Raises pytest.UsageError: an option is missing."""
     option = config.getoption
     if option("--config") is None:
         raise pytest.UsageError("--vehicle needs --config FILE: the configuration of the onboard process")
@@ -162,7 +162,7 @@ def given(config: pytest.Config, folder: Path) -> Iterator[Room]:
         )  # fmt: skip
 
 
-FENCE = Fence(height_m=4.0, distance_m=25.0)  # the robot of scenario `large` drives straight at 0.4 m/s
+FENCE = Fence(height_m=4.0, distance_m=25.0)  # 25 m: the robot of `large` drives straight at 0.4 m/s
 
 
 @contextlib.contextmanager

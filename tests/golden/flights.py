@@ -19,7 +19,7 @@ TOPICS = (
     "target/odom",
 )  # fmt: skip
 WIRE = ("mavlink_source", "mavlink_sink")
-CHUNK_BYTES = 16 * 2**20  # a whole flight fits into one chunk, so that it compresses better
+CHUNK_BYTES = 16 * 2**20  # size of a chunk; a whole flight fits into one, so that it compresses better
 METADATA = ("onboard", "run")
 
 
@@ -78,7 +78,7 @@ FLIGHT_MAX_S = 300.0  # time-out of a flight, wall time, s
 
 @dataclass(frozen=True)
 class Flight:
-    """A scenario with changed keys."""
+    """A golden flight: a scenario with changed keys."""
 
     scenario: str  # name of the flown scenario
     phases: tuple[str, ...]  # phases that the flight must contain
@@ -91,7 +91,7 @@ class Flight:
 
 
 _SLOW = {"onboard.loop.rate_hz": 40, "odometry.rate_hz": 40.0}
-_SLOWER = {"onboard.loop.rate_hz": 25, "odometry.rate_hz": 25.0}  # rates that make the log smaller
+_SLOWER = {"onboard.loop.rate_hz": 25, "odometry.rate_hz": 25.0}  # lower rates make the log smaller
 _SLOWEST = {"onboard.loop.rate_hz": 15, "odometry.rate_hz": 15.0}
 _LOSSES = {"odometry.dropout_every_s": 2.5, "odometry.dropout_max_s": 4.0, "duration_max_s": 11.0}
 FLIGHTS = {

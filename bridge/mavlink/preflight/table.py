@@ -75,7 +75,7 @@ class Rule:
     Numbers have the rule's unit: a parameter's value times the ``scale`` of its name.
     """
 
-    means: str  # this project's name of the setting, equal for all releases
+    means: str  # this project's name for the setting; the same for all releases of the autopilot
     names: tuple[Name, ...]
     text: str  # consequence of an unsafe value
     severity: Level = Level.UNSAFE
@@ -110,7 +110,7 @@ class Rule:
         return (low is None or number >= low - _SLACK) and (high is None or number <= high + _SLACK)
 
     def wanted_in(self, name: Name, needs: Needs) -> str:
-        """Return the required value of the parameter in its unit, rounded up so that it suffices."""
+        """Return the required value as text, in the unit of the parameter, rounded up to two decimals."""
         unit = f" {name.unit}" if name.unit else ""
 
         def own(number: float) -> str:

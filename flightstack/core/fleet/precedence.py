@@ -114,7 +114,7 @@ def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
 
 
 def is_recent(message: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
-    """Whether the newest message of a member is recent."""
+    """Whether the newest message of a member is at most ``fleet.age_max_s`` old."""
     return message is not None and now_s - message.stamp_s <= fleet.age_max_s
 
 

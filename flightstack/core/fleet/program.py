@@ -127,7 +127,7 @@ class Cone(NamedTuple):
     period_s: float  # period of a tick
 
     def outward(self, h_m: float, gradient: Vec3, before_m_s: Vec3, target_m_s: Vec3) -> Row:
-        """Return the row that limits the growth of an outward velocity to what a climb can follow.
+        """Return the row that limits the growth of an outward velocity; a climb must be able to restore h.
 
         An inward motion may always be stopped.
         """

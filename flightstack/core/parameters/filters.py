@@ -25,7 +25,7 @@ FILTERS: Mapping[str, str] = MappingProxyType(
     }
 )
 ALLOWED = f"{', '.join(FILTERS)}, or MODULE:NAME of a filter from outside the package"
-_GIVEN: dict[str, Any] = {}  # registered classes of this process, by name
+_GIVEN: dict[str, Any] = {}  # filter classes that ``give`` registered in this process, by name
 _REFERENCE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 
 

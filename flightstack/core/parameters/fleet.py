@@ -37,7 +37,7 @@ class Fleet:
     speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # largest speed of another vehicle
     # largest acceleration of another vehicle, and of its velocity command
     acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 3.0
-    # largest horizontal acceleration of this vehicle's velocity command; a Crazyflie follows 2.1
+    # largest horizontal acceleration of the commanded velocity; a Crazyflie can follow 2.1 m/s^2
     slew_xy_max_m_s2: Annotated[float, span(0.05, 20.0)] = 2.0
     reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which members get a constraint
     age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # message age above which a vehicle is silent

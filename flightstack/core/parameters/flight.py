@@ -215,7 +215,7 @@ class Checks:
     target_child_frame: str = "target"  # child_frame_id of the target's odometry
     hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0  # time in HOLD before the climb
     climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0  # time in CLIMB before an abort
-    recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # time with recent inputs before a retry
+    recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # least time with good inputs before the landing
     retries_max: Annotated[int, span(0, 20)] = 3  # largest number of go-arounds before an abort
     swings_max: Annotated[int, span(1, 100)] = 3  # largest number of exits from the cone over the pad
     over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0  # longest flight over the pad

@@ -128,11 +128,8 @@ class Robust:
     tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04  # vertical tracking error of the velocity
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # number of covered standard deviations
     fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # radius within which the margin fades
-    acceleration_max_m_s2: Each[Annotated[float, span(0.2, 20.0)]] = (
-        2.0,
-        2.0,
-        2.5,
-    )  # limit of the commanded acceleration
+    # largest acceleration of the commanded velocity along east, north and up
+    acceleration_max_m_s2: Each[Annotated[float, span(0.2, 20.0)]] = (2.0, 2.0, 2.5)
     gain_1_s: Annotated[float, span(0.1, 5.0)] = 1.2  # gain of the position loop on the approach
     gain_over_pad_1_s: Annotated[float, span(0.1, 5.0)] = 2.0  # horizontal gain over the pad
     gain_descent_1_s: Annotated[float, span(0.0, 5.0)] = 0.0  # gain in the final descent; 0: as over the pad

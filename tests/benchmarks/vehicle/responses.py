@@ -1,4 +1,4 @@
-"""Flights of ``runs`` compared with the linear models, each flown once."""
+"""Compares the flights of ``runs`` with the linear models; each flight is flown once."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ WEIGHT_N = analysis.MASS * analysis.G
 
 @dataclass(frozen=True)
 class Step:
-    """A response every 2 ms, simulated and linear, divided by the step size, and poles of the linear
-    model."""
+    """Simulated and linear response every 2 ms, divided by the step size, and poles of the linear model."""
 
     t: F64
     simulated: F64
@@ -57,7 +56,7 @@ def _step(every_ms: F64, linear: F64, poles: C128 | None = None) -> Step:
 
 @cache
 def hover() -> runs.Run:
-    """Return the record of a hover until the battery is empty."""
+    """Return the record of a vehicle that hovers until its battery is empty."""
     return runs.hover_until_empty(430.0)
 
 

@@ -71,7 +71,7 @@ def _row(sim: VehicleSim, truth: Truth) -> tuple[object, ...]:
 def record(
     sim: VehicleSim, seconds: float, each: Callable[[int], bool] | None = None, *, every_ms: int = 1
 ) -> Run:
-    """Run and record; ``each`` is called every 10 ms and ends the run if it returns True."""
+    """Run the vehicle and record it; ``each`` is called every 10 ms and ends the run if it returns True."""
     rows = []
     begin = sim.truth().time_s
     for ms in range(0, round(seconds * 1000.0), every_ms):
@@ -85,7 +85,7 @@ def record(
 
 
 def hold(sim: VehicleSim, velocity: tuple[float, float, float], yaw: float = 0.0) -> Callable[[int], bool]:
-    """Send this set-point every 10 ms."""
+    """Send this set-point to the vehicle every 10 ms."""
 
     def send(ms: int) -> bool:
         sim.set_velocity(velocity, yaw)

@@ -16,7 +16,7 @@ from sim.flights.tape import STILL_M_S, Piece, Tape, tape_of
 from sim.scenarios.scenario import StateError
 
 FLIGHTS_MIN = 3  # minimum number of flights from which a spread between flights is computed
-LAG_MAX_S = 3.0  # largest lag of the fitted correlations
+LAG_MAX_S = 3.0  # largest lag of the fitted correlations, s
 LAGS = 40
 SPEEDS = 12  # number of speed bands with equal sample counts for the velocity error
 DIGITS = 2  # significant digits of the result
@@ -118,7 +118,7 @@ def _two_parts(lag_s: Floats, fast: float, fast_s: float, slow: float, slow_s: f
 
 
 def _sizes(covariance: Floats, lags_s: Floats, fast_s: float, slow_s: float) -> Floats:
-    """Return the variances of the fast and the slow part in one flight."""
+    """Return the variances of the fast and the slow part of the delay in one flight."""
     variances: Floats = nnls(np.column_stack((_smooth(lags_s, fast_s), _smooth(lags_s, slow_s))), covariance)[
         0
     ]

@@ -1,4 +1,4 @@
-"""Tables of docs/how_it_works/vehicle.md: each row has a simulated number, a reference and the deviation.
+"""Makes the tables of docs/how_it_works/vehicle.md: rows of simulated number, reference and deviation.
 
 ``python -m tests.benchmarks vehicle_tables`` writes them into the page.
 """

@@ -30,7 +30,8 @@ from tests.processes.bounded import AT_ONCE_S, wait_for
 from tests.processes.started import StartedChild
 from tests.px4_place import px4_or_skip
 
-pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("stream 0")]  # one PX4
+# the worker of "stream 0" is the only one that flies the real PX4
+pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("stream 0")]
 
 
 @pytest.fixture

@@ -49,7 +49,7 @@ def direct():
     return land_team(team, SEED, exchange=keep), commands
 
 
-same_flight = pytest.mark.xdist_group("fleet in lockstep")  # one worker flies this team and reads its log
+same_flight = pytest.mark.xdist_group("fleet in lockstep")  # one worker runs the group: one flight
 
 
 @same_flight

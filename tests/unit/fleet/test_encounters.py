@@ -23,7 +23,7 @@ class Nearest(NamedTuple):
 
 
 def nearest(before, after, steps, one, other):
-    """Return the result for a pair; the states are relative to the first vehicle."""
+    """Return the smallest distances of two vehicles; the states are relative to the first vehicle."""
     team = Team((one, other))
     team.follow(np.vstack((np.zeros(6), before)), np.vstack((np.zeros(6), after)), BOTH, steps)
     distance_m, flying_m, ellipsoid = team.least[0]

@@ -33,7 +33,7 @@ def controlled_axes(parameters):
 
 
 class FakePx4:
-    """The connection to the simulator."""
+    """Plays PX4: connects to the simulator, and exchanges messages with it."""
 
     def __init__(self, port):
         self._socket = socket.create_connection(("127.0.0.1", port), PATIENCE_S)

@@ -1,4 +1,4 @@
-"""Tests a ROS 2 target through a real router: messages of another library are used, bad ones rejected."""
+"""A ROS 2 target behind a real router: messages that another library encoded are valid, bad ones rejected."""
 
 import math
 import struct

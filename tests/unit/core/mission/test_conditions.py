@@ -36,7 +36,7 @@ def test_when_all_is_well():
         # PX4 is disarmed in external mode after a landing by set-points: this is not part of the flight
         ({"armed": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL"}),
         ({"armed": False, "ready": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL", "READY"}),
-        ({"ready": False}, set(), set()),  # an armed vehicle counts as ready to arm
+        ({"ready": False}, set(), set()),  # "not ready to arm" changes nothing for an armed vehicle
         ({"mode": Mode.HOLD}, set(), {"EXTERNAL", "WAS_EXTERNAL"}),
     ],
 )
