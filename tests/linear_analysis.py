@@ -1,4 +1,4 @@
-"""Linear models of the simulated vehicle's loops, and poles of a measured response.
+"""Linear models of the control loops of the simulated vehicle, and poles of a measured response.
 
 The models describe small motions about hover. The plant is integrated exactly over 2 ms with a constant
 command; the firmware's difference equations close the loop. If motion capture corrects the estimate every
@@ -35,7 +35,7 @@ DT = CONTROL_STEP_S
 G = PARAMS.contact.gravity_m_s2
 MASS = PARAMS.body.mass_kg
 N_PER_COUNT = PARAMS.rotor.thrust_max_n / 65535.0
-TORQUE_PER_COUNT = 2.0 * PARAMS.rotor.arm_m * N_PER_COUNT  # roll and pitch, N m
+TORQUE_PER_COUNT = 2.0 * PARAMS.rotor.arm_m * N_PER_COUNT  # torque of one count about roll or pitch, N m
 HOVER_RPM = PARAMS.rotor.rpm(MASS * G / 4.0)
 RAD_S_PER_RPM = 2.0 * math.pi / 60.0
 GYRO_GAIN = -math.expm1(-DT * math.sqrt(2.0) * math.pi * PARAMS.imu.gyro_filter_hz)
@@ -46,7 +46,7 @@ STEPS_PER_SAMPLE = round(MOCAP_PERIOD_S / DT)
 
 
 def slow_lag_s() -> float:
-    """Return the time constant of a small torque from slow motors: two motors speed up, two slow down."""
+    """Return the time constant of a small torque, s: two motors speed up and two, more slowly, slow down."""
     fall = 2.0 * HOVER_RPM * PARAMS.rotor.slow_fall_1_rpm_s
     return 2.0 / (PARAMS.rotor.slow_rise_1_s + fall)
 
@@ -104,7 +104,7 @@ class Builder:
         self.matrix = np.eye(self.n + 1)  # the last column belongs to the set-point
 
     def row(self, **terms: float) -> F64:
-        """Return a linear form of current states and ``u`` (set-point) in the states at the step's start."""
+        """Convert a linear form of current states and set-point ``u`` to the states at the step's start."""
         form = np.zeros(self.n + 1)
         for name, factor in terms.items():
             form[self.n if name == "u" else self.index[name]] = factor
@@ -136,7 +136,7 @@ def gyro(b: Builder) -> None:
 
 def tilt_command(b: Builder, **wanted: float) -> F64:
     """Return the commanded torque of the attitude loop; ``wanted``: desired tilt as a linear form."""
-    stiff = 2.0 * att.K_R_XY * TORQUE_PER_COUNT  # eR lacks the factor 1/2
+    stiff = 2.0 * att.K_R_XY * TORQUE_PER_COUNT  # the firmware's attitude error eR lacks the factor 1/2
     inertia = att.K_D_OMEGA_RP * TORQUE_PER_COUNT / DT
     damping = att.K_W_XY * TORQUE_PER_COUNT
     return (
@@ -172,8 +172,7 @@ def yaw_loop(lag: float, reaction: bool = True) -> Loop:
 
 
 def correction(b: Builder, gains: tuple[float, float, float], states: tuple[str, str, str, str]) -> F64:
-    """Return a motion-capture sample's correction of the estimate; states: true, position, velocity,
-    third."""
+    """Return how a motion-capture sample corrects the estimate of one axis as a matrix over its states."""
     matrix = np.eye(b.n)
     true, position, *_ = states
     for gain, name in zip(gains, states[1:], strict=True):

@@ -19,7 +19,7 @@ from flightstack.core.types import (
 
 DT_S = 0.01
 VELOCITY_RATE_1_S = 8.0
-STREAM_LOSS_S = 0.5  # time without set-points after which the vehicle lands by itself
+STREAM_LOSS_S = 0.5  # time without set-points after which the vehicle lands by itself, s
 
 
 @dataclass
@@ -116,7 +116,7 @@ class World:
                 self.armed = False
 
     def run(self, seconds: float, until=None):
-        """Step until the time is over, the controller has finished, or ``until(self)`` holds."""
+        """Simulate until the time is over, the controller has finished, or ``until(self)`` holds."""
         end = self.t_s + seconds
         while self.t_s < end:
             out = self.step()

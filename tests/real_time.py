@@ -1,6 +1,6 @@
 """Repeats a failed test in real time if the machine paused during the test.
 
-A virtual machine whose host gives its processors to others stands still for tenths of a second; then states
+A virtual machine stops for tenths of a second if its host uses the processors for other machines; then states
 are too old, and the stack rightly aborts. A thread on each processor measures how late it wakes. A failure
 without such a pause counts immediately. All other tests run with a lower priority.
 """
@@ -19,7 +19,7 @@ from flightstack.common.pacing import keep_memory
 
 REPEATS = 4
 PAUSE_S = 0.1  # a longer delay is a pause, s: half of the age limit of a vehicle state (checks.own_age_max_s)
-CALM_S = 2.0  # time between two attempts, s
+CALM_S = 2.0  # time between two attempts of a test, s
 GIVES_WAY = 15  # niceness of a worker and its children, from its first test that is not in real time
 _SLEEP_S = 0.01
 
@@ -74,7 +74,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         keep_memory()  # relays run in this process and must not wait for memory
         PAUSES.begin()
     elif "PYTEST_XDIST_WORKER" in os.environ and os.getpriority(os.PRIO_PROCESS, 0) < GIVES_WAY:
-        # in its own session: Linux applies the niceness to sessions first (sched(7), autogroup)
+        # a new session, because Linux compares the niceness of sessions first (sched(7), autogroup)
         os.setpriority(os.PRIO_PROCESS, 0, GIVES_WAY)
         with contextlib.suppress(OSError):  # the process may already lead a session
             os.setsid()

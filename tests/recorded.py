@@ -1,4 +1,4 @@
-"""Recorded flights for tests: a part of one flight in the repository, and all flights if installed."""
+"""Finds recorded flights for tests: a part of one in the repository, and all flights if installed."""
 
 from __future__ import annotations
 

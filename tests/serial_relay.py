@@ -25,9 +25,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from flightstack.common.pacing import ask_for_priority
 from tests.processes.ports import free_port
 
-_TURN_S = 0.002  # period of the thread; 12 bytes at 57,600 baud
+_TURN_S = 0.002  # period of the thread, s; 12 bytes at 57,600 baud
 _PIECE = 256  # maximum bytes per read
-_NONE = bytes(4)  # FIONREAD's result without bytes
+_NONE = bytes(4)  # result of FIONREAD if there are no bytes to read
 
 
 class PtyEnd:
@@ -131,11 +131,11 @@ _FIRST = frozenset({
 
 
 class Line:
-    """One direction: bytes enter immediately and leave at the bit rate; excess bytes are lost."""
+    """One direction of the line: bytes enter immediately and leave at the bit rate; excess bytes are lost."""
 
     def __init__(self, baud: int | None) -> None:
         self._rate = baud / 10 if baud else None
-        self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes; the buffer holds 0.05 s
+        self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes, for 0.05 s of data
         self._buffer = bytearray()
         self._credit = 0.0
 
@@ -177,7 +177,7 @@ class Line:
 
 
 class Relay:
-    """Runs in a thread until it is closed.
+    """Thread that passes bytes both ways until it is closed.
 
     ``near``: the onboard process's end; ``vehicle``: UDP port on loopback of the simulated vehicle; ``baud``:
     None without a limit; ``noise_bytes_s``: random bytes a second, inserted into the vehicle's bytes.

@@ -1,4 +1,4 @@
-"""A synthetic landing as rows of the log: a point with lag above a turning pad, and the exact projection.
+"""Makes rows of a log of a synthetic landing: a point mass with lag, a turning pad, the exact projection.
 
 Tests change the rows and write them as a real log; this module does not judge the flight.
 """
@@ -27,7 +27,7 @@ OMEGA_1_S = 0.7
 LAG_S = 0.25
 PAD_Z_M = 0.2
 FEET_M = 0.0144
-GROUND_S = 1.0  # duration of the wait on the ground
+GROUND_S = 1.0  # duration of the wait on the ground, s
 START_E_M = (1.4, -0.8, 0.6)
 BARRIER = Barrier(1.0, 1.5)
 NAN3 = (math.nan,) * 3
@@ -88,7 +88,7 @@ def _landing() -> Rows:
     pad, heading = (0.0, 0.0, PAD_Z_M), 0.3
     p, v, command, phase = (-0.5, -0.6, FEET_M), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), Phase.WAIT
     touch = (NAN3, NAN3, math.nan)
-    stand = None  # offset on the pad after the landing
+    stand = None  # offset of the vehicle on the pad after the landing
     off_s = math.inf
     tick = 0
     while tick * DT_S < min(MAX_S, off_s + AFTER_S):

@@ -54,7 +54,7 @@ def read_class(cls: Any) -> Definition:
 
 
 def messages_table() -> str:
-    """Return the whole file: messages of pymavlink are generated again, all others are unchanged."""
+    """Return the text of the file: messages of pymavlink are generated again, others are unchanged."""
     wide = {id_: cls for id_, cls in everything.mavlink_map.items() if id_ not in ardupilotmega.mavlink_map}
     made = {d.id: d for d in definitions() if d.id not in everything.mavlink_map}
     made.update({id_: read_class(cls) for id_, cls in wide.items()})
@@ -67,7 +67,7 @@ _SOURCE = "PX4 Autopilot v1.16.0, all_events.json; BSD 3-Clause, see px4_events.
 
 
 def events_table(metadata: Path, source: str = _SOURCE) -> str:
-    """Return the whole file: message and argument types of each event, and texts of each enumeration.
+    """Return the text of the file: message and argument types of each event, and texts of each enumeration.
 
     ``metadata``: all_events.json, or the same file compressed by xz; ``source``: release and licence of that
     file, which the result contains.
@@ -93,7 +93,7 @@ def _lines(entries: dict[Any, Any]) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Write one table; invalid arguments end with status 2."""
+    """Write the named table; invalid arguments end with status 2."""
     match arguments:
         case ["messages"]:
             MESSAGES.write_text(messages_table(), encoding="ascii")

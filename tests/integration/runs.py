@@ -37,7 +37,7 @@ CALLED = {
 
 @dataclass
 class Result:
-    """Result of a finished run."""
+    """Exit status and output of a finished run."""
 
     code: int
     out: str
@@ -62,7 +62,7 @@ def flightstack(*arguments, cwd=None, apart=False) -> Result:
 
 
 def called(*arguments, cwd=None) -> Result:
-    """Run a subcommand in this process; the subcommand must only read, or reject its arguments."""
+    """Run a subcommand in this process; it must only read, or reject its arguments."""
     with contextlib.chdir(cwd or Path.cwd()):
         done = CliRunner().invoke(main, [str(one) for one in arguments])
     if done.exception is not None and not isinstance(done.exception, SystemExit):

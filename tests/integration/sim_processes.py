@@ -33,7 +33,7 @@ NAN = float("nan")
 def running(
     child: Started, *, ready: bool = True, within_s: float = PATIENCE_S
 ) -> Iterator[tuple[Started, str]]:
-    """Run a process, killed at the latest at the end; yield its ready line if it prints one."""
+    """Run a process and kill it at the end of the context; yield its ready line if it prints one."""
     try:
         yield child, line_of(child.stdout, within_s).strip() if ready else ""
     finally:
@@ -83,7 +83,7 @@ def prompt_threads(pid: int) -> set[int]:
 
 
 class Client:
-    """A MAVLink client from a socket and pymavlink's parser, independent of this project."""
+    """A MAVLink client that uses a socket and pymavlink's parser, and no code of this project."""
 
     def __init__(self, url: str, system: int = 1, component: int = 191, *, listen: bool = False) -> None:
         kind, host, port = url.split(":")

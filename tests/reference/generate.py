@@ -50,7 +50,7 @@ def walk(rng, shape, start, step):
 
 
 def mellinger(lib, rng):
-    """Return cases of the attitude loop: slow and fast motions, any attitude, forces in the paper's range."""
+    """Return inputs of the attitude loop: slow and fast motion, any attitude, forces in the paper's range."""
     shape = (400, 10, 3)
     wild = np.arange(400)[:, None, None] % 2 == 1
     euler = np.where(
@@ -78,7 +78,7 @@ def mellinger(lib, rng):
 
 
 def pid(lib, rng):
-    """Return cases of the PID loops; short ones level out and turn in yaw, long ones saturate integrals."""
+    """Return inputs of the PID loops: short ones level out and turn in yaw, long ones saturate integrals."""
     sets = {}
     for name, count, length, tilt, drift in (("short", 240, 15, 8.0, 0.3), ("long", 8, 400, 25.0, 0.02)):
         shape = (count, length, 3)
@@ -90,7 +90,7 @@ def pid(lib, rng):
             rng.integers(-20, 21, (count, 1, 1)) + np.where(np.arange(count) % 8 == 7, 150, 0)[:, None, None]
         )
         yaw = np.repeat(np.round(euler[:, :1, 2:]) + off, length, axis=1)
-        yaw[::2, 2 * length // 3 :] += 25.0  # only without levelling out, during which no set-point arrives
+        yaw[::2, 2 * length // 3 :] += 25.0  # while the vehicle levels out, no set-point arrives
         yaw, euler[..., 2] = ((angle + 180.0) % 360.0 - 180.0 for angle in (yaw, euler[..., 2]))
         level = np.zeros((count, length, 1))
         level[::3, 5:10] = 1.0  # multiples of the position loop's period, like the supervisor's 40 ms

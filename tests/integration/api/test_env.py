@@ -12,7 +12,7 @@ NAME = "flightstack.api.env:flightstack/Landing-v0"
 
 
 def flown(env, seed, action=None):
-    """Fly a seed; return the rewards of all steps, and the last info."""
+    """Fly one seed with an agent; return the rewards of all steps, and the last info."""
     env.reset(seed=seed)
     rewards, over = [], False
     while not over:
@@ -37,7 +37,7 @@ def test_the_built_in_policy_flies_as_land_does_bit_by_bit(name):
 
 @pytest.mark.parametrize("name", [None, "paper", "robust"])
 def test_an_agent_sees_and_flies_the_same_without_compiled_ticks(name, monkeypatch):
-    """The agent acts once per tick, even if compiled code leaves the tick to Python after the action."""
+    """The agent acts once per tick, also if Python has to repeat the tick after the action."""
 
     def seen():
         env, rng = fs.make_env("storm", filter=name), np.random.default_rng(4)

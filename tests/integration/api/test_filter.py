@@ -1,4 +1,4 @@
-"""A user's own filter has one method, flies and replays everywhere, and must return a velocity."""
+"""Tests filters of a user: one method is enough, they fly and replay, and must return a velocity."""
 
 import re
 from dataclasses import dataclass, fields
@@ -80,7 +80,7 @@ def test_what_keeps_no_barrier_is_judged_by_the_flight():
 
 
 class Hasty(fs.RobustFilter):
-    """Flies at the pad as fast as the limits allow; ``enforced`` keeps the barrier with the robust margin."""
+    """Flies to the pad as fast as the limits allow; ``enforced`` keeps the barrier with the robust margin."""
 
     def filter(self, nominal, at):
         return at.enforced(at.target_velocity_enu_m_s - 2.0 * at.e_m)
@@ -132,7 +132,7 @@ def test_a_wrong_class_or_state_is_one_clear_line(tmp_path):
         def filter(self, nominal, at):
             return nominal
 
-    assert fs.land("lab", filter=Untyped).verdict is not None  # only a log needs the class as text
+    assert fs.land("lab", filter=Untyped).verdict is not None  # only a log needs the source text of the class
 
 
 def test_a_real_vehicle_flies_it_only_if_told_that_nothing_is_proven(tmp_path):

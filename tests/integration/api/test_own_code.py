@@ -1,4 +1,4 @@
-"""If code of the user fails in flight, every command ends with one clear line, status 2 and a whole log."""
+"""If a user's code fails in flight, every command ends with one clear line, status 2 and a complete log."""
 
 import sys
 import textwrap

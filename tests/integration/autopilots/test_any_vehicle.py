@@ -1,6 +1,6 @@
-"""Tests that fly any vehicle: our simulated one by default, another one by ``--vehicle URL --target KEY``.
+"""Tests that fly any vehicle: the simulated one by default, another one with ``--vehicle URL --target KEY``.
 
-Each step has limits of height, distance and time, at which the vehicle is landed. A given vehicle is armed
+Each step limits height, distance and time; a vehicle outside the limits is landed. A given vehicle is armed
 only with ``--arm-ok``; see docs/how_to/hardware.md.
 """
 
@@ -21,7 +21,7 @@ from tests.integration.runs import flightstack
 pytestmark = pytest.mark.vehicle
 STANDING_M_S = 0.15  # largest estimated speed of a vehicle that stands on the ground
 STOPPED_S = 2.0  # time-out from the emergency stop to motors off
-AWAY_M_S = 0.3  # speed of the pilot's departure
+AWAY_M_S = 0.3  # speed at which the pilot flies away from the start
 FLIGHT_MAX_S = 90.0
 LANDED_MAX_S = 40.0  # time-out from the loss of the companion to motors off by the vehicle itself
 
@@ -68,7 +68,7 @@ def test_connects_and_tells_who_and_where_it_is(pilot):
     assert speed_m_s(pilot) < STANDING_M_S
 
 
-@pytest.mark.given  # for the simulated one: test_preflight_tells_safe_from_unsafe
+@pytest.mark.given  # test_preflight_tells_safe_from_unsafe covers the simulated vehicle
 def test_its_parameters_are_safe(room):
     words = ["--vehicle", room.url, "--autopilot", room.autopilot, "--config", room.config]
     words += ["--signing-key", room.signing_key] if room.signing_key else []
@@ -118,7 +118,7 @@ def test_a_companion_that_falls_silent_leaves_a_safe_vehicle(pilot):
 
 
 def safe(pilot) -> bool:
-    """Return whether the vehicle has started its fail-safe, and no longer flies the last set-point."""
+    """Return whether the vehicle has started its fail-safe and has left the last set-point."""
     if not pilot.status.armed or pilot.status.mode is Mode.LAND:
         return True
     return pilot.limits.lost is Lost.STOPS and speed_m_s(pilot) < pilot.limits.still_m_s
@@ -129,7 +129,7 @@ def stands(pilot) -> bool:
     return not pilot.status.armed and pilot.status.landed is Landed.ON_GROUND
 
 
-@pytest.mark.given  # test_fly.py lands the simulated one
+@pytest.mark.given  # test_fly.py lands the simulated vehicle
 @pytest.mark.arms
 def test_follows_and_lands_on_the_target(room):
     with companion(room) as flying:
@@ -175,14 +175,14 @@ def left_alone(room) -> None:
 
 
 def down(room) -> bool:
-    """Wait briefly; return whether the vehicle stands with its motors off."""
+    """Wait a short time; return whether the vehicle stands with its motors off."""
     with Pilot(room) as pilot:
         pilot.connect()
         pilot.watch("motors off", lambda: not pilot.status.armed, 20.0)
         return pilot.status.landed is Landed.ON_GROUND
 
 
-# Tests of the suite itself, and tests that only the simulated room allows.
+# Tests of the suite itself, and tests that need the simulated vehicle.
 
 
 @pytest.mark.simulated

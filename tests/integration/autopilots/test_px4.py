@@ -42,7 +42,7 @@ def instance():
 
 
 def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_room(tmp_path):
-    """Fly by motion capture; test_autopilots.py flies by satellites."""
+    """PX4 gets its position from motion capture here, and from satellites in test_autopilots.py."""
     scenario = load("grid")
     wanted = parameters(params.load(scenario.vehicle.airframe), scenario.vehicle.mocap)
     with on_px4(tmp_path, px4_or_skip(), "grid", 0, mocap=True) as room:
@@ -63,7 +63,7 @@ def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, ins
         wait_for(lambda: "Waiting for simulator" in px4.output.read_text(), "PX4 that waits")
         with pytest.raises(Px4Error, match="Waiting for simulator"):
             px4.wait_ready(1.0)
-        os.killpg(px4.process.pid, signal.SIGSTOP)  # a stopped process must also end quickly
+        os.killpg(px4.process.pid, signal.SIGSTOP)  # also a stopped process must end within the time-out
         began_s = time.monotonic()
         px4.end()
         assert time.monotonic() - began_s < AT_ONCE_S
@@ -96,7 +96,7 @@ LOST_S = 10.0  # time-out of PX4's fail-safe, wall time: COM_OF_LOSS_T = 1.0 s s
 LANDED_MAX_S = 60.0
 RECORDED_MAX_S = 60.0
 ROBOT_M_S = 0.2
-DRIVEN_M = 2.0  # smallest distance that the robot drives during the flights
+DRIVEN_M = 2.0  # smallest distance that the robot must drive during the flights
 TAKEOFF_M = 1.2
 KILLED_M = 0.2  # height above the ground, in the climb: PX4 climbs about 0.8 m more until its fail-safe acts
 ERROR_M = 0.25  # allowed touchdown error on a pad of 0.5 m
@@ -124,7 +124,7 @@ class Flown:
     """Result of all flights."""
 
     ends: list  # exit status and last line of the onboard process for each flight
-    truth: Truth  # true states from the first to the last flight, while the robot drives on
+    truth: Truth  # true states from the first to the last flight
 
     def armed_s(self):
         """Return start and end of each flight; PX4 may also run the motors for one sample before a flight."""

@@ -14,7 +14,7 @@ from tests.integration.runs import called
 from tests.integration.sim_processes import verb
 from tests.unit.px4.px4_fakes import FakePx4, true_place
 
-PATIENCE_S = 120.0  # the first run on a machine compiles
+PATIENCE_S = 120.0  # time-out, s; the first run on a machine compiles
 
 
 @contextmanager
@@ -48,7 +48,7 @@ def test_outputs_lift_it_by_motion_capture_in_the_coordinates_of_the_room():
 
 
 def first_steps(port, count=500):
-    """Return HIL_SENSOR of the first steps; the motors start after a second."""
+    """Return the HIL_SENSOR messages of the first steps; the motors start after a second."""
     fake = FakePx4(port)
     fake.hello()
     found = []

@@ -1,4 +1,4 @@
-"""MAVProxy and MAVSDK fly the vehicle process: by typed lines, and by the program of docs/how_to/clients.md.
+"""Tests MAVProxy (typed lines) and MAVSDK (the program of docs/how_to/clients.md) with the vehicle process.
 
 An independent client observes the vehicle. Every wait has a time-out and ends on printed output or telemetry.
 """
@@ -47,7 +47,7 @@ STEPS = (
 
 @contextmanager
 def vehicle(*more: str):
-    """Run ``flightstack vehicle`` on a free loopback port, and an observer; it must also end in order."""
+    """Run ``flightstack vehicle`` on a free loopback port, and an observer; both must end without error."""
     words = ("vehicle", "--scenario", "paper_static_1", "--url", "udpin:127.0.0.1:0", *more)
     with verb(*words, within_s=READY_MAX_S) as (child, ready):
         watch = Observer(ready.removeprefix("ready "))
@@ -60,7 +60,7 @@ class Observer(Client):
     """A client that sends only heartbeats and stores received messages."""
 
     def look(self) -> None:
-        """Send a heartbeat, and read what has arrived."""
+        """Send a heartbeat, and read the messages that have arrived."""
         self.hello()
         while self.receive(0.0):
             pass
@@ -122,7 +122,7 @@ class Program:
                 self.output += data.decode(errors="replace")
 
     def expect(self, pattern: str, repeat: str | None = None) -> None:
-        """Wait for new output that matches."""
+        """Wait for new output that matches a pattern."""
         self.until(lambda: re.compile(pattern).search(self.output, self._read_to), pattern, repeat)
         self._read_to = re.compile(pattern).search(self.output, self._read_to).end()
 

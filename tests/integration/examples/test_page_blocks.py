@@ -1,4 +1,4 @@
-"""Python and TOML blocks of the documentation: programs run, and files can be read."""
+"""Tests the Python and TOML blocks of the documentation: programs run, and files can be read."""
 
 import re
 import tomllib

@@ -1,4 +1,4 @@
-"""A signal during a subcommand's start is handled: nothing is flown, no process is left, the status is 1."""
+"""Tests a signal during the start of a subcommand: no flight starts, no process remains, the status is 1."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Tests campaigns: rows equal single runs despite failing workers; user filters; limits of the tiers."""
+"""Tests campaigns: rows equal single runs, also if workers fail; filters of users; limits of the tiers."""
 
 import contextlib
 import json
@@ -37,7 +37,7 @@ def untimed(folder):
     return [row.untimed() for row in read_rows(folder / "rows.csv")]
 
 
-shared = pytest.mark.xdist_group("campaign")  # one worker flies this campaign once
+shared = pytest.mark.xdist_group("campaign")  # one test worker runs this group, so the campaign flies once
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_the_command_of_a_seed_repeats_it(whole, tmp_path):
 
 
 def begun(folder, *arguments):
-    """Return a campaign in the background that has flown two landings."""
+    """Return a campaign that runs in the background and has flown two landings."""
     running, path = Background("campaign", *arguments, "--out", folder), folder / "rows.csv"
 
     def some():

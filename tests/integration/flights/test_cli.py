@@ -44,7 +44,7 @@ def test_wrong_input_is_status_2_and_one_clear_line(arguments, words, tmp_path):
     assert "Traceback" not in result.err
     for word in words:
         assert word in result.err
-    assert list(tmp_path.iterdir()) == []  # no file remains
+    assert list(tmp_path.iterdir()) == []  # the command left no file
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_the_simulated_crazyflie_is_identified_from_its_flights(flights):
     odometry = scenario.load("lab").odometry
     assert table["target"]["position_noise_m"] == pytest.approx(odometry.position_noise_m, rel=0.15)
     assert table["target"]["velocity_noise_m_s"] == pytest.approx(odometry.velocity_noise_m_s, rel=0.15)
-    assert table["target"]["delay_s"] == pytest.approx(odometry.delay_s, abs=0.011)  # within one tick
+    assert table["target"]["delay_s"] == pytest.approx(odometry.delay_s, abs=0.011)  # tolerance: one tick
     assert table["envelope"]["target_rate_hz"] == odometry.rate_hz
     loop = table["velocity_loop"]
     for key, axis in (("lag_xy_s", 0), ("lag_z_s", 2)):

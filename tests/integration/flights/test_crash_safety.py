@@ -1,4 +1,4 @@
-"""Any process can be killed at any time, and the disk can be full: the log survives with bounded losses."""
+"""Tests the log after the kill of any process, and with a full disk: it is readable, with bounded losses."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ CASES = [
 
 @pytest.mark.parametrize(("victim", "lockstep"), CASES)
 def test_a_kill_costs_half_a_second_of_the_log_at_most(tmp_path, victim, lockstep):
-    for sooner in (1.0, 0.3, 0.0):  # a fast machine has landed before the kill
+    for sooner in (1.0, 0.3, 0.0):  # on a fast machine the vehicle may land before the kill
         try:
             found = crash(tmp_path / str(sooner), victim, 1, lockstep=lockstep, sooner=sooner)
             break

@@ -1,6 +1,6 @@
-"""Cells of the fault grid meet its requirements, and docs/reference/fault_grid.md agrees.
+"""Tests that cells of the fault grid meet its requirements and equal docs/reference/fault_grid.md.
 
-One cell is flown for each requirement of a way to fail; ``python -m tests.benchmarks fault_grid`` flies all.
+For each failure one cell of each requirement is flown; ``python -m tests.benchmarks fault_grid`` flies all.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MAKE_ANEW = "run: python -m tests.benchmarks fault_grid"
 FLOWN = {(part, way, GRID[part, way, m]): m for part in Part for way in Way for m in reversed(Moment)}
 CELLS = {(part, way, moment) for (part, way, _), moment in FLOWN.items()}
 GROUPS = sorted({(part, moment) for part, _, moment in CELLS}, key=str)
-# tolerances for the rounding of other processors, for the columns in s, s and m
+# tolerances of the columns in s, s and m, because other processors round differently
 TOLERANCES = (0.1, 0.5, 0.01)
 _FIRST_NUMBER = 5  # first numeric column of the page's tables
 

@@ -1,4 +1,4 @@
-"""``sitl`` with a team: every member flies as in ``land_team``; the death of a process harms no other."""
+"""Tests ``sitl`` with a team: members fly as in ``land_team``; a killed process harms no other member."""
 
 import os
 import signal

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.xdist_group("real-time")
 
 @contextmanager
 def theirs(folder):
-    """Run vehicle and robot separately; yield the options that connect to them."""
+    """Run vehicle and robot as separate processes; yield the options that connect to them."""
     with simulated(folder) as room:
         yield [
             "--vehicle", room.url, "--target", room.target_key, "--connect", *room.connect,
@@ -38,7 +38,7 @@ def test_lands_records_judges_and_reports(tmp_path):
     assert done.code == 0, done.err
     found = done.json
     assert LogFile(found["log"]).single().metadata()["onboard"]["core"] == "compiled"
-    assert replayed(found["log"])["compared"] > 500  # replayed by interpreted Python
+    assert replayed(found["log"])["compared"] > 500  # number of ticks that interpreted Python replays
     assert found["outcome"] == "landed"
     assert found["judged_from"] == "estimate"
     assert found["touchdown_error_m"] <= 0.10

@@ -1,4 +1,4 @@
-"""A fleet of three kinds of vehicles in real time: simulated, PX4 if installed, Crazyflie with bridge."""
+"""Flies a fleet in real time: a simulated vehicle, PX4 if installed, and a Crazyflie with its bridge."""
 
 import contextlib
 import itertools
@@ -30,7 +30,7 @@ READY_S = 200.0  # time-out until PX4 can arm, also on a busy machine
 
 @contextlib.contextmanager
 def second_member(kind, folder, robots, place):
-    """Run the second vehicle: the simulated one, or PX4 as instance 1, since its system id is that plus 1."""
+    """Run the second vehicle: the simulated one, or PX4 as instance 1, which has the system id 2."""
     words = ("--scenario", TEAM, "--seed", SEED, "--member", SECOND, "--connect", robots)
     if kind == "sitl":
         with verb("vehicle", *words, "--url", f"udpin:{place}"):
@@ -95,7 +95,7 @@ def test_three_kinds_hear_each_other_cross_land_and_replay(second, tmp_path):
     fleet, log = load_fleet(run.out / "flight.mcap"), LogFile(run.out / "flight.mcap")
     verdict = judge_fleet(fleet)
     assert [each.judged_from for each in verdict.members.values()] == ["truth", "estimate", "estimate"]
-    assert verdict.collisions is None  # two true positions are unknown
+    assert verdict.collisions is None  # the true positions of two members are unknown
     for number, kind in kinds.items():
         assert log.metadata()[f"cf{number}/preflight"]["profile"] == kind
         result = replay(run.out / "flight.mcap", member=f"cf{number}")

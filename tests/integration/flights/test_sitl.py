@@ -17,11 +17,11 @@ from tests.integration.runs import Flying, flightstack, fly, kill, replayed
 from tests.processes.bounded import gone
 
 RUNS = [
-    ("paper_static_1", 0, ()),  # starts on the ground
+    ("paper_static_1", 0, ()),  # flight that starts on the ground
     ("paper_moving_2", 0, ("--filter", "robust")),
-    ("stop_and_go", 0, ()),  # starts in hover
-    ("room", 1, ()),  # has errors of the state, an estimator and a thrust reserve
-    ("storm", 1, ()),  # has drop-outs and wind
+    ("stop_and_go", 0, ()),  # flight that starts in hover
+    ("room", 1, ()),  # scenario with state errors, an estimator and a thrust reserve
+    ("storm", 1, ()),  # scenario with lost samples and wind
     ("fault_target_dropout", 0, ()),
     (str(Path(__file__).with_name("captured.toml")), 1, ()),
 ]
@@ -83,7 +83,7 @@ def test_a_world_that_stands_still_for_some_seconds_only_delays_a_lockstep_fligh
     run.until("-> TAKEOFF")
     world = run.children()["world"]
     kill(world, signal.SIGSTOP)
-    time.sleep(6.0)  # longer than the lease of a real-time connection
+    time.sleep(6.0)  # longer than the Zenoh lease of a connection in real time
     kill(world, signal.SIGCONT)
     assert run.end() == 0
     steps = load_flight(tmp_path / "flight.mcap").steps

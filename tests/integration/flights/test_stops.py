@@ -1,4 +1,4 @@
-"""Tests the operator's abort and emergency stop in every phase, a closed terminal, signals to bridges."""
+"""Tests abort and emergency stop by the operator in each phase, a closed terminal, and signals to bridges."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ TAKES_ITS_TERMINAL = (
 
 
 def on_a_terminal(arguments):
-    """Start a subcommand as session leader on its own terminal; return process and other end."""
+    """Start a subcommand as leader of a session on a new terminal; return process and other terminal end."""
     ours, theirs = pty.openpty()
     child = subprocess.Popen(
         [sys.executable, "-c", TAKES_ITS_TERMINAL, *COMMAND, *arguments],
@@ -193,7 +193,7 @@ def beat(vehicle, base_mode):
 
 @contextmanager
 def mocap_bridge():
-    """Run a motion capture bridge with a plain vehicle that has sent messages to the bridge."""
+    """Run a motion capture bridge that has received messages of a vehicle."""
     with (
         Mocap(KEY, lambda: ((1.0, 2.0, 0.5), (1.0, 0.0, 0.0, 0.0))) as mocap,
         plain_vehicle(12) as vehicle,

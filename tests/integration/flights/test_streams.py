@@ -1,4 +1,4 @@
-"""Closed or full output streams: the process does its work and has the right exit status."""
+"""Tests closed or full output streams: the process does its work and has the right exit status."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Every command of README and docs runs as documented; the table of topics equals a recorded log."""
+"""Tests that each command of README and docs runs as documented, and the table of topics against a log."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_the_parts_apart_land(tmp_path):
     page = on_free_ports("\n".join(commands()))
     parts = {verb(c): c for c in page.splitlines() if verb(c) in APART}
     assert list(parts) == list(APART)
-    run(f"{BIN}/python --version", tmp_path)  # the first command creates the folder's .venv
+    run(f"{BIN}/python --version", tmp_path)  # this command creates the .venv of the folder
     running = []
     try:
         for name, command in parts.items():
@@ -149,7 +149,7 @@ def test_make_fly_lands():
 
 # topics that are recorded only with a certain table of the configuration, or with a fleet
 WITH_TABLE = {"/cf1/controller/power", "/cf1/controller/neighbours", "/cf1/fleet/word", "/fleet/pairs"}
-DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # one line of the page for many topics
+DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # line of the page that stands for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")
 PAGE = ROOT / "docs/reference/logs.md"
 log_docs = pytest.mark.xdist_group("log docs")  # these tests share a flight
@@ -168,7 +168,7 @@ def folder(flown, tmp_path_factory):
 
 
 def table():
-    """Return topic -> (type, rate) of the page."""
+    """Return type and rate of each topic in the table of the page."""
     rows = re.findall(r"^\| `(/\S+)` \| `(\S+)` \| (\S+) \|", PAGE.read_text(), re.MULTILINE)
     return {topic: (kind, rate) for topic, kind, rate in rows}
 

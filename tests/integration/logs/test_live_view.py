@@ -1,4 +1,4 @@
-"""Tests which data the live 3-D scene draws and rejects, and that a viewer that hangs delays no process."""
+"""Tests which data the live 3-D scene draws and rejects; a viewer that hangs must not delay a process."""
 
 import os
 import signal
@@ -21,14 +21,14 @@ pytestmark = pytest.mark.xdist_group("real-time")
 
 CONFIG = ROOT / "flightstack" / "config" / "sitl-1kg.toml"
 KEYS = ("controller/step", "loop/timing")
-PAD_RADIUS_M = 0.5  # pad radius of that configuration
+PAD_RADIUS_M = 0.5  # radius of the pad in the configuration, m
 ROWS = landing().steps[::5]  # rows at 20 Hz, the published rate
 PUTS = 2000  # samples of a 20 Hz loop, more than all queues hold
 PUT_TIME_MAX_S = 0.01
 
 
 def entities(path):
-    """Return entity -> rows with a time, and the names of all its columns."""
+    """Return, by entity, the number of rows with a time, and the names of all columns."""
     rows, columns = Counter(), {}
     for chunk in RrdReader(path).store().stream().to_chunks():
         rows[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
@@ -49,7 +49,9 @@ def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
     assert rows["/safety/h/controller"] == rows["/world/vehicle"] == rows["/world/target"] == len(ROWS)
     assert rows["/velocity/z/filtered"] == len(ROWS)
     assert rows["/phase"] == rows["/events"] == len({r.phase for r in ROWS})
-    assert 5 < rows["/world/vehicle_path"] <= len(ROWS) / 4 + 1  # a whole path is sent less often
+    assert (
+        5 < rows["/world/vehicle_path"] <= len(ROWS) / 4 + 1
+    )  # each row has the whole path, so few are sent
     assert any(name.startswith("Arrows3D:vectors") for name in columns["/world/velocity/nominal"])
     assert "/world/target_spot/barrier" not in columns  # the shape of the barrier was not published
     reader = RrdReader(whole)

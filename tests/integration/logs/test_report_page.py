@@ -1,4 +1,4 @@
-"""Opens the report of a real log in a real browser."""
+"""Tests the report of a flight in a real browser."""
 
 import os
 import re
@@ -19,7 +19,7 @@ pytest.importorskip("plotly", reason="the report needs plotly: install the extra
 
 FIGURES = 12
 FLEET_FIGURES = 5
-SIZE_MAX = 6e6  # maximum bytes, including the drawing library
+SIZE_MAX = 6e6  # maximum size of the page with its plotting library, bytes
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 BROWSER_LIMIT_S = 180
 
@@ -61,7 +61,7 @@ def report_of(log, out=None):
 
 
 class Page(HTMLParser):
-    """Classes and attributes of the page's elements, without scripts."""
+    """Classes and attributes of the elements of the page, without scripts."""
 
     def __init__(self, text):
         super().__init__()

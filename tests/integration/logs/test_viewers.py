@@ -1,4 +1,4 @@
-"""Third-party programs open a recorded log and decode the flown data."""
+"""Tests that programs of other projects open a recorded log and decode its data."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def log(flown):
 
 @pytest.fixture(scope="module")
 def bag(log):
-    """Return topic -> [(log time in ns, message)], decoded by rosbags."""
+    """Return log time in ns and message of all messages by topic, decoded by rosbags."""
     found: dict[str, list] = {}
     with AnyReader([log]) as reader:
         for connection, log_time_ns, data in reader.messages():
@@ -55,7 +55,7 @@ def vector(v):
 
 
 def test_own_odometry_is_what_the_vehicle_sent(bag):
-    """LOCAL_POSITION_NED and the ENU odometry agree at each tick; the comparison does not use our bridge."""
+    """LOCAL_POSITION_NED and the ENU odometry agree at each tick; the test does not convert with the bridge."""
     sent = dict(bag["/cf1/mavlink/sys1/comp1/LOCAL_POSITION_NED"])
     compared = 0
     for time_ns, odometry in bag["/cf1/odom"]:
@@ -96,7 +96,7 @@ def rerun(home, *arguments):
 
 
 def rows_of(rrd):
-    """Return entity -> (rows of its temporal data, names of its columns)."""
+    """Return, by entity, the number of rows with a time and the names of its columns."""
     found: dict[str, tuple[int, set]] = {}
     for chunk in RrdReader(rrd).store().stream().to_chunks():
         rows, columns = found.get(chunk.entity_path, (0, set()))

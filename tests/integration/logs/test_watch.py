@@ -1,4 +1,4 @@
-"""Tests live keys and the subcommand ``watch``, which observes a flight; old data are never shown as new."""
+"""Tests the Zenoh keys of a flight and the subcommand ``watch``; old data are never shown as new."""
 
 import io
 import json
@@ -39,7 +39,7 @@ class Clock:
 
 
 class Sender:
-    """Plays the onboard process in its own session."""
+    """Publishes like the onboard process, in its own session."""
 
     def __init__(self, endpoint, namespace="cf1"):
         self.session = zenoh_link.open_session([endpoint], [])

@@ -1,4 +1,4 @@
-"""Starts the subcommands of ``flightstack bridge`` and a motion capture for them, and flies through them."""
+"""Starts subcommands of ``flightstack bridge`` and a motion capture, and flies through the bridges."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import pose_stamped
 
 OFFBOARD, HOLD = 0x00060000, 0x03040000
-HOVERS_M = 0.3  # height above the start at which the vehicle hovers, in a take-off to 0.5 m
+HOVERS_M = 0.3  # height above the start from which the vehicle counts as hovering after a take-off to 0.5 m
 ASKS_EVERY_S = 1.5  # period of a pilot's requests, s; heartbeats, which show the result, arrive once a second
 
 

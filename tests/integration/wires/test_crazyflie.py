@@ -1,4 +1,4 @@
-"""Tests the process of the Crazyflie bridge with the UDP driver of cflib."""
+"""Tests the process of the Crazyflie bridge over the UDP driver of cflib."""
 
 from __future__ import annotations
 

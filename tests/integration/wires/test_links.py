@@ -46,7 +46,7 @@ def vehicle():
 
 
 def signing(client, key):
-    """Let a client use pymavlink's own signing."""
+    """Let a client sign its messages by pymavlink."""
     client._mav.robust_parsing = True
     client._mav.signing.secret_key = key.secret
     client._mav.signing.sign_outgoing = True
@@ -96,7 +96,7 @@ def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, 
         ("metadata fleet", "signing_key"): (str(key_file), ABSENT),
     }
     rest = [d for d in different if not d.topic.startswith("metadata")]
-    assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # the ROS 2 metadata are equal
+    assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # all other metadata are equal
     for each in rest:
         assert each.a.replace(f"signing_key = {key_file}\\n", "") == each.b
 

@@ -88,7 +88,7 @@ def test_a_vehicle_gets_poses_in_its_own_way(autopilot, kind):
         mocap.stop()
         wait_for(lambda: started.said("mocap: no pose for"), "the text")
         vehicle.send(mav.MAVLink_timesync_message(0, 4712))
-        vehicle.until(is_a("TIMESYNC", ts1=4712))  # its reply shows that earlier messages have arrived
+        vehicle.until(is_a("TIMESYNC", ts1=4712))  # this reply shows that earlier messages have arrived
         vehicle.log.clear()
         vehicle.beat()
         vehicle.until(is_a("HEARTBEAT"), each=vehicle.beat)

@@ -50,7 +50,7 @@ class Node:
             self.messages[key.topic].append(decode(key.type_name, sample.payload.to_bytes()))
 
     def has_all_of_the_flight(self):
-        """Return whether the robot's data of the flight have arrived; on a busy machine they are late."""
+        """Return whether all data of the robot have arrived; on a busy machine they are late."""
         self.poll()
         own, target = self.messages["/cf1/odom"], self.messages["/cf1/target/odom"]
         return seconds(target[-1]) >= seconds(own[-1])
@@ -60,7 +60,7 @@ class Node:
 
 
 class Parts:
-    """Run the page's processes, started in its order."""
+    """Starts the processes of the page in its order, and ends them."""
 
     def __init__(self, folder, stack):
         self._folder, self._stack, self._words = folder, stack, commands()

@@ -70,7 +70,7 @@ def test_after_a_pause_it_goes_on_from_there_and_takes_no_core_from_others() -> 
         child.send_signal(signal.SIGCONT)
         client.until(lambda m: is_a("STATUSTEXT")(m) and re.match(r"Machine paused \d\.\d\d s", m.text))
         after = client.until(is_a("LOCAL_POSITION_NED")).time_boot_ms
-        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # the clock stood still
+        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # its clock stopped
         assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
         terminate(child)
 
@@ -124,7 +124,7 @@ def test_an_answer_from_before_the_end_is_acted_on_however_late_the_vehicle_gets
         for _ in range(21):
             assert companion.step()
         os.kill(child.pid, signal.SIGCONT)
-        assert companion.step()  # otherwise logs of equal flights would differ by one true state
+        assert companion.step()  # without this step, logs of equal flights would differ by one true state
         assert child.wait(AT_ONCE_S) == 0
 
 

@@ -85,7 +85,7 @@ questions = itertools.count()
 
 
 def who_hears(sessions, sender, key):
-    """Return the names of the clients that a sample on the key reaches."""
+    """Return the names of the clients that receive a sample on this key."""
     asked, marks = (f"{word} {next(questions)}".encode() for word in ("asked", "mark"))
     publisher = zenoh_link.dropping_publisher(sessions[sender], key)
     mark = zenoh_link.dropping_publisher(sessions["robot"], TARGET)
@@ -105,7 +105,7 @@ def who_hears(sessions, sender, key):
         return marked.issuperset(others)
 
     wait_for(passed, "what the robot sends")
-    for _ in range(20):  # waits once more, because one path is slower
+    for _ in range(20):  # a second wait, because the other path may be slower
         passed()
         time.sleep(0.005)
     for one in (publisher, mark, *heard.values()):
@@ -135,7 +135,7 @@ def test_each_may_do_what_is_his_and_nothing_else(at_home, kind):
 @pytest.mark.parametrize(
     ("kind", "name", "secret"),
     [
-        ("tls", "stranger", None),  # a certificate with the name robot from another authority
+        ("tls", "stranger", None),  # certificate with the name robot, signed by another authority
         ("password", "robot", "wrong"),
         ("password", "mallory", "change me"),
     ],
