@@ -151,7 +151,7 @@ def test_the_target_drives_a_circle_and_says_so():
         assert math.hypot(x, y - 1.0) == pytest.approx(1.0)
     way_m = sum(math.dist(a, b) for a, b in pairwise(places))
     assert way_m / (times_s[-1] - times_s[0]) == pytest.approx(0.5, rel=0.02)
-    # the simulated pad follows the same circle; a message may be lost at either end
+    # the simulated pad follows the same circle; the first or last message may be lost
     assert len({pad.position_enu_m[:2] for pad in pads} & set(places)) >= 50
     last = messages[-1]
     heading_rad = 2.0 * math.atan2(last.pose.pose.orientation.z, last.pose.pose.orientation.w)

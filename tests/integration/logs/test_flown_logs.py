@@ -1,5 +1,4 @@
-"""Flights recorded from separate processes: replayed bit by bit, played back, judged with and without
-truth."""
+"""Logs of separate processes: they replay bit by bit, play back, and are judged with and without truth."""
 
 import math
 from dataclasses import replace
