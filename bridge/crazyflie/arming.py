@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bridge.crazyflie.packets import Order, Packet
-from bridge.crazyflie.state import ArmReply, CrazyflieState, Info
+from bridge.crazyflie.packets import ArmReply, CrazyflieState, Info, Order, Packet
 
 REPEAT_S = 0.05  # time between two repeats of a request, s: the period of two state packets
 ARM_MAX_S = 0.6  # time-out of an arming request without an answer, s

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from bridge.crazyflie.packets import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Outside, Power
 from bridge.crazyflie.rules import ESTIMATOR, KALMAN, LOST_S, POSE_AGE_MAX_S, REARM_S
-from bridge.crazyflie.state import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Outside, Power
 from bridge.frames import Quat, body_from_world, yaw_from_quaternion
 from bridge.mavlink.server.commander import Battery
 from bridge.mavlink.server.profile import POSITION_SOURCE

@@ -26,9 +26,7 @@ from cflib.crazyflie.toccache import TocCache
 from cflib.crtp.crtpstack import CRTPPort
 
 from bridge.crazyflie.condition import too_old
-from bridge.crazyflie.packets import Order, Outbox, Packet, Pose, SetParam, Velocity
-from bridge.crazyflie.rules import DRAG
-from bridge.crazyflie.state import (
+from bridge.crazyflie.packets import (
     BLOCKS,
     FETCHED_AS,
     ArmReply,
@@ -37,8 +35,15 @@ from bridge.crazyflie.state import (
     Event,
     LogPacket,
     Lost,
+    Order,
+    Outbox,
+    Packet,
     ParamValue,
+    Pose,
+    SetParam,
+    Velocity,
 )
+from bridge.crazyflie.rules import DRAG
 
 PARAMS = (  # parameters that are checked before arming
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",

@@ -12,8 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.crazyflie.rules import Rules
-from bridge.crazyflie.state import (
+from bridge.crazyflie.packets import (
     HEALTH,
     LATE_MAX_S,
     STATE,
@@ -28,11 +27,11 @@ from bridge.crazyflie.state import (
     decode_outside,
     decode_state,
 )
+from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.vehicle import Vehicle
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import CRAZYFLIE_MARK
 from bridge.mavlink.server import telemetry
-from bridge.mavlink.server.commander import Sender
 from bridge.mavlink.server.commands import ACCEPTED, REJECTED, Reply
 from bridge.mavlink.server.parameters import Parameters, fixed
 from bridge.mavlink.server.profile import ServerProfile
@@ -47,6 +46,11 @@ _NOTHING: frozenset[int] = frozenset()
 _NEED_POSITION = frozenset({_M.MAVLINK_MSG_ID_LOCAL_POSITION_NED})
 _GAP_S = 0.05  # age of the state, s (five packets), above which no message with state values is sent
 _OF_STATE = _NEED_POSITION | {_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION}
+
+_OF_CLIENTS = (
+    _M.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED, _M.MAVLINK_MSG_ID_COMMAND_LONG,
+    _M.MAVLINK_MSG_ID_COMMAND_INT,
+)  # fmt: skip
 
 
 def _home_position(s: Snapshot[Vehicle]) -> Message:
@@ -146,21 +150,12 @@ class Node(Server[Vehicle]):
         """Return the firmware's clock, ns; None before the first state."""
         return self.clock.now_ns(now_s) if self.clock.running else None
 
-    def on_heartbeat(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
-        """Register a client; heartbeats of other vehicles do not count."""
-        if message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
+    def heard(self, message: Message, now_s: float) -> None:
+        """Register a client by its heartbeat, set-point or command; other vehicles are no clients."""
+        kind = message.get_msgId()
+        beats = kind == _M.MAVLINK_MSG_ID_HEARTBEAT and message.autopilot == _M.MAV_AUTOPILOT_INVALID
+        if beats or kind in _OF_CLIENTS:
             self.vehicle.client(now_s)
-        return []
-
-    def on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Handle a set-point; its sender also counts as a client."""
-        self.vehicle.client(now_s)
-        return super().on_setpoint(message, sender, now_s)
-
-    def on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Handle a command; its sender also counts as a client."""
-        self.vehicle.client(now_s)
-        return super().on_command(message, sender, now_s)
 
     def _new_home(self, now_s: float) -> list[Message]:
         """Send the home position before the armed heartbeat: clients add the take-off height to home."""

@@ -1,12 +1,20 @@
-"""Packets for the Crazyflie, and their queue: urgent packets first; old velocities are dropped."""
+"""What passes between bridge and Crazyflie: packets and their queue, events, and decoded log packets.
+
+Urgent packets are sent first; old velocities are dropped. Each log packet holds a complete state:
+``stateEstimateZ`` (firmware stabilizer.c) has millimetres, millimetres per second, a quaternion in 32 bits
+and milliradians per second; with supervisor bits and voltage it fills the 26 bytes of a packet. Here are
+metres, seconds, radians, volts; the Crazyflie's world frame (x, y, z up) is used as ENU; body: FLU.
+"""
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
-from collections.abc import Callable
-from enum import Enum
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum, IntFlag
+from typing import Any, NamedTuple
 
 from bridge.frames import Quat
 from flightstack.core.types import Vec3
@@ -109,3 +117,250 @@ class Outbox:
         with self._ready:
             self._woken = True
             self._ready.notify()
+
+
+# CRTP protocol with arming and emergency stop on the supervisor's port (cflib supervisor.py)
+PROTOCOL_MIN = 12
+
+
+class Info(IntFlag):
+    """Bits of ``supervisor.info`` (firmware supervisor.c)."""
+
+    CAN_BE_ARMED = 1 << 0
+    ARMED = 1 << 1
+    AUTO_ARM = 1 << 2  # the firmware arms itself, as on every Crazyflie 2.x with brushed motors
+    CAN_FLY = 1 << 3
+    FLYING = 1 << 4
+    TUMBLED = 1 << 5
+    LOCKED = 1 << 6
+    CRASHED = 1 << 7
+
+
+class Power(Enum):
+    """Values of ``pm.state`` (firmware pm.h)."""
+
+    BATTERY = 0
+    CHARGING = 1
+    CHARGED = 2
+    LOW = 3
+    SHUTDOWN = 4
+
+
+class Connected(NamedTuple):
+    """The link is open and the start-up requests are answered."""
+
+    protocol: int
+    params: dict[str, str]  # values of ``link.PARAMS``; those unknown to the firmware are missing
+
+
+class Lost(NamedTuple):
+    """The link is lost or could not be opened; the next attempt follows."""
+
+    reason: str
+
+
+class LogPacket(NamedTuple):
+    """One packet of a log block, not decoded."""
+
+    block: str  # name in ``BLOCKS``
+    time_ms: int  # time on the firmware's clock, 24 bits
+    values: dict[str, Any]
+
+
+class ArmReply(NamedTuple):
+    accepted: bool
+    armed: bool
+
+
+class ParamValue(NamedTuple):
+    name: str
+    value: str | None  # value as text; None: the firmware has no such parameter
+
+
+Event = Connected | Lost | LogPacket | ArmReply | ParamValue
+
+
+@dataclass(frozen=True, slots=True)
+class CrazyflieState:
+    """State of one log packet; all values have the same time."""
+
+    at_s: float  # time on the bridge's clock
+    boot_ms: int  # time on the firmware's clock, continuous
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    quaternion: Quat  # attitude of FLU in ENU, in the order w, x, y, z
+    angular_velocity_flu_rad_s: Vec3
+    info: Info
+    battery_v: float
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    at_s: float
+    variance_m2: Vec3  # variance of the position estimate
+    power: Power
+    battery_percent: int
+    throttle: float = 0.0  # mean of the motors' PWM, 0 to 1
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """Measured gravity, and the firmware's time of the newest external pose."""
+
+    at_s: float
+    acceleration_flu_g: Vec3 | None  # specific force measured by the accelerometer
+    tick: int | None  # firmware time of the newest external pose, 16 bits, ms
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """The firmware of the present connection; ``protocol`` is None without a connection."""
+
+    protocol: int | None = None
+    params: dict[str, str] = field(default_factory=dict)
+    reason: str = "not connected yet"
+
+
+class Block(NamedTuple):
+    """A log block: variables that the firmware sends together in one packet."""
+
+    name: str
+    period_ms: int
+    variables: tuple[str, ...]
+    needed: bool = True  # whether the firmware must have all of these variables
+
+
+_MOTORS = tuple(f"motor.m{number}" for number in (1, 2, 3, 4))
+STATE = Block("state", 10, (
+    *(f"stateEstimateZ.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "quat")),
+    *(f"stateEstimateZ.rate{axis}" for axis in ("Roll", "Pitch", "Yaw")), "supervisor.info", "pm.vbatMV",
+))  # fmt: skip
+HEALTH = Block(
+    "health", 100, (*(f"kalman.varP{axis}" for axis in "XYZ"), "pm.state", "pm.batteryLevel", *_MOTORS)
+)
+OUTSIDE = Block("outside", 100, ("acc.x", "acc.y", "acc.z", "locSrvZ.tick"), needed=False)
+BLOCKS = (STATE, HEALTH, OUTSIDE)
+FETCHED_AS: Mapping[str, str] = dict.fromkeys(_MOTORS, "uint16_t")  # older firmware: 32 bits
+_PWM_MAX = 65535.0
+LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later packet is ignored
+_WRAP_MS = 1 << 24
+_REBOOT_MS = 1000  # step back above which the firmware has restarted, ms; below it a packet is out of order
+_AHEAD_S = 0.03  # a packet may be faster than the fastest packet by this time plus the drift, s
+_DRIFT = 0.1  # maximum drift of a simulated firmware's clock; the clock of CrazySim ran at 0.97
+_SPAN_S, _SPAN_PACKETS = 0.25, 10  # minimum length of a span, s and packets; longer than a delayed burst
+_MAGNITUDE = (1 << 9) - 1  # largest magnitude of an element; the sign is a separate bit (quatcompress.h)
+
+
+class BootClock:
+    """Converts the firmware's 24-bit time, ms, into a continuous clock, and measures the delay of packets.
+
+    The packet with the shortest delay has lateness 0; any additional delay is lateness. The shortest delay is
+    dropped after half a second of packets, because the clock of a simulated firmware may run slowly or stop.
+    """
+
+    def __init__(self) -> None:
+        self.restarts = 0  # number of firmware restarts and of backward steps of its clock
+        self._last_ms: int | None = None
+        self._last_at_s = 0.0
+        self.begin()
+
+    def begin(self) -> None:
+        """Start again on a new connection; the last time remains stored to detect a restart."""
+        self._shortest_s = [math.inf, math.inf]  # smallest arrival minus firmware time, of two spans
+        self._span_s, self._in_span = -math.inf, 0
+        self._odd_ms: int | None = None  # firmware time that fits neither the clock nor a restart
+
+    @property
+    def running(self) -> bool:
+        """Whether a packet of this connection has arrived."""
+        return min(self._shortest_s) < math.inf
+
+    def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:
+        """Return continuous time, ms, and lateness, s; None: the packet is old or not trusted yet.
+
+        ``time_ms`` has 24 bits.
+        """
+        boot_ms: int | None = time_ms
+        if self._last_ms is not None:
+            boot_ms = self._unwrapped(time_ms, self._last_ms, at_s)
+        if boot_ms is None:
+            return None
+        self._last_ms, self._last_at_s, self._odd_ms = boot_ms, at_s, None
+        if at_s - self._span_s >= _SPAN_S and self._in_span >= _SPAN_PACKETS:
+            self._shortest_s = [self._shortest_s[1], math.inf]
+            self._in_span = 0
+        if self._in_span == 0:
+            self._span_s = at_s
+        self._in_span += 1
+        way_s = at_s - boot_ms / 1000.0
+        self._shortest_s[1] = min(way_s, self._shortest_s[1])
+        return boot_ms, way_s - min(self._shortest_s)
+
+    def _unwrapped(self, time_ms: int, last_ms: int, at_s: float) -> int | None:
+        elapsed_ms = 1000.0 * (at_s - self._last_at_s)
+        step_ms = (time_ms - last_ms + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
+        tolerance_ms = _REBOOT_MS + _DRIFT * elapsed_ms
+        restarted = time_ms <= elapsed_ms + _REBOOT_MS and abs(step_ms - elapsed_ms) > tolerance_ms
+        way_s = at_s - (last_ms + step_ms) / 1000.0
+        known = self._shortest_s[0] < math.inf  # the first packets may come from a full queue
+        ahead = known and way_s < min(self._shortest_s) - _AHEAD_S - _DRIFT * elapsed_ms / 1000.0
+        if not restarted and not ahead and -_REBOOT_MS < step_ms <= elapsed_ms + tolerance_ms:
+            return last_ms + step_ms if step_ms > 0 else None
+        if not restarted and (self._odd_ms is None or not 0 < time_ms - self._odd_ms < _REBOOT_MS):
+            self._odd_ms = time_ms  # one packet alone does not set the clock
+            return None
+        self.restarts += restarted or step_ms < 0
+        self.begin()
+        return time_ms if restarted or step_ms < 0 else last_ms + step_ms
+
+    def now_ns(self, now_s: float) -> int:
+        """Return the firmware clock at a bridge time, ns, for TIMESYNC."""
+        return max(1, round((now_s - min(self._shortest_s)) * 1e9))
+
+
+def decode_state(v: Mapping[str, int], boot_ms: int, at_s: float) -> CrazyflieState:
+    """Decode the variables of ``STATE``.
+
+    ``boot_ms``: continuous firmware time; ``at_s``: arrival time.
+    """
+    x, y, z, vx, vy, vz = (v[name] / 1000.0 for name in STATE.variables[:6])
+    roll, pitch, yaw = (v[f"stateEstimateZ.rate{axis}"] / 1000.0 for axis in ("Roll", "Pitch", "Yaw"))
+    return CrazyflieState(
+        at_s,
+        boot_ms,
+        (x, y, z),
+        (vx, vy, vz),
+        decompress_quaternion(v["stateEstimateZ.quat"]),
+        (roll, -pitch, yaw),  # the firmware's pitch has the opposite sign (stabilizer.c, compressState)
+        Info(v["supervisor.info"] & sum(Info)),
+        v["pm.vbatMV"] / 1000.0,
+    )
+
+
+def decode_health(v: Mapping[str, Any], at_s: float) -> Health:
+    variance = (v["kalman.varPX"], v["kalman.varPY"], v["kalman.varPZ"])
+    throttle = sum(v[name] for name in _MOTORS) / (4.0 * _PWM_MAX)
+    return Health(at_s, variance, Power(int(v["pm.state"])), int(v["pm.batteryLevel"]), throttle)
+
+
+def decode_outside(v: Mapping[str, Any], at_s: float) -> Outside:
+    """Decode gravity and the time of the newest external pose; variables may be missing."""
+    acceleration = (v["acc.x"], v["acc.y"], v["acc.z"]) if {"acc.x", "acc.y", "acc.z"} <= v.keys() else None
+    return Outside(at_s, acceleration, int(v["locSrvZ.tick"]) if "locSrvZ.tick" in v else None)
+
+
+def decompress_quaternion(packed: int) -> Quat:
+    """Decode 32 bits into a unit quaternion w, x, y, z: index of the largest element, then the three others.
+
+    The largest is positive and follows from the norm; the wire order is x, y, z, w (quatcompress.h).
+    """
+    largest = packed >> 30
+    xyzw = [0.0] * 4
+    for i in (3, 2, 1, 0):
+        if i == largest:
+            continue
+        magnitude = math.sqrt(0.5) * (packed & _MAGNITUDE) / _MAGNITUDE
+        xyzw[i] = -magnitude if packed & (_MAGNITUDE + 1) else magnitude
+        packed >>= 10
+    xyzw[largest] = math.sqrt(max(0.0, 1.0 - sum(e * e for e in xyzw)))
+    return (xyzw[3], xyzw[0], xyzw[1], xyzw[2])

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from enum import Enum, auto
 
-from bridge.crazyflie.packets import Velocity
+from bridge.crazyflie.packets import CrazyflieState, Velocity
 from bridge.crazyflie.rules import TAKEOFF_MAX_S
-from bridge.crazyflie.state import CrazyflieState
 from bridge.frames import wrap_angle, yaw_from_quaternion
 from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.types import ZERO, Vec3

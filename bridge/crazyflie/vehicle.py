@@ -15,10 +15,20 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.crazyflie import rules as limits
 from bridge.crazyflie.arming import Arming
 from bridge.crazyflie.condition import FIT, STUCK, Condition, stuck
-from bridge.crazyflie.packets import Order, Packet, Velocity
+from bridge.crazyflie.packets import (
+    ArmReply,
+    Connected,
+    CrazyflieState,
+    Info,
+    Link,
+    Lost,
+    Order,
+    Packet,
+    ParamValue,
+    Velocity,
+)
 from bridge.crazyflie.pilot import DESCENT_M_S, Done, Pilot, Stopped, yaw_rate
 from bridge.crazyflie.rules import Settings
-from bridge.crazyflie.state import ArmReply, Connected, CrazyflieState, Info, Link, Lost, ParamValue
 from bridge.mavlink.server.commander import Commander, Setpoint
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mocap.checks import Passed

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.frames import body_from_world, frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from bridge.mavlink.codec.messages import Message
 from bridge.mocap.checks import Passed
-from bridge.mocap.vehicle import odometry
+from bridge.mocap.process import odometry
 from bridge.ros2.cdr import Pose
 from flightstack.core.types import Vec3
 from sim.autopilot.telemetry import degrees_e7

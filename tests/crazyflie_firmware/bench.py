@@ -7,9 +7,20 @@ import struct
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.crazyflie.node import Node
-from bridge.crazyflie.packets import Order, Packet, Pose, SetParam, Velocity
+from bridge.crazyflie.packets import (
+    BLOCKS,
+    ArmReply,
+    Connected,
+    LogPacket,
+    Lost,
+    Order,
+    Packet,
+    ParamValue,
+    Pose,
+    SetParam,
+    Velocity,
+)
 from bridge.crazyflie.rules import Rules
-from bridge.crazyflie.state import BLOCKS, ArmReply, Connected, LogPacket, Lost, ParamValue
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.tables import CODE, LOGS
 

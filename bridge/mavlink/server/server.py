@@ -80,12 +80,12 @@ class Server(ABC, Generic[V]):
         self.messages = frozenset(requestable)  # ids of the messages that clients may request
         self.commands = Commands(vehicle, self.streams, requestable, self.snapshot, self.own_commands())
         self._handlers: dict[int, Handler] = {
-            dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self.on_setpoint,
-            dialect.MAVLINK_MSG_ID_COMMAND_LONG: self.on_command,
-            dialect.MAVLINK_MSG_ID_COMMAND_INT: self.on_command,
+            dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self._on_setpoint,
+            dialect.MAVLINK_MSG_ID_COMMAND_LONG: self._on_command,
+            dialect.MAVLINK_MSG_ID_COMMAND_INT: self._on_command,
             dialect.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
             dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
-            dialect.MAVLINK_MSG_ID_HEARTBEAT: self.on_heartbeat,
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: lambda *_: [],
             dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: self._on_parameter_list,
             dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._on_parameter_read,
             dialect.MAVLINK_MSG_ID_PARAM_SET: self._on_parameter_set,
@@ -104,9 +104,8 @@ class Server(ABC, Generic[V]):
     def snapshot(self, now_s: float) -> Snapshot[V] | None:
         """Return the present state of the vehicle; None if it is unknown, so that no telemetry is sent."""
 
-    def on_heartbeat(self, _message: Any, _sender: Sender, _now_s: float) -> list[Message]:
-        """Handle the heartbeat of a client; it has no effect here."""
-        return []
+    def heard(self, message: Message, now_s: float) -> None:
+        """Record the time of a message to this vehicle, before the message is handled."""
 
     def own_commands(self) -> dict[int, Entry]:
         """Return commands that extend or replace the common ones."""
@@ -134,6 +133,7 @@ class Server(ABC, Generic[V]):
         handler = self._handlers.get(message.get_msgId())  # some messages have a field named id
         if handler is None or sender[:2] == (self.system_id, COMPONENT_ID) or not self._for_us(message):
             return []
+        self.heard(message, now_s)
         return handler(message, sender, now_s)
 
     def telemetry(self, now_s: float) -> list[Message]:
@@ -210,7 +210,7 @@ class Server(ABC, Generic[V]):
         system = getattr(message, "target_system", 0)
         return system in (0, self.system_id) and getattr(message, "target_component", 0) in (0, COMPONENT_ID)
 
-    def on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+    def _on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
         """Handle SET_POSITION_TARGET_LOCAL_NED; its only reply is a text after a refusal."""
         vehicle = self.vehicle
         setpoint = read_setpoint(message, vehicle.yaw_rad)
@@ -222,7 +222,7 @@ class Server(ABC, Generic[V]):
             vehicle.texts.refuse(refused, now_s, "set-point")
         return []
 
-    def on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+    def _on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
         if message.target_system == 0 and message.command not in _BROADCAST:
             return []
         return self.commands.run(message, sender, now_s)

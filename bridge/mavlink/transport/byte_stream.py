@@ -12,7 +12,6 @@ import os
 import select
 import socket
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 
 from bridge.mavlink.transport.address import Peer
@@ -57,9 +56,7 @@ class ByteStream:
         self._channel: Channel | None = None
         self._was_up = self._closed = self._told = False
         self._lost_s = self._retry_s = time.monotonic()
-        self._outgoing: deque[bytes] = deque()
-        self._waiting_bytes = 0
-        self._rest = b""  # unsent rest of a frame
+        self._outgoing = bytearray()  # pending frames; the first one may be sent in part
         self._notices: list[str] = []
         self._nothing, self._never = socket.socketpair()  # a descriptor that is never readable
 
@@ -89,13 +86,12 @@ class ByteStream:
             self._counters.send_errors += len(frames)
             return
         for frame in frames:
-            if self._waiting_bytes + len(frame) > self._outgoing_max:
+            if len(self._outgoing) + len(frame) > self._outgoing_max:
                 self._write()
-            if self._channel is None or self._waiting_bytes + len(frame) > self._outgoing_max:
+            if self._channel is None or len(self._outgoing) + len(frame) > self._outgoing_max:
                 self._counters.outgoing_full += 1
-                continue
-            self._outgoing.append(frame)
-            self._waiting_bytes += len(frame)
+            else:
+                self._outgoing += frame
         self._write()
 
     def wait(self, timeout_s: float) -> bool:
@@ -107,7 +103,7 @@ class ByteStream:
             left_s = max(0.0, until_s - now_s)
             if channel is None:
                 left_s = min(left_s, max(0.0, self._retry_s - now_s) if self._channel is None else RETRY_S)
-            pending = self._channel if channel is None or self._waiting_bytes else None
+            pending = self._channel if channel is None or self._outgoing else None
             readable, writable, _ = select.select(
                 (channel.fileno(),) if channel is not None else (),
                 (pending.fileno(),) if pending is not None else (),
@@ -118,7 +114,7 @@ class ByteStream:
                 return True
             if writable:
                 self._write()
-                if self._waiting_bytes:  # wait while the slow line accepts bytes, to avoid a busy loop
+                if self._outgoing:  # wait while the slow line accepts bytes, to avoid a busy loop
                     time.sleep(min(left_s, 0.001))
             if time.monotonic() >= until_s:
                 return False
@@ -178,7 +174,6 @@ class ByteStream:
             self._channel.close()
             self._channel = None
         self._outgoing.clear()
-        self._waiting_bytes, self._rest = 0, b""
         self._retry_s = time.monotonic() + RETRY_S
         if self._was_up and not self._told:
             self._counters.connections_lost += 1
@@ -192,21 +187,16 @@ class ByteStream:
         self._say(f"{self._name} {what} ({error.strerror or error}): tried again every {RETRY_S:g} s")
 
     def _write(self) -> None:
-        """Write pending bytes as long as there is room; first the rest of a partly sent frame."""
-        channel = self._channel
-        if channel is None:
-            return
+        """Write pending bytes as long as there is room."""
         try:
-            while self._rest or self._outgoing:
-                data = self._rest or self._outgoing.popleft()
-                self._rest = data
-                with contextlib.suppress(BlockingIOError):
-                    written = channel.write(data)
-                    self._rest = data[written:]
-                    self._waiting_bytes -= written
-                    self._counters.bytes_out += written
-                if self._rest:
+            while self._channel is not None and self._outgoing:
+                written = self._channel.write(self._outgoing)
+                if not written:
                     return
+                del self._outgoing[:written]
+                self._counters.bytes_out += written
+        except BlockingIOError:
+            return
         except OSError as error:
             self._lose(error)
 
@@ -265,7 +255,7 @@ class _SerialChannel:
         waiting: int = self._port.in_waiting  # raises OSError if the device is gone
         return bytes(self._port.read(min(waiting, size))) if waiting else None
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: bytearray) -> int:
         # Only a small part of the kernel's buffer is used, because the full buffer holds seconds of frames.
         # With a full buffer, pyserial's write would wait without limit.
         room = self._queue_max - self._port.out_waiting
@@ -331,7 +321,7 @@ class _TcpChannel:
             raise OSError(errno.ECONNRESET, "the other side has closed it")
         return data
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: bytearray) -> int:
         return self._socket.send(data)
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 from bridge.crazyflie.link import EVENTS_MAX, CrazyflieLink
-from bridge.crazyflie.state import Connected, LogPacket, Lost
+from bridge.crazyflie.packets import Connected, LogPacket, Lost
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import ended
 from tests.crazyflie_firmware.firmware import Firmware

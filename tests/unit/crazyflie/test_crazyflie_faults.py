@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import pytest
 
+from bridge.crazyflie.packets import LATE_MAX_S, BootClock
 from bridge.crazyflie.pilot import UNPLACED_M_S
 from bridge.crazyflie.rules import Rules
-from bridge.crazyflie.state import LATE_MAX_S, BootClock
 from tests.crazyflie_firmware.bench import Bench
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point

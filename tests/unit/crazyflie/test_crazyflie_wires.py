@@ -8,9 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.crazyflie.packets import ORDERS_MAX, VELOCITY_AGE_MAX_S, Order, Outbox, Pose, SetParam, Velocity
+from bridge.crazyflie.packets import (
+    ORDERS_MAX,
+    VELOCITY_AGE_MAX_S,
+    BootClock,
+    Info,
+    Order,
+    Outbox,
+    Pose,
+    SetParam,
+    Velocity,
+    decode_state,
+    decompress_quaternion,
+)
 from bridge.crazyflie.process import Loop
-from bridge.crazyflie.state import BootClock, Info, decode_state, decompress_quaternion
 from bridge.frames import enu_from_ned, yaw_ned_from_enu
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.messages import pack

@@ -12,8 +12,14 @@ from scipy.spatial.transform import Rotation
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.codec.messages import pack
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between
-from bridge.mocap.process import MocapSource, parse_spec
-from bridge.mocap.vehicle import RATE_MAX_HZ, MocapVehicle, odometry, vision_position_estimate
+from bridge.mocap.process import (
+    RATE_MAX_HZ,
+    MocapSource,
+    MocapVehicle,
+    odometry,
+    parse_spec,
+    vision_position_estimate,
+)
 from bridge.ros2.cdr import Pose
 from bridge.zenoh import zenoh_link
 from tests.unit.target.ros2_helpers import pose_stamped

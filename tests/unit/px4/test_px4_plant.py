@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.mavlink.preflight.table import Needs, table
-from bridge.mocap.vehicle import POSE_NEEDS
+from bridge.mocap.process import POSE_NEEDS
 from flightstack.common.strict_toml import ConfigError
 from sim.plant.params import load
 from sim.plant.rotors import MIX_YAW
