@@ -1,5 +1,4 @@
-"""Fakes for the autopilot's tests: a vehicle that follows its set-point, and a rig that runs the
-autopilot."""
+"""Fakes for tests of the autopilot: a vehicle that follows its set-point, and a rig for the autopilot."""
 
 from __future__ import annotations
 

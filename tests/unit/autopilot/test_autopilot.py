@@ -22,7 +22,7 @@ def test_no_estimate_clears_health_and_refuses_arming_and_take_off() -> None:
     assert rig.command(400, 1.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED
     assert rig.command(22) == mav.MAV_RESULT_TEMPORARILY_REJECTED
     assert rig.texts() == ["Arming refused: no position estimate", "Take-off refused: no position estimate"]
-    assert rig.command(400, 1.0, 21196.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED  # forced arming
+    assert rig.command(400, 1.0, 21196.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED  # 21196 forces arming
     assert not rig.vehicle.armed
 
 
@@ -53,7 +53,7 @@ def test_landing_waits_for_lasting_contact_and_works_on_the_pad() -> None:
     rig = Rig().fly()
     rig.command(21)
     rig.run(0.5)
-    rig.vehicle.on_pad = True  # a bounce on the pad
+    rig.vehicle.on_pad = True  # the vehicle bounces on the pad
     rig.run(0.2)
     rig.vehicle.on_pad = False
     rig.run(0.05)
@@ -166,7 +166,7 @@ def test_stream_that_comes_back_does_not_take_over_by_itself() -> None:
 def test_safety_parameters_are_fixed_while_armed_and_types_must_fit() -> None:
     rig = Rig()
     wrong_type = mav.MAVLink_param_set_message(1, 1, b"COM_OF_LOSS_T", 1.0, mav.MAV_PARAM_TYPE_INT32)
-    error, in_force = rig.handle(wrong_type)  # error first: MAVSDK repeats an undone write
+    error, in_force = rig.handle(wrong_type)  # MAVSDK repeats a write without an error reply
     assert error.error == mav.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
     assert in_force.param_value == 0.5
     rig.command(400, 1.0)

@@ -1,4 +1,4 @@
-"""Effects of commands on the simulated vehicle, and its fail-safes."""
+"""Tests the effects of commands on the simulated vehicle, and its fail-safes."""
 
 from __future__ import annotations
 

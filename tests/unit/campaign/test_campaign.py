@@ -60,7 +60,7 @@ def test_every_row_is_counted_once():
     counts = count(rows)
     assert (counts.landed, counts.crashes, counts.declared_aborts, counts.undeclared_misses) == (2, 1, 1, 2)
     assert counts.runs == 6
-    assert counts.violations == 1  # the row with outcome error counts, because a violation is possible
+    assert counts.violations == 1  # the row with outcome error counts: a violation is possible
 
 
 def test_summary_has_the_promised_keys_and_numbers():
@@ -237,7 +237,7 @@ def test_cells_keep_the_lowest_h_of_each():
 
 
 RUNS = 4
-AT_ROW = 2  # row at which the campaign is interrupted
+AT_ROW = 2  # number of the row at which the campaign is interrupted
 
 
 def landed(seed):

@@ -1,4 +1,4 @@
-"""A controller with compiled parts decides equally to the last bit; all other parts are interpreted."""
+"""Tests that a controller with compiled parts makes equal decisions, to the last bit."""
 
 import math
 import subprocess
@@ -31,14 +31,14 @@ def answered(one, given):
 
 
 def both(given):
-    """Solve a program in plain Python and in compiled code; return both results without wall times."""
+    """Solve a quadratic program in Python and in compiled code; return both results without wall times."""
     if is_off():
         pytest.skip("nothing is compiled")
     return PROGRAM.solve(*given)._replace(solve_s=0.0), answered(Objects(PROGRAM).handle, given)
 
 
 def flown(scenario, make):
-    """Return the decisions of each step of a landing, without wall times."""
+    """Fly a landing; return the decisions of each step, without wall times."""
     rows = []
 
     def note(_tick, out):

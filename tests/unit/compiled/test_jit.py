@@ -1,4 +1,4 @@
-"""Compiled code and interpreted Python give equal, reproducible results on shared records."""
+"""Tests that compiled code and interpreted Python give equal, reproducible results on shared records."""
 
 import json
 import math
@@ -36,7 +36,7 @@ STEPS = 300
 
 
 def flight(loop, kind, error=False):
-    """Return all values of a short flight in gusts with a landing or a take-off."""
+    """Return all states of a short flight in gusts with a landing or a take-off."""
     mocap = OdometryLink(100.0, 0.005, 0.0, 0.005, 0.02, loss=0.02)
     spec = VehicleSpec(
         velocity_loop=VelocityLoop(loop),
@@ -179,7 +179,7 @@ print(jit.jitted(add)(np.zeros(1)))
 
 
 def test_a_full_disk_and_damaged_machine_code_only_cost_time(tmp_path):
-    """After a loss of power files may be empty, truncated or damaged."""
+    """After a loss of power the stored machine code may be empty, truncated or damaged."""
     file = tmp_path / "adds.py"
     file.write_text(ADDS)
 

@@ -1,4 +1,4 @@
-"""Tests objects in compiled code: equal fields and methods, and the cases left to Python."""
+"""Tests objects in compiled code: equal fields and methods, and the cases that Python computes."""
 
 from copy import deepcopy
 from dataclasses import fields
@@ -69,5 +69,5 @@ def test_compiled_methods_change_the_same_state_and_leave_rare_things_to_python(
     objects.read()
     take(other, 0.02, 0.001)
     assert repr(flown.state) == repr(other.state)
-    with pytest.raises(NotOrdinary):  # compiled code leaves a jump to Python
+    with pytest.raises(NotOrdinary):  # a jump of the target: Python computes this tick
         jitted(take)(objects.handle, 0.02, 5.0)

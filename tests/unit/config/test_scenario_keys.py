@@ -1,4 +1,4 @@
-"""The page of a scenario's keys and new scenario files are generated from the declarations."""
+"""Tests that the page of scenario keys and new scenario files agree with the declared keys."""
 
 import re
 

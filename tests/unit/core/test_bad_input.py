@@ -1,4 +1,4 @@
-"""Bad samples of the target, and vehicle states with NaN or infinity."""
+"""Tests bad samples of the target, and vehicle states with NaN or infinity."""
 
 import dataclasses
 import math
@@ -69,7 +69,7 @@ def test_a_stream_of_refused_samples_is_told_by_doublings():
 BAD = (math.nan, math.inf, -math.inf)
 GOOD = OwnState(1.0, 2.0, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.7)
 TIMES = ("started_s", "own_ok_s", "offset_s", "time_s")  # times that are infinite or NaN until they are known
-UNSET = "ground_z_m"  # unknown if the vehicle never stood on the ground
+UNSET = "ground_z_m"  # ground height; NaN if the vehicle never stood on the ground
 
 
 def spoiled(own, field, axis, bad):

@@ -24,8 +24,7 @@ robusts = st.builds(RobustBarrier, smoothed, margins, radii)
 
 
 def shortened(barrier):
-    """Return the relative reduction of the gradient by the smoothing beyond 0.3 m: (s/d)^2 / 2 of the
-    slope."""
+    """Return the relative reduction of the slope by the smoothing beyond 0.3 m: (s/d)^2 / 2."""
     smoothing_m = getattr(barrier, "barrier", barrier).smoothing_m
     return barrier.slope_max * 0.5 * (smoothing_m / 0.3) ** 2
 

@@ -25,7 +25,7 @@ TICK_S = 1.0 / CONFIG.loop.rate_hz
 
 
 class Bench:
-    """Ticks of a controller; the test sets vehicle state and status."""
+    """Runs ticks of a controller; the test sets vehicle state and status."""
 
     def __init__(self):
         self.controller, self.tick = Controller(CONFIG), 0
@@ -47,7 +47,7 @@ class Bench:
         return self.controller.step(Inputs(own, status, (sample,), operator), now_s)
 
     def wait(self, **said):
-        """Stand on the ground until the inputs have been good for the required time."""
+        """Run ticks on the ground until the inputs have been good for the required time."""
         while (out := self.step(**said)).phase is Phase.WAIT:
             assert self.tick * TICK_S < 2.0 * CONFIG.checks.recovery_time_s
         return out

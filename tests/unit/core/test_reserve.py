@@ -1,4 +1,4 @@
-"""Tests the thrust reserve from voltage and from throttle, and the flights allowed with a low battery."""
+"""Tests the thrust reserve from voltage and from throttle, and which flights a low battery allows."""
 
 import math
 from dataclasses import replace

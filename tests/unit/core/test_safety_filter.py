@@ -228,7 +228,7 @@ LOWER, UPPER, NOMINAL, GRADIENT = (-0.1, -0.2, -0.3), (0.4, 0.5, 0.6), (0.7, -0.
 
 
 def told(point, status=SOLVED, bound=-9.0, multiplier=0.25):
-    """Return result and solver data for a given solution and status; the solver itself does not run."""
+    """Return the filter's result and solver data for this solution and status; the solver does not run."""
     judged = SafetyFilter(0.7)
     solver = judged.osqp
     solver._calls, solver._status.value, solver._count.value = [], int(status), 35

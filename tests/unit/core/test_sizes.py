@@ -17,7 +17,7 @@ from tests.unit.core.mission.test_guidance import BARRIER, PAD, asked
 
 
 def blind(settings):
-    """Return whether a vehicle state that is 0.7 s old in the touchdown counts as lost."""
+    """Return whether a vehicle state of age 0.7 s counts as lost during the touchdown."""
     memory = Memory(phase=Phase.TOUCHDOWN, own_ok_s=NOW_S - 0.7)
     return "OWN_LOST" in names(tick(settings, e=(0.0, 0.0, 0.03), own_age_s=0.7, memory=memory))
 

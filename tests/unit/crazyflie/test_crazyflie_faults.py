@@ -15,7 +15,7 @@ from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.supervisor import State
 
-# The clock
+# Faults of the clock
 
 
 @pytest.mark.parametrize(("last_ms", "time_ms", "elapsed_s"), [
@@ -52,11 +52,11 @@ def test_a_known_clock_is_moved_by_no_single_packet_and_follows_those_that_agree
     assert usable_s[-1] == 60.0 + 0.01 * 999
 
 
-# Motion capture
+# Faults of motion capture
 
 
 class Posed(Bench):
-    """Poses arrive through the bridge, or from another program."""
+    """Vehicle whose poses arrive through the bridge, or from another program."""
 
     def __init__(self, own: bool, tilt_deg: float = 0.0) -> None:
         self.own, self.poses = own, True
@@ -120,7 +120,7 @@ def test_markers_tilted_against_the_body_are_refused_with_the_angle(own, tilt_de
     bench.run(6.0).hover()
 
 
-# The supervisor
+# Faults that the supervisor reports
 
 
 @pytest.mark.slow

@@ -123,7 +123,7 @@ def test_the_outbox_is_bounded_and_never_loses_what_stops_motors():
 
 
 def through_the_wire(message):
-    """Return the position as an independent implementation decodes it."""
+    """Return the position in a packet, decoded by an independent implementation."""
     parser = mav.MAVLink(None)
     return parser.decode(bytearray(pack(message, 0, 1, 1)))
 
@@ -173,7 +173,7 @@ def test_the_throttle_is_the_mean_of_the_motors_and_comes_when_it_is_asked_for()
     bench.run(1.0)
     assert len(bench.times("VFR_HUD")) == pytest.approx(10, abs=1)
     state = read(bench, power=True)
-    assert state.power.throttle == pytest.approx(0.80)  # ratio to 52,500, in whole percents
+    assert state.power.throttle == pytest.approx(0.80)  # thrust as a fraction of 52,500, in whole percents
     assert (state.power.voltage_v, state.power.cos_tilt) == pytest.approx((4.1, 1.0), abs=0.01)
 
 

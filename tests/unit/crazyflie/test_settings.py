@@ -1,4 +1,4 @@
-"""The bridge writes its firmware settings at every connection, and restores them on exit if requested."""
+"""Tests that the bridge writes firmware parameters at each connection, and restores them on request."""
 
 from __future__ import annotations
 

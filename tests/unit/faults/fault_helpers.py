@@ -1,4 +1,4 @@
-"""Test helpers: a fault of each cell of the fault table, and flights of vehicles with faults."""
+"""Makes a fault for each cell of the fault table, and flies vehicles with faults."""
 
 from sim.chance import stream
 from sim.faults.schedule import Running

@@ -1,4 +1,4 @@
-"""Faults of the MAVLink connection: lost, late, duplicated, damaged or rewritten messages, and exceptions."""
+"""Tests faults of the MAVLink connection: lost, late, duplicated, damaged, changed messages, exceptions."""
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav

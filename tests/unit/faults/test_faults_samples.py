@@ -1,4 +1,4 @@
-"""Faults of sample streams: output, order and bounds of every kind, for vehicle state and target."""
+"""Tests faults of sample streams: output, order and bounds of each kind, for vehicle state and target."""
 
 import pytest
 

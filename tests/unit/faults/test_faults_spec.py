@@ -1,4 +1,4 @@
-"""Definition of faults by [[fault]] tables and MAV_CMD_INJECT_FAILURE, and rejections with reasons."""
+"""Tests how [[fault]] tables and MAV_CMD_INJECT_FAILURE define faults, and the reasons of rejections."""
 
 import re
 import tomllib

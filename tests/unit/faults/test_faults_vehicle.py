@@ -1,5 +1,4 @@
-"""Physical effects of vehicle faults: each cell has the end that physics predicts; recovered vehicles
-fly on."""
+"""Tests the effects of vehicle faults: flights end as physics predicts, or continue after recovery."""
 
 import pytest
 from hypothesis import HealthCheck, given, settings

@@ -1,4 +1,4 @@
-"""Downwash of a vehicle on another one: published values, momentum, symmetry, no effect far away."""
+"""Compares the downwash on a lower vehicle with published values, momentum and symmetry."""
 
 import math
 

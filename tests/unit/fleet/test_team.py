@@ -1,4 +1,4 @@
-"""Several landings in one process are repeatable; tests collisions and a member that fails."""
+"""Tests landings of a team in one process: they are repeatable; collisions; a member that fails."""
 
 from pathlib import Path
 
@@ -54,7 +54,7 @@ def test_vehicles_that_begin_inside_each_other_are_refused():
 
 
 def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():
-    """The fifth vehicle came 11 mm below it if a sinking vehicle was predicted to continue inwards."""
+    """With the prediction that a sinking vehicle continues inwards, h of the fifth vehicle fell to -11 mm."""
     landings = land_team(team.load("fleet_8"), 20866).landings
     assert min(each.verdict.h_min_outside_pad_m for each in landings) > 0.03
 

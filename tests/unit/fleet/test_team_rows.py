@@ -1,4 +1,4 @@
-"""The verdict on a team and its row: the worst member's values, and values of pairs."""
+"""Tests the verdict on a team and its campaign row: values of the worst member and of pairs."""
 
 from dataclasses import replace
 

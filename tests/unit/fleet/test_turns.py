@@ -1,4 +1,4 @@
-"""Four vehicles land on one robot in turn; each takes off again to free the pad."""
+"""Tests four vehicles that land on one robot in turn; each takes off again to free the pad."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Messages between team members are late or lost independently, and never arrive within their tick."""
+"""Tests that messages between members are late or lost independently, and never arrive in the same tick."""
 
 from dataclasses import replace
 from types import SimpleNamespace

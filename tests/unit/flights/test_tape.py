@@ -1,4 +1,4 @@
-"""Error tapes: a recorded estimate is split and reassembled, on its own path and on others."""
+"""Tests error tapes: a recorded estimate is split into errors, which are added to the same or other paths."""
 
 import shutil
 from dataclasses import replace
@@ -20,7 +20,7 @@ PIECES = (slice(0, 1500), slice(1600, 3000))
 
 
 def made(speed=0.6, delay=lambda t: 0.05 + 0.03 * np.sin(3.0 * t), velocity_error=0.0, seconds=30.0):
-    """Return a flight on circles of 0.8 m, with a delayed estimate."""
+    """Return a flight on circles of 0.8 m radius, with a delayed state estimate."""
     t = np.arange(0.0, seconds, STEP_S)
 
     def path(at):

@@ -1,4 +1,4 @@
-"""A fleet flown once, for all tests of its log; they share a worker."""
+"""Flies a fleet once for all tests of its log; the tests share a worker."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -49,7 +49,7 @@ def payloads(tick, now_ns):
 
 
 def record(path, ticks=300, close=True):
-    """Write a flight as the recorder does, in small chunks; without ``close`` as if killed."""
+    """Write a flight as the recorder does, in small chunks; without ``close`` it ends as after a kill."""
     file = McapFile(path)
     recorder = Recorder(file)
     run = {"name": "run", "values": {"barrier_alpha_1_m": "1.0", "barrier_beta_m": "1.5", "seed": "1"}}

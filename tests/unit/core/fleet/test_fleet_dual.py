@@ -1,4 +1,4 @@
-"""Tests the confirmation of the exact solution, and the constraints that silent vehicles cause."""
+"""Tests the check that a solution is exact, and the constraints that silent vehicles cause."""
 
 import math
 import random
@@ -149,7 +149,7 @@ def test_where_a_silent_vehicle_is_taken_to_be_grows_by_its_drift_until_it_is_do
 @pytest.mark.parametrize(
     ("now_s", "away_m", "asked"),
     [
-        (1.5, 0.9, "no nearer"),  # inside the set of the silent vehicle's possible positions
+        (1.5, 0.9, "no nearer"),  # this vehicle is inside the set of the silent vehicle's possible positions
         (1.5, 2.9, "outside"),
         (9.0, 2.0, "lax"),  # the silent flight is over, and this vehicle is inside the set
         (9.0, 9.0, "outside"),
@@ -197,7 +197,7 @@ def way_of(own, members, heard, down=(), now_s=10.0):
         (1, (1, 2, 3), (2,), (), False),
         (3, (1, 2, 3), (), (), True),
         (1, (1, 2, 3), (), (), True),
-        (1, (1, 2), (), (), False),  # of two equal parts, the part with the lowest id continues
+        (1, (1, 2), (), (), False),  # of two equally large parts, the part with the lowest id continues
         (2, (1, 2), (), (), True),
         (2, (1, 2), (), (1,), False),  # vehicle 1 has landed and may stop sending
         (3, (1, 2, 3, 4), (4,), (), True),

@@ -1,4 +1,4 @@
-"""At each pad, at most one vehicle has the right of way, and each vehicle gets it eventually."""
+"""Tests that at most one vehicle has the right of way at a pad, and that each vehicle gets it eventually."""
 
 import heapq
 import itertools
@@ -204,7 +204,7 @@ SETTINGS = settings_of(3, (3, 7, 9), takeoff={"start_offset_m": [2.0, 0.0, 1.0]}
 EAST, UP, DOWN = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 CLEAR = {"abort_way": AbortWay.FLY_CLEAR}
 PHASES = [
-    (Phase.WAIT, {}, (2.0, 0.0, 1.5), None),  # the vehicle stands still
+    (Phase.WAIT, {}, (2.0, 0.0, 1.5), None),  # a waiting vehicle does not move
     (Phase.TAKEOFF, {"climbed": True}, (0.0, 0.0, 1.2), EAST),
     (Phase.APPROACH, {}, (-2.0, 0.0, 1.2), EAST),
     (Phase.HOLD, {"started_s": 0.0}, (0.5, 0.0, 1.0), UP),
@@ -257,4 +257,4 @@ def test_a_neighbour_in_the_way_stops_each_phase_but_the_touchdown(phase, keys, 
     # half of the rate, for h without the errors of two positions
     assert sum(a * w for a, w in zip(there, way, strict=True)) <= 0.02
     assert flown(phase, keys, place, [beside(place, way, 2.9)]) == alone  # the other vehicle is out of reach
-    assert math.dist(flown(phase, keys, place, [beside(place, way, 1.5)]), alone) < 1e-6  # it is in reach
+    assert math.dist(flown(phase, keys, place, [beside(place, way, 1.5)]), alone) < 1e-6  # it is near

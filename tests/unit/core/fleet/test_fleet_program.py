@@ -1,4 +1,4 @@
-"""The program with several rows: the exact solution equals scipy's and OSQP's; rows are relaxed if needed."""
+"""Tests the program with several rows: solutions equal scipy's and OSQP's, infeasible rows are relaxed."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The shares of two vehicles sum to at least 1, despite late or lost messages, and keep them apart."""
+"""Tests that two vehicles' shares sum to at least 1 and keep them apart, also with late or lost messages."""
 
 import heapq
 import itertools
@@ -19,7 +19,7 @@ from flightstack.core.types import ZERO, Intent, Landed, Mode, Neighbour, OwnSta
 TICK_S = 0.02
 A, B = Fleet(3, (3, 7)), Fleet(7, (3, 7))
 FLYING = VehicleStatus(0.0, True, Mode.EXTERNAL, Landed.IN_AIR, True)
-# random actions of a vehicle; TOUCHDOWN starts only from LAND, when all vehicles are informed
+# phases that may follow a phase; TOUCHDOWN follows only LAND, which the neighbours have received by then
 AFTER = {
     Phase.APPROACH: (Phase.APPROACH, Phase.LAND, Phase.HOLD),
     Phase.LAND: (Phase.LAND, Phase.APPROACH, Phase.TOUCHDOWN),
@@ -96,7 +96,7 @@ def test_the_barrier_is_convex_with_the_gradient_of_finite_differences(p, q):
     h_m, g = barrier(p, 0.25, 0.75)
     assert math.hypot(*g) <= 1.0 + 1e-12
     then_m, _ = barrier(tuple(a + b for a, b in zip(p, q, strict=True)), 0.25, 0.75)
-    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6  # zero slope at the centre
+    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6  # slope 0 at the centre
     if h_m > -0.2:
         for axis in range(3):
             ahead, back = list(p), list(p)

@@ -1,4 +1,4 @@
-"""Above a fast target the vehicle waits higher, for a limited time, until the target is slower."""
+"""Tests the wait above a fast target: higher, and for a limited time, until the target is slower."""
 
 import pytest
 

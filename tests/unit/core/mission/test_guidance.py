@@ -1,4 +1,4 @@
-"""Tests the command of the guidance in each phase."""
+"""Tests the nominal command in each phase."""
 
 import itertools
 import math
@@ -34,7 +34,7 @@ def asked(
     phase, settings=ROBUST, e=(0.5, -0.4, 1.0), memory=None, *, own=True, target=True, own_ok=True,
     target_ok=True, armed=True, landed=Landed.IN_AIR, status=True, velocity=ZERO, permissions=ALONE,
 ):  # fmt: skip
-    """Return the command in one situation."""
+    """Return the nominal command for these inputs."""
     memory = memory if memory is not None else Memory()
     memory.phase = phase
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
@@ -100,7 +100,7 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
         assert found.velocity[:2] == pytest.approx(
             [v - gain * x for v, x in zip(MOVING[:2], e[:2], strict=True)]
         )
-        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # first above the ring, at its height
+        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # first it flies over the ring, at its height
         above = e[2] - r.wait_height_m - (BARRIER.peak_height_m if far else 0.0)
         rising = found.velocity[2] - MOVING[2]
         if above > 0.0:
@@ -166,12 +166,12 @@ def test_flying_clear_is_up_then_away_then_down():
     there, memory = clearing((0.0, -far - 1e-6, 0.1))
     assert there == Command(Request.LAND)
     assert memory.clear
-    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # still lands
+    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # lands as before
     assert clearing((0.0, -far + 1e-6, top))[0].request is Request.EXTERNAL
 
 
 def test_it_does_not_land_while_it_closes_in():
-    """The vehicle's residual motion counts, and the target's motion until the vehicle is down."""
+    """The vehicle's residual motion counts, and the motion of the target until the vehicle is down."""
     vx, vy, vz = ROBUST.limits.velocity_max_m_s
     far, lag_s = ROBUST.checks.clearance_m, ROBUST.velocity_loop.lag_xy_s
     z = 0.3 - PAD[2]  # 0.3 m above the origin

@@ -1,4 +1,4 @@
-"""Compares every combination of conditions in every phase with an independent statement of the rules."""
+"""Compares the next phase for every combination of conditions with an independent statement of the rules."""
 
 import random
 from functools import cache

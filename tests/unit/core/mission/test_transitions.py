@@ -1,4 +1,4 @@
-"""A phase change is stored as data; one class writes its text and parses it."""
+"""Tests that the text of a phase change is parsed back to the same change."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A velocity loop as plant, which flies references and follows a target."""
+"""A second-order velocity loop that replaces the vehicle: it flies references and follows a target."""
 
 import numpy as np
 from scipy.linalg import expm
@@ -70,8 +70,8 @@ def fed_back(**sections):
 def flown_behind(settings, factor, accelerations, errors=None, start_m=0.0):
     """Return positions relative to the target, m, tick by tick, from rest at ``start_m``.
 
-    ``factor``: ratio of the vehicle's velocity loop rate to the declared one; ``accelerations``: of the
-    target, m/s^2; ``errors``: of the commanded velocity, m/s.
+    ``factor``: rate of the vehicle's velocity loop divided by the declared rate; ``accelerations`` of the
+    target, m/s^2; ``errors`` of the commanded velocity, m/s.
     """
     errors = np.zeros(len(accelerations)) if errors is None else errors
     period_s, gain = 1.0 / settings.loop.rate_hz, settings.robust.gain_over_pad_1_s

@@ -1,4 +1,4 @@
-"""Tests the filter on a velocity loop with a dead time: prediction, memory, rejections, and the proof."""
+"""Tests the filter on a velocity loop with a dead time: prediction, state, rejections, and the proof."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Filters are found by name, inside and outside the package; no filter replaces another one."""
+"""Tests that a name selects exactly one filter, inside or outside the package."""
 
 import sys
 
@@ -86,7 +86,7 @@ def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
 def test_reading_a_configuration_or_a_log_imports_nothing_from_outside(outside, capsys):
     settings = config("outside:Picky")
     assert packaged_strategy_of(settings) is None
-    with pytest.raises(ConfigError, match="cannot be imported"):  # a log's module is not searched here
+    with pytest.raises(ConfigError, match="cannot be imported"):  # a log names a module that is not here
         strategy_of(settings)
     assert "outside" not in sys.modules
     assert capsys.readouterr().out == ""

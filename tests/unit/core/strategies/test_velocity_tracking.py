@@ -1,4 +1,4 @@
-"""Tests set-point corrections by lag compensation and velocity feedback, on a plant unlike the model."""
+"""Tests lag compensation and velocity feedback of the set-point, on a plant that deviates from the model."""
 
 import itertools
 import math
@@ -88,7 +88,7 @@ def test_all_of_its_state_is_its_memory(made):
 @settings(max_examples=20)
 def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period_s, damping, axis, start):
     def left(share):
-        """Return the remaining effect of a disturbed model, with vehicle and set-point at rest."""
+        """Return how much of a disturbance of the model remains, with vehicle and set-point at rest."""
         rate = share * replace(LOOP, damping=damping).rate_max_1_s(period_s)
         loop = replace(LOOP, damping=damping, rate_xy_1_s=rate, rate_z_1_s=rate)
         tracking = VelocityTracking(loop, period_s)

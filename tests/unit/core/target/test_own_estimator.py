@@ -29,7 +29,7 @@ MOST = (0.7, 0.7, 0.7)
 
 
 class Vehicle:
-    """Two horizontal axes: the model's velocity loop, a velocity error, and a delayed state."""
+    """Horizontal motion of a vehicle: velocity loop of the model, velocity error, and delayed state."""
 
     def __init__(self, error_m_s=(0.0, 0.0, 0.0), delay_ticks=2, rate_1_s=LOOP.rate_xy_1_s):
         self.error_m_s, self.delay, self.rate_1_s = np.array(error_m_s), delay_ticks, rate_1_s

@@ -97,7 +97,7 @@ PERIOD_S = 0.02
 
 
 def believed_s(seconds, speed_m_s, *, flies, moves_m=0.0):
-    """Return the time until a vehicle state is rejected whose position moves by ``moves_m`` per period."""
+    """Return the time until a vehicle state whose position moves by ``moves_m`` per period is rejected, s."""
     watched, age_s = Plausibility(CONFIG), CONFIG.checks.own_age_max_s
     for k in range(round(seconds / PERIOD_S)):
         at_s = PERIOD_S * k

@@ -61,7 +61,7 @@ def test_verdicts(track, sample, verdict):
 
 
 def drives(t_s, stamp_s):
-    """Return a robot that drives at 0.1 m/s, with a clock offset of 1000 s."""
+    """Return samples of a robot that drives at 0.1 m/s; its clock has an offset of 1000 s."""
     return TargetSample(
         t_s, 1000.0 + stamp_s, "map", "target", (1.0 + 0.1 * t_s, 0.0, 0.2), (0.1, 0.0, 0.0), 0.0, 0.0
     )
@@ -72,7 +72,7 @@ def ticks(since_s, until_s):
 
 
 def steady(until_s, settled):
-    """Track samples at 50 Hz until this time."""
+    """Feed samples at 50 Hz into the track until this time."""
     track = TargetTrack(Checks(), 0.01)
     track.memory.settled = settled
     for t_s in ticks(0.0, until_s):
@@ -148,7 +148,7 @@ def test_before_the_first_sample_there_is_no_target():
 
 
 def bend(t_s, speed_m_s, turn_rate_rad_s):
-    """Return a robot that drives in a circle: position and velocity."""
+    """Return position and velocity of a robot that drives in a circle."""
     turned, radius = turn_rate_rad_s * t_s, speed_m_s / turn_rate_rad_s
     sin, cos = math.sin(turned), math.cos(turned)
     return (radius * sin, -radius * cos, 0.0), (speed_m_s * cos, speed_m_s * sin, 0.0)

@@ -1,4 +1,4 @@
-"""Equal flights compare equal, and any difference is named."""
+"""Tests the comparison of logs: equal flights have no difference, and each difference is reported."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def differ(tmp_path):
 
 
 def replaced(number=4, log_ns=None, publish_ns=None, **changes):
-    """Return ten steps, one of them changed."""
+    """Return ten controller steps, one of them changed."""
     log_ns, publish_ns = (10 * number if t is None else t for t in (log_ns, publish_ns))
     return steps((STEP_TOPIC, schemas.CONTROLLER_STEP, log_ns, publish_ns, number, step(number, **changes)))
 

@@ -1,4 +1,4 @@
-"""Damaged logs and invalid files: every subcommand reads the readable part and ends with a clear message."""
+"""Tests damaged logs and invalid files: each subcommand reads the readable part and reports the damage."""
 
 import random
 import re

@@ -1,4 +1,4 @@
-"""Touchdown from the vehicle's estimate: time, place and speed at the end of the descent, or none."""
+"""Tests the touchdown found in the vehicle's estimate: its time, place and speed, or no touchdown."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ LARGE = FlightConfig(
     BarrierShape(alpha_1_m=0.4, beta_m=3.75),
     touchdown=Touchdown(pad_radius_m=PAD_M, feet_below_reference_m=FEET_M, height_m=0.25),
     contact=Contact(gap_m=0.03),
-    filter="paper",  # the robust filter has heights for a small vehicle
+    filter="paper",  # the heights of the robust filter are for a small vehicle
 )
 DT_S, CONTACT_S, DOWN_S, OFF_S = 0.01, 3.0, 2.0, 3.2  # times since the start of the landing
 SLIP_M_S = (0.10, -0.05)

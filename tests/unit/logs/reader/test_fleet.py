@@ -1,4 +1,4 @@
-"""The log of a fleet: each member is read as a single flight; the fleet's verdict equals the campaign's."""
+"""Tests the log of a fleet: members are read as single flights; the verdict equals the campaign's."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The report of a fleet: sent and received messages, overview page, one page per member, and the command."""
+"""Tests the report of a fleet: messages, overview page, a page for each member, and the command."""
 
 import json
 import re

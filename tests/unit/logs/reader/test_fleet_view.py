@@ -1,4 +1,4 @@
-"""Tests a fleet in Rerun: every member is at its position, without name conflicts."""
+"""Tests a fleet in Rerun: each member has its own entities at its own position."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Other programs can read the logs, and the readable part of damaged ones."""
+"""Tests that other programs can read the logs, and the readable part of damaged logs."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def counts(log):
 
 
 def same(a, b):
-    """Compare field by field, for the classes of any two decoders."""
+    """Return whether two messages have equal fields; their classes may come from different decoders."""
     fields = getattr(b, "__dataclass_fields__", None)
     if fields is not None:
         return all(

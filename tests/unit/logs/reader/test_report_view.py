@@ -1,4 +1,4 @@
-"""Values that the report computes from a log, and data for viewers."""
+"""Tests values that the report computes from a log, and the data for viewers."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def written(tmp_path):
 
 
 def test_the_margin_is_read_back_from_what_the_filter_left(written):
-    """With the robust barrier the filter's slack shows the margin: full outside, faded inside."""
+    """The slack of the robust filter gives the margin: full outside the pad, faded inside."""
     config = dataclasses.replace(load(CONFIG), filter="robust")
     barrier = RobustBarrier(BARRIER, MARGIN_M, FADE_M)
     solver = SafetyFilter(config.robust.rate_1_s)

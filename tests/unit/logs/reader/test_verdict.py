@@ -1,4 +1,4 @@
-"""Every outcome and every limit of the verdict, on synthetic logs."""
+"""Tests each outcome and each limit of the verdict with synthetic logs."""
 
 import math
 

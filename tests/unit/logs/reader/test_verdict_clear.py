@@ -1,4 +1,4 @@
-"""After an abort or a second take-off from the pad, h is judged until the vehicle is clear."""
+"""Tests that h counts after an abort or a second take-off until the vehicle is clear of the target."""
 
 import math
 from dataclasses import replace

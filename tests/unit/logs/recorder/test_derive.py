@@ -1,4 +1,4 @@
-"""Topics for viewers derived from controller steps and MAVLink frames."""
+"""Tests the topics for viewers that are derived from controller steps and MAVLink frames."""
 
 from __future__ import annotations
 

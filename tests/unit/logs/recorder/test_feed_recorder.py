@@ -250,9 +250,9 @@ def test_paths_that_are_taken(tmp_path):
         RecorderProcess(tmp_path / "a.sock", tmp_path / "no such directory" / "b.mcap")
     with socket.socket(socket.AF_UNIX) as stale:
         stale.bind(str(tmp_path / "stale.sock"))
-    process = RecorderProcess(tmp_path / "stale.sock", tmp_path / "c.mcap")  # no reply at this socket
+    process = RecorderProcess(tmp_path / "stale.sock", tmp_path / "c.mcap")  # a socket without a listener
     with pytest.raises(RecorderError, match="in use"):
-        RecorderProcess(tmp_path / "stale.sock", tmp_path / "d.mcap")  # a recorder replies here
+        RecorderProcess(tmp_path / "stale.sock", tmp_path / "d.mcap")  # a recorder listens at this socket
     process.stop()
     process.run()
 

@@ -1,4 +1,4 @@
-"""Raw frames are recorded as by a generic codec, without losses, and decode as in pymavlink."""
+"""Tests that raw frames are packed as by a generic codec, without losses, and decoded as by pymavlink."""
 
 from __future__ import annotations
 

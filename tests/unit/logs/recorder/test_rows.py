@@ -1,4 +1,4 @@
-"""Rows are packed as a generic ROS 2 codec packs them, without losses, and reject data of wrong types."""
+"""Tests that rows are packed as by a generic ROS 2 codec, without losses, and reject data of wrong types."""
 
 from __future__ import annotations
 

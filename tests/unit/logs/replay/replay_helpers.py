@@ -1,4 +1,4 @@
-"""Flights of the point mass, recorded by the recorder's own code."""
+"""Flies the point mass and records the flight with the recorder's own code."""
 
 from pathlib import Path
 

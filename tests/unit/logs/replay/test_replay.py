@@ -1,4 +1,4 @@
-"""Replay detects and names one changed bit in a log, or a controller that decides differently."""
+"""Tests that replay finds a single changed bit in a log, and a controller with other decisions."""
 
 import json
 import math

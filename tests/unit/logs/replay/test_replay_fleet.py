@@ -1,4 +1,4 @@
-"""A fleet vehicle's log contains the messages it received, and replays with them bit by bit."""
+"""Tests that the log of a fleet member contains the received messages, and replays with them bit by bit."""
 
 import struct
 
@@ -36,7 +36,7 @@ def test_each_tick_has_what_was_told_in_it():
 
 
 def one_bit(message):
-    """Change one bit of the last sender's east position, by less than a nanometre."""
+    """Change one bit of the east position in the last message, less than a nanometre."""
     *before, word = unpack_neighbours(message.data)
     x, y, z = word.position_enu_m
     (bits,) = struct.unpack("<Q", struct.pack("<d", x))

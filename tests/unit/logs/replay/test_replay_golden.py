@@ -1,4 +1,4 @@
-"""Golden logs: the controller still makes the recorded decisions.
+"""Tests that the controller still makes the decisions recorded in the golden logs.
 
 After an intended change of decisions, ``python -m tests.golden update`` shows it and flies again.
 """

@@ -1,4 +1,4 @@
-"""The log of a fleet: each member replays separately, bit by bit, and the command reports all."""
+"""Tests the replay of a fleet's log: members replay separately, bit by bit; the command reports all."""
 
 import json
 

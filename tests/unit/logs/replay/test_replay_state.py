@@ -1,4 +1,4 @@
-"""A controller whose state is restored from text at any tick continues identically."""
+"""Tests that a controller makes the same decisions after its state is restored from text at any tick."""
 
 import struct
 from dataclasses import dataclass, fields, is_dataclass, replace

@@ -1,4 +1,4 @@
-"""Replays recorded MAVLink and Zenoh data through the current bridge."""
+"""Tests the replay of recorded MAVLink and Zenoh data through the current bridge."""
 
 import itertools
 from dataclasses import replace as with_
@@ -127,7 +127,7 @@ def test_a_frame_that_came_from_another_address_is_ignored_as_in_the_flight(tmp_
         return pack_mavlink(stamp_ns, packed(hello, frame[4], 1, 1), b"p07")
 
     found = misread(write_kept(GOLDEN, tmp_path / "changed.mcap", change=change))
-    assert {d.field for d in found} == {"status.ready_to_arm"}  # may be a second vehicle
+    assert {d.field for d in found} == {"status.ready_to_arm"}  # the heartbeat may come from a second vehicle
 
 
 def tick_of(odometry, said):
