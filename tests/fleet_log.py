@@ -77,8 +77,8 @@ class RecordedCompanion(Companion):
 
     recorder: Recorder
 
-    def __init__(self, scenario, seed, on_step=None, system_id=1, target_seed=None, *, alone=True):
-        super().__init__(scenario, seed, on_step, system_id, target_seed, alone=alone)
+    def __init__(self, scenario, seed, on_step=None, system_id=1, target_seed=None, *, controller=None):
+        super().__init__(scenario, seed, on_step, system_id, target_seed, controller=controller)
         self.feed = MemberFeed(self.recorder, system_id)
         config, names = scenario.onboard, Names(self.name, system_id)
         shape = config.barrier.build()

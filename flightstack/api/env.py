@@ -26,7 +26,7 @@ from flightstack.core.types import ZERO, Vec3
 from logs.reader.flight_data import Truth
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import VIOLATION_LIMIT_M, Outcome, Verdict
-from sim.runners.landing import Companion, warm_up
+from sim.runners.landing import Companion, Flights, warm_up
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario
 
@@ -113,8 +113,9 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         controller.strategy.ask, controller.strategy.exchange.agent = self._ask, True
         assert isinstance(controller.program, SafetyFilter)
         controller.program.enforces = self._enforces
-        self._companion = Companion(self.scenario, flown, controller=controller)
-        self._flight = greenlet(self._companion.fly)
+        flights = Flights(TeamScenario.of(self.scenario), flown, controller=controller)
+        (self._companion,) = flights.members
+        self._flight = greenlet(flights.fly)
         at = self._flight.switch()
         if at is None:
             raise RuntimeError(f"seed {flown}: the flight ended before the landing began")

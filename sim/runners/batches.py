@@ -32,7 +32,6 @@ from flightstack.core.strategies.answers import compiled_as
 from flightstack.core.strategies.strategy import strategy_class
 from flightstack.core.types import FilterStatus, OwnState, Phase, Request
 from flightstack.onboard.lockstep import VehicleTicks
-from sim.clock import TickGrid
 from sim.plant.states import TRUTH
 from sim.runners.landing_wire import PEER
 from sim.runners.lockstep import LockstepVehicle
@@ -67,8 +66,8 @@ def suits(config: FlightConfig) -> bool:
 class Batches:
     """Flies batches of ticks of one landing.
 
-    ``link``, ``ticks``: link and runner of the companion; ``target``: the robot; ``node``: the vehicle;
-    ``grid``: grid of the ticks; ``ends_s``: time limit of the flight; ``radio_s``: delay of set-points.
+    ``link``, ``ticks``: link and clock of the companion; ``target``: the robot; ``loop``: the vehicle;
+    ``ends_s``: time limit of the flight.
     """
 
     def __init__(
@@ -77,17 +76,15 @@ class Batches:
         link: VehicleLink,
         ticks: VehicleTicks,
         target: DirectTarget,
-        node: VehicleNode,
         loop: LockstepVehicle,
         notes: Notes,
-        grid: TickGrid,
         ends_s: float,
-        radio_s: float,
     ) -> None:
+        node, grid = loop.node, loop.grid
         self._controller, self._link, self._ticks, self._target = controller, link, ticks, target
         self._node, self._loop, self._notes, self._grid = node, loop, notes, grid
         self._rules = new(RulesRecord)
-        self._rules.ends_s, self._rules.delay_ms = ends_s, round(radio_s * 1000.0)
+        self._rules.ends_s, self._rules.delay_ms = ends_s, loop.radio_ms
         self._rules.status_age_max_s = controller.config.checks.status_age_max_s
         self._strategy = strategy = controller.strategy
         self._asks = strategy.ask is not None or strategy.replaces_program
@@ -101,7 +98,7 @@ class Batches:
         self._off = False  # whether Python runs all ticks from now on
         self._asked = -1  # newest tick for which the agent or the filter was called
         self._next, self._wait = 0, 1  # tick of the next attempt; ticks to wait after a failure
-        self._flies, self._yaw_told_rad, self._delay_ms = False, 0.0, round(radio_s * 1000.0)
+        self._flies, self._yaw_told_rad = False, 0.0
         self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
         self._watches, self._watch_book = node.autopilot.flight.watches, WatchBook(self._rules.watch)
         self._phase = scalars(self._rules, "flies", "lasting", "armed", "standing", "supervisor")
@@ -276,7 +273,7 @@ class Batches:
         x, y, z, vx, vy, vz, yaw, source_s, ux, uy, uz = self._told.tolist()
         self._link.took(OwnState(now_s, source_s, (x, y, z), (vx, vy, vz), yaw), done, setpoints=flies)
         setpoint = Setpoint((ux, uy, uz), self._yaw_told_rad, 0.0) if flies else None
-        ahead_ms = min(grid.ms(last + 1) - grid.ms(last), self._delay_ms)
+        ahead_ms = min(grid.ms(last + 1) - grid.ms(last), self._loop.radio_ms)
         node.vehicle.sent_before_ms = ahead_ms
         if how != MIDDLE:
             flight.flown(now_s, setpoint, self._sender)

@@ -5,9 +5,8 @@ the robot, the companion's link and its runner of ticks. Only the messages are p
 rounding of the wire. A landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the
 last bit.
 
-Vehicles in one room fly tick by tick. Rotor jets, collisions and messages between the companions
-(``Exchange``) act with a delay of one tick, so the order of the vehicles does not matter. A single vehicle
-flies batches of ticks where possible.
+Rotor jets, collisions and messages between the companions (``Exchange``) act with a delay of one tick, so the
+order of the vehicles does not matter. A single vehicle flies batches of ticks where possible.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ class Companion:
 
     ``controller`` replaces the scenario's controller. ``on_step`` is called after every controller step.
     ``system_id``: MAVLink system id of the vehicle. ``target_seed``: seed of the robot; if None, ``seed`` is
-    used. ``alone``: whether no other vehicle is near, so that batches of ticks are allowed.
+    used.
     """
 
     robot_type: ClassVar[type[DirectTarget]] = DirectTarget
@@ -62,13 +61,13 @@ class Companion:
 
     def __init__(
         self, scenario: Scenario, seed: int, on_step: OnStep | None = None, system_id: int = SYSTEM_ID,
-        target_seed: int | None = None, *, alone: bool = True, controller: Controller | None = None,
+        target_seed: int | None = None, *, controller: Controller | None = None,
     ) -> None:  # fmt: skip
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
         self.name = member_name(system_id)  # name and namespace of the vehicle: cf1 for system id 1
         self.controller = controller or Controller(config)
-        self._on_step = on_step
+        self.seed, self._on_step = seed, on_step
         self._stop = Stop()
         self._over = False
         self.tick = 0  # current tick of the fleet's vehicles
@@ -104,30 +103,22 @@ class Companion:
         here.answer = self._answer
         self._link.poll(0.0)  # send the first heartbeat before the first tick, as the onboard process does
         radio_s = scenario.vehicle.setpoint_delay_s
-        self.loop = LockstepVehicle(node, target, grid, self._stop, radio_s, None if alone else self)
+        self.loop = LockstepVehicle(node, target, grid, self._stop, radio_s, self)
         linked = LinkedVehicle(self._link, lockstep=True)
-        leaving = Leaving(scenario.duration_max_s)
-        ticks = VehicleTicks(linked, rate_hz)
-        # runner of batches; None: this landing cannot fly in batches, or ``on_step`` needs every tick
-        self.batches = None
-        if alone and on_step is None and suited(self.controller, node):
-            self.batches = Batches(
-                self.controller, self._link, ticks, target, node, self.loop, self._notes, grid,
-                scenario.duration_max_s, radio_s,
-            )  # fmt: skip
+        self._ends_s = scenario.duration_max_s
+        self._ticks = VehicleTicks(linked, rate_hz)
         self._runner = Runner(
-            self.controller, ticks, linked, target, leaving, self, words=lambda: self._neighbours
-        )
+            self.controller, self._ticks, linked, target, Leaving(self._ends_s), self,
+            words=lambda: self._neighbours,
+        )  # fmt: skip
 
-    def fly(self) -> None:
-        """Fly alone, with batches of ticks where possible."""
-        self.loop.begin()
-        tick = 0
-        while not self._stop.is_set and tick != self.ticks_max:
-            flown = self.batches.fly(tick) if self.batches is not None else 0
-            if not flown:
-                self.loop.tick(tick)
-            tick += flown or 1
+    def batches(self) -> Batches | None:
+        """Return the runner of batches; None: this landing cannot fly in batches, or ``on_step`` is set."""
+        if self._on_step is not None or not suited(self.controller, self.node):
+            return None
+        return Batches(
+            self.controller, self._link, self._ticks, self.target, self.loop, self._notes, self._ends_s
+        )
 
     @property
     def left(self) -> bool:
@@ -191,19 +182,43 @@ class TeamLanding:
     wall_s: float
 
 
-class _Waits:
-    """Longest run of ticks in which a member waits for its right of way, for each member."""
+class Flights:
+    """All flights of a scenario in this process; arguments as for ``land_team``.
 
-    def __init__(self, members: int) -> None:
-        self.most, self._now = [0] * members, [0] * members
+    ``controller``: controller to fly instead of the scenario's, for a single vehicle.
+    """
 
-    def count(self, outputs: Sequence[Outputs | None]) -> None:
+    def __init__(
+        self, team: TeamScenario, seed: int, exchange: Exchange | None = None, on_step: OnStep | None = None,
+        controller: Controller | None = None,
+    ) -> None:  # fmt: skip
+        robot = team.target_seed(seed)
+        self.members = [
+            Companion(each, own, on_step, system_id=n, target_seed=robot, controller=controller)
+            for n, (each, own) in enumerate(team.singles(seed), 1)
+        ]
+        # longest wait of each member for its right of way, and its present wait, ticks
+        self.waits, self._waiting = [0] * len(self.members), [0] * len(self.members)
+        self._words = exchange or Words(team, seed)
+        feed = Feed.connect(None, "vehicle", lossless=False)
+        self.room = Room([member.node for member in self.members], TickGrid(team.rate_hz), feed)
+        first, *others = self.members
+        self.batches = None if others else first.batches()
+
+    def fly(self) -> None:
+        """Fly until all flights are over."""
+        loops, batches = [member.loop for member in self.members], self.batches
+        world = LockstepWorld(
+            loops, self.room, self._exchange, Stop(), EPOCH_NS, batches.fly if batches is not None else None
+        )
+        world.run(max(member.ticks_max for member in self.members))
+
+    def _exchange(self, tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
         for n, out in enumerate(outputs):
-            if out is None or out.phase is not Phase.APPROACH or out.snapshot.permissions.may_land:
-                self._now[n] = 0
-                continue
-            self._now[n] += 1
-            self.most[n] = max(self.most[n], self._now[n])
+            waits = out is not None and out.phase is Phase.APPROACH and not out.snapshot.permissions.may_land
+            self._waiting[n] = self._waiting[n] + 1 if waits else 0
+            self.waits[n] = max(self.waits[n], self._waiting[n])
+        return self._words(tick, outputs)
 
 
 def land(scenario: Scenario, seed: int, *, on_step: OnStep | None = None) -> Landing:
@@ -234,52 +249,27 @@ def land_team(
     start; RuntimeError: the simulation did not end.
     """
     began_s = time.perf_counter()
-    singles = list(team.singles(seed))
-    robot = team.target_seed(seed)
-    members = [
-        Companion(each, own, on_step, system_id=n, target_seed=robot, alone=len(singles) == 1)
-        for n, (each, own) in enumerate(singles, 1)
-    ]
-    waits = _Waits(len(members))
-    pairs = _fly(team, members, exchange or Words(team, seed), waits)
-    seen = [member.seen() for member in members]
+    flights = Flights(team, seed, exchange, on_step)
+    flights.fly()
+    seen = [member.seen() for member in flights.members]
     judged = [judge_truth(each, each.truth) for each in seen]
     wall_s = time.perf_counter() - began_s
     landings = tuple(
-        Landing(own, verdict, each, float(each.steps.t_s[-1]), wall_s, member.controller.memory.retries)
-        for member, each, verdict, (_, own) in zip(members, seen, judged, singles, strict=True)
+        Landing(
+            member.seed, verdict, each, float(each.steps.t_s[-1]), wall_s, member.controller.memory.retries
+        )
+        for member, each, verdict in zip(flights.members, seen, judged, strict=True)
     )
     simulated_s = max(landing.simulated_s for landing in landings)
-    waits_s = tuple(ticks / team.rate_hz for ticks in waits.most)
-    return TeamLanding(seed, landings, pairs, waits_s, simulated_s, wall_s)
-
-
-def _fly(
-    team: TeamScenario, members: Sequence[Companion], exchange: Exchange, waits: _Waits
-) -> tuple[Pair, ...]:
-    """Fly until all flights are over; return the smallest distances of all pairs."""
-    first, *others = members
-    if not others:
-        first.fly()
-        return ()
-
-    def counted(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
-        waits.count(outputs)
-        return exchange(tick, outputs)
-
-    feed = Feed.connect(None, "vehicle", lossless=False)
-    room = Room([member.node for member in members], TickGrid(team.rate_hz), feed)
-    loops = [member.loop for member in members]
-    LockstepWorld(loops, room, counted, Stop(), EPOCH_NS).run(max(member.ticks_max for member in members))
-    return room.found()
+    waits_s = tuple(ticks / team.rate_hz for ticks in flights.waits)
+    return TeamLanding(seed, landings, flights.room.found(), waits_s, simulated_s, wall_s)
 
 
 def warm_up(team: TeamScenario) -> None:
     """Compile all code of a flight, or load it from the cache, before the first flight starts."""
-    first = team.member[0]
     warm_up_room(team)
     with telling("the loop of a campaign, about 20 s"):
-        batches = Companion(first, 0, alone=len(team.member) == 1).batches
+        batches = Flights(team, 0).batches
         if batches is not None:
             batches.warm_up()
 

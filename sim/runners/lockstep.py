@@ -74,8 +74,8 @@ class LockstepVehicle:
         radio_s: float,
         words: FleetEnd | None = None,
     ) -> None:
-        self._radio_ms = round(radio_s * 1000.0)
-        self._node, self._robot, self._grid, self._stop, self.words = node, robot, grid, stop, words
+        self.radio_ms = round(radio_s * 1000.0)  # delay of set-points
+        self.node, self._robot, self.grid, self._stop, self.words = node, robot, grid, stop, words
         self._companion: Peer | None = None  # the peer that answered first
         self._answers = True  # whether the vehicle waits for its companion
         self.answered = False  # whether the companion has answered for the previous tick
@@ -86,7 +86,7 @@ class LockstepVehicle:
     @property
     def over(self) -> bool:
         """Whether the flight is over: the companion has left."""
-        return self._node.over
+        return self.node.over
 
     @property
     def answers(self) -> bool:
@@ -96,12 +96,12 @@ class LockstepVehicle:
     @property
     def rests(self) -> bool:
         """Whether nothing more happens; a vehicle without its companion first lands by its autopilot."""
-        return self.over or not (self._answers or self._node.vehicle.armed)
+        return self.over or not (self._answers or self.node.vehicle.armed)
 
     @property
     def undisturbed(self) -> bool:
         """Whether the companion answers at each tick, and no message waits for the next tick."""
-        waits = self._replies or self._late or not self._node.wire.sound
+        waits = self._replies or self._late or not self.node.wire.sound
         return self._companion is not None and self._answers and not waits
 
     def begin(self) -> None:
@@ -109,7 +109,7 @@ class LockstepVehicle:
 
         Raises NoAnswerError: time-out.
         """
-        endpoint = self._node.endpoint
+        endpoint = self.node.endpoint
 
         def heard() -> bool:
             if not endpoint.peers:
@@ -122,21 +122,13 @@ class LockstepVehicle:
         if self._robot is not None:
             self._robot.begin()
 
-    def tick(self, tick: int) -> None:
-        """Simulate the next tick of a single vehicle.
-
-        Raises NoAnswerError: time-out of the companion.
-        """
-        self.ask(tick)
-        self.act(tick, Silence())
-
     def ask(self, tick: int) -> None:
         """Begin a tick: send due messages, request the answer, and simulate until the answer can take effect.
 
         After the end of its flight, a vehicle simulates the whole tick in this call: the autopilot still
         controls it, but nothing is sent or logged.
         """
-        node, grid = self._node, self._grid
+        node, grid = self.node, self.grid
         now_ns = grid.ns(tick)
         now_s = now_ns / 1e9
         steps = grid.ms(tick + 1) - grid.ms(tick)
@@ -161,7 +153,7 @@ class LockstepVehicle:
         if self._robot is not None:
             self._robot.run_ahead(tick)
         # The radio delays every answer by this time, so these steps need no answer.
-        ahead = min(steps, self._radio_ms)
+        ahead = min(steps, self.radio_ms)
         node.vehicle.advance(ahead)
         node.vehicle.sent_before_ms = ahead
 
@@ -173,7 +165,7 @@ class LockstepVehicle:
         """
         if self.over:
             return
-        node, grid = self._node, self._grid
+        node, grid = self.node, self.grid
         now_ns = grid.ns(tick)
         now_s = now_ns / 1e9
         self._await_answer(now_ns, now_s, silence)
@@ -183,7 +175,7 @@ class LockstepVehicle:
 
     def _await_answer(self, now_ns: int, now_s: float, silence: Silence) -> None:
         """Handle all messages up to the companion's answer for this tick."""
-        for received in self._node.wire.late(now_ns):
+        for received in self.node.wire.late(now_ns):
             self._answer(received, now_ns, now_s)
         late, self._late = self._late, []
         answered = self._take(late, now_ns, now_s)
@@ -191,7 +183,7 @@ class LockstepVehicle:
             self.answered = False
             self._run_free(now_ns, now_s)
             return
-        endpoint, repeat_s = self._node.endpoint, None
+        endpoint, repeat_s = self.node.endpoint, None
         while not (answered or self._stop.is_set or (self.words is not None and self.words.left)):
             endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
             answered = self._take(endpoint.receive(), now_ns, now_s)
@@ -209,15 +201,15 @@ class LockstepVehicle:
         self.answered = answered or self._take(endpoint.receive(), now_ns, now_s)
 
     def _send(self, now_ns: int, now_s: float) -> None:
-        endpoint, companion = self._node.endpoint, self._companion
-        messages = self._node.autopilot.telemetry(now_s)
+        endpoint, companion = self.node.endpoint, self._companion
+        messages = self.node.autopilot.telemetry(now_s)
         replies, self._replies = self._replies, []
         request = dialect.MAVLink_timesync_message(0, now_ns)
-        if not self._node.wire.sound:
+        if not self.node.wire.sound:
             companions = endpoint.peers if companion is None else (companion,)
             others = [peer for peer in endpoint.peers if peer not in companions]
-            self._node.wire.send(messages, (*companions, *others), now_ns)
-            self._node.wire.send(replies, companions, now_ns)
+            self.node.wire.send(messages, (*companions, *others), now_ns)
+            self.node.wire.send(replies, companions, now_ns)
             messages = replies = []
         elif companion is not None:
             for peer in endpoint.peers:
@@ -227,10 +219,10 @@ class LockstepVehicle:
         self._request = request
 
     def _repeat(self) -> None:
-        peers = self._node.endpoint.peers if self._companion is None else (self._companion,)
+        peers = self.node.endpoint.peers if self._companion is None else (self._companion,)
         for peer in peers:
             # Repeat equal bytes: new sequence numbers would make the log depend on wall time.
-            self._node.endpoint.repeat(bytes(self._request.get_msgbuf()), peer)
+            self.node.endpoint.repeat(bytes(self._request.get_msgbuf()), peer)
 
     def _take(self, frames: list[Received], now_ns: int, now_s: float) -> bool:
         """Handle frames up to the answer for this tick; return True if it has arrived."""
@@ -246,21 +238,21 @@ class LockstepVehicle:
                 # No link fault acts here: the number of heartbeats before the answer depends on wall time.
                 self._answer(received, now_ns, now_s)
                 continue
-            for arrived in self._node.wire.receive(received, now_ns):
+            for arrived in self.node.wire.receive(received, now_ns):
                 self._answer(arrived, now_ns, now_s)
         return False
 
     def _answer(self, received: Received, now_ns: int, now_s: float) -> None:
         """Pass a message to the autopilot; its replies to the companion are sent with the next tick."""
-        replies = self._node.answer(received, now_s)
+        replies = self.node.answer(received, now_s)
         if not replies:
             return
         if received.peer == self._companion or self._companion is None:
             self._replies += replies
-        elif self._node.wire.sound:
-            self._node.endpoint.send(replies, received.peer)
+        elif self.node.wire.sound:
+            self.node.endpoint.send(replies, received.peer)
         else:
-            self._node.wire.send(replies, (received.peer,), now_ns)
+            self.node.wire.send(replies, (received.peer,), now_ns)
 
     def _is_answer(self, received: Received, now_ns: int) -> bool:
         """Return whether a message answers the current tick; an old answer only shows a live companion."""
@@ -271,7 +263,7 @@ class LockstepVehicle:
             return False
         if not self._answers:
             self._answers = True
-            self._node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
+            self.node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
         return this_tick
 
     def _give_up(self) -> None:
@@ -282,20 +274,21 @@ class LockstepVehicle:
             )
         self._answers = False
         text = f"Companion silent for {COMPANION_SILENT_S:g} s: going on without"
-        self._node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_CRITICAL, text)
+        self.node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_CRITICAL, text)
 
     def _run_free(self, now_ns: int, now_s: float) -> None:
         """Simulate without the companion: at full speed in flight, in real time after the landing."""
-        endpoint = self._node.endpoint
-        if self.words is None and not self._node.vehicle.armed:
-            endpoint.wait(self._grid.period_s)
+        endpoint = self.node.endpoint
+        if self.words is None and not self.node.vehicle.armed:
+            endpoint.wait(self.grid.period_s)
         self._take(endpoint.receive(), now_ns, now_s)
 
 
 class LockstepWorld:
     """Runs the ticks of all vehicles; with a fleet it ends when all flights are over.
 
-    ``exchange``: transmits the messages of a fleet; None: no fleet; ``epoch_ns``: Unix time of tick 0.
+    ``exchange``: transmits the messages of a fleet; None: no fleet; ``epoch_ns``: Unix time of tick 0;
+    ``batch``: flies many ticks from the given one on in one call, and returns their number (0: none).
     """
 
     def __init__(
@@ -305,9 +298,10 @@ class LockstepWorld:
         exchange: Exchange | None,
         stop: Stop,
         epoch_ns: int,
+        batch: Callable[[int], int] | None = None,
     ) -> None:
         self._vehicles, self._room, self._exchange = vehicles, room, exchange
-        self._stop, self._epoch_ns = stop, epoch_ns
+        self._stop, self._epoch_ns, self._batch = stop, epoch_ns, batch
 
     def run(self, ticks: int | None) -> None:
         """Run the simulation.
@@ -319,8 +313,10 @@ class LockstepWorld:
             vehicle.begin()
         tick = 0
         while tick != ticks and not self._ended():
-            self._tick(tick)
-            tick += 1
+            flown = self._batch(tick) if self._batch is not None else 0
+            if not flown:
+                self._tick(tick)
+            tick += flown or 1
         if tick:
             self._room.write(tick - 1, self._epoch_ns)
 

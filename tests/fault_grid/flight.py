@@ -18,7 +18,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Received
 from bridge.ros2.cdr import Odometry
 from bridge.target.odometry import RawSample
-from flightstack.common.pacing import EPOCH_NS, Tick
+from flightstack.common.pacing import EPOCH_NS, Silence, Tick
 from flightstack.compiled.records import F64
 from flightstack.core.controller import Outputs
 from flightstack.core.memory import Memory
@@ -166,7 +166,8 @@ class Flight(Companion):
         """Fly to the end. Raises RuntimeError: the moment of the disturbance did not occur."""
         self.loop.begin()
         for tick in range(self.ticks_max):
-            self.loop.tick(tick)
+            self.loop.ask(tick)
+            self.loop.act(tick, Silence())
             if self._stop.is_set and not self.loop.answered:
                 break
         if not self._disturbed:

@@ -15,8 +15,9 @@ from flightstack.compiled.objects import Objects
 from flightstack.core.controller import Controller
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import Phase
-from sim.runners.landing import Companion
+from sim.runners.landing import Flights
 from sim.scenarios.scenario import load
+from sim.scenarios.team import TeamScenario
 from sim.scenarios.team import load as load_team
 
 numbers = st.floats(-3.0, 3.0)
@@ -50,8 +51,10 @@ def flown(scenario, make):
         state = repr(flight.controller.state) if len(rows) % 50 == 0 else ""
         rows.append((repr((out._replace(barrier=barrier, setpoint=None), told)), state))
 
-    flight = Companion(scenario, 3, note, controller=make(scenario.onboard))
-    flight.fly()
+    controller = make(scenario.onboard)
+    flights = Flights(TeamScenario.of(scenario), 3, on_step=note, controller=controller)
+    (flight,) = flights.members
+    flights.fly()
     return rows, repr(flight.controller.state)
 
 

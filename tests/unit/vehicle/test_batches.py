@@ -9,7 +9,7 @@ import flightstack as fs
 from examples.own_filter import Smooth
 from flightstack.compiled.jit import is_off
 from flightstack.core.strategies.answers import compiled_as
-from sim.runners.landing import Companion, warm_up
+from sim.runners.landing import Flights, warm_up
 from sim.scenarios.scenario import Start, load
 from sim.scenarios.team import TeamScenario
 
@@ -18,11 +18,12 @@ pytestmark = pytest.mark.slow
 
 def flown(scenario, seed, on_step=None, parameters=()):
     """Fly; return the record, and the ticks flown in batches."""
-    flight, in_batches = Companion(scenario, seed, on_step), 0
+    flights, in_batches = Flights(TeamScenario.of(scenario), seed, on_step=on_step), 0
+    (flight,), batches = flights.members, flights.batches
     for name, value in parameters:
         flight.node.autopilot.parameters.preset(name, value)
-    if flight.batches is not None:
-        fly = flight.batches.fly
+    if batches is not None:
+        fly = batches.fly
 
         def counted(tick):
             nonlocal in_batches
@@ -30,8 +31,8 @@ def flown(scenario, seed, on_step=None, parameters=()):
             in_batches += done
             return done
 
-        flight.batches.fly = counted
-    flight.fly()
+        batches.fly = counted
+    flights.fly()
     return flight, flight.seen(), in_batches
 
 
@@ -94,12 +95,13 @@ def test_a_thrust_reserve_that_ends_in_a_batch_is_seen_at_the_same_tick():
 
 @pytest.mark.parametrize("name", ["paper_moving_1", "fault_motor_dead"])
 def test_what_a_batch_does_not_know_is_flown_tick_by_tick(name):
-    assert Companion(load(name), 0).batches is None
+    assert Flights(TeamScenario.of(load(name)), 0).batches is None
 
 
 def test_it_is_compiled_before_the_first_landing():
-    warm_up(TeamScenario.of(load("field")))
-    batches = Companion(load("field"), 0).batches
+    field = TeamScenario.of(load("field"))
+    warm_up(field)
+    batches = Flights(field, 0).batches
     assert (batches is None) == is_off()
     if batches is not None:
         batches.warm_up()
