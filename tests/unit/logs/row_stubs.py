@@ -40,7 +40,7 @@ _PYTHON = {"?": "bool", "d": "float", "f": "float"}
 
 
 def text() -> str:
-    """Return the stub generated from the definitions."""
+    """Return the text of ``rows.pyi``, generated from the message definitions."""
     lines = [_HEAD]
     for schema in ROWS:
         name = class_name(schema, "Row")

@@ -1,4 +1,4 @@
-"""Safe parameters of every release, independent of the tables of the rules."""
+"""Safe parameters of every autopilot release, written independently of the rules' tables."""
 
 COMMON = {
     "GUID_TIMEOUT": 0.5, "GUID_OPTIONS": 0, "DISARM_DELAY": 10, "FS_EKF_ACTION": 1, "FS_GCS_ENABLE": 5,

@@ -1,4 +1,4 @@
-"""Tests pacing with a test clock, and ports, niceness and memory of processes."""
+"""Tests the pacing of the loop with a test clock, and ports, niceness and memory of processes."""
 
 import subprocess
 import sys
@@ -95,7 +95,7 @@ def test_a_follower_makes_every_tick_however_fast_the_simulator_is(file):
     ticks = []
     follower = threading.Thread(target=lambda: ticks.extend(pacer.wait() for _ in range(101)))
     follower.start()
-    run(clock, 250)  # one second of simulated time
+    run(clock, 250)  # 250 steps are one second of simulated time
     follower.join(PATIENCE_S)
     assert not follower.is_alive()
     assert pacer.overruns == 0

@@ -1,4 +1,4 @@
-"""After every exit of a flight, in every phase, the vehicle has a command to land or another controller.
+"""Tests that after each exit, in each phase, the vehicle has a command to land or another controller.
 
 The table in docs/how_it_works/failures.md lists these exits.
 """
@@ -23,7 +23,7 @@ from sim.scenarios.scenario import load
 
 CONFIG = load("grid").onboard
 PERIOD_S = 1.0 / CONFIG.loop.rate_hz
-EXIT_S = 0.05  # time after the start
+EXIT_S = 0.05  # time of the exit after the start of the flight, s
 
 
 class Breaks(Enum):
@@ -40,7 +40,7 @@ class Breaks(Enum):
 class Flight:
     """Minimal clock, vehicle, target and log in one object; the vehicle executes commands immediately."""
 
-    exits: object  # called in the tick of the exit
+    exits: object  # function that is called in the tick of the exit
     armed: bool = True
     mode: Mode = Mode.EXTERNAL
     landed: Landed = Landed.IN_AIR
@@ -152,7 +152,7 @@ def handlers():
 
 
 def flown(exits, name="APPROACH", duration_s=None, **more):
-    """Fly in one phase from the start; return the end."""
+    """Fly one phase from its start until the exit; return the result of the flight."""
     phase, seen, remembered = PHASES[name]
     flight, controller = Flight(exits, **(seen | more)), Controller(CONFIG)
     memory = controller.memory

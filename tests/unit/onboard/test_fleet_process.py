@@ -1,4 +1,4 @@
-"""The onboard process of a fleet member receives messages, sends its own, and logs both."""
+"""Tests that the onboard process of a fleet member logs the messages that it receives and sends."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -79,7 +79,7 @@ def onboard(feed, endpoint):
 
 @pytest.fixture
 def other(onboard, endpoint):
-    """Connection of vehicle 7."""
+    """Connection of the other vehicle, with id 7."""
     session = open_session(connect=[endpoint])
     wait_for(lambda: zenoh_link.transports(session) == 1)
     wire = FleetWire(session, "cf7", Fleet(7, (3, 7)))
@@ -156,7 +156,7 @@ def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard,
     assert "another process has the vehicle id 3" in found[-1].reason
     leaving = process._Leaving(onboard, nobody())
     out = SimpleNamespace(phase=Phase.APPROACH, finished=False)
-    assert leaving.ended(out, onboard.controller.memory, None, 1.0) is None  # this failure is only an event
+    assert leaving.ended(out, onboard.controller.memory, None, 1.0) is None  # this failure ends no flight
 
 
 def test_a_lone_vehicle_has_no_wire(feed):

@@ -1,4 +1,4 @@
-"""Fleet messages over Zenoh are converted to the receiver's clock; invalid ones are rejected and reported."""
+"""Tests fleet messages over Zenoh: times are converted to the receiver's clock, invalid ones rejected."""
 
 import time
 from unittest import mock
@@ -81,7 +81,7 @@ def taken(side, count=1):
 
 
 def greet(a, b):
-    """Send in turn until both connections have forwarded a message of the other vehicle."""
+    """Send from both vehicles in turn until each connection has passed on a message of the other one."""
     heard = set()
 
     def in_turn():
@@ -100,7 +100,7 @@ def greet(a, b):
 
 @pytest.fixture
 def stranger(sessions):
-    """Publishes arbitrary data in the place of vehicle 7."""
+    """Publishes arbitrary data under the key of vehicle 7."""
     publisher = zenoh_link.blocking_publisher(sessions[1], "somewhere/else/fleet/word")
     wait_for(lambda: zenoh_link.is_matched(publisher))
     yield publisher.put

@@ -1,4 +1,4 @@
-"""Forked children, which use what their parent has loaded, behave like independent programs."""
+"""Tests that forked children, which use the modules of their parent, behave like independent programs."""
 
 import json
 import os
@@ -24,7 +24,7 @@ def forked(run):
 
 
 def python(program, folder):
-    """Return the output of a program without other threads; the tests' process has some."""
+    """Return the output of a Python program, which has no other threads, unlike the process of the tests."""
     words = [sys.executable, "-c", BEGIN + program, str(folder)]
     return subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S, check=True).stdout
 

@@ -1,4 +1,4 @@
-"""Identification finds the parameters of a synthetic vehicle, and rejects flights without their effect."""
+"""Tests that ``identify`` finds the parameters of a synthetic vehicle, or rejects flights without effect."""
 
 import math
 

@@ -22,7 +22,7 @@ NEEDS = Needs(0.5 * math.sqrt(2.0), 0.5, 1.0, 1.5, 3.0)
 
 
 def asked(name):
-    """Return parameters of the newest release; for ArduCopter, those of the fake."""
+    """Return safe parameters of the newest release; for ArduCopter, those of the fake autopilot."""
     return table(name).asked(name, "4.6" if name == "ardupilot" else table(name).releases[-1])
 
 
@@ -58,7 +58,7 @@ def test_what_a_person_accepted_does_not_keep_it_from_arming():
 
 @pytest.mark.parametrize("name", scenario.names())
 def test_the_simulators_own_parameters_are_safe_for_every_scenario(name):
-    """A lockstep flight, always with the simulator, skips the check."""
+    """In lockstep the check is skipped, because the vehicle is always the simulator."""
     shown = {parameter.name: parameter.default for parameter in px4_parameters(1)}
     assert {each.name.name for each in asked("sitl") if each.rule.missing is None} <= set(shown)
     assert unsafe("sitl", shown, needs_of(scenario.load(name).onboard)) == set()

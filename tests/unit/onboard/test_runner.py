@@ -1,4 +1,4 @@
-"""The order of calls in a tick, and samples that a tick does not use."""
+"""Tests the order of the calls in a tick, and samples that a tick does not use."""
 
 import math
 from types import SimpleNamespace

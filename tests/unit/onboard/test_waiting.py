@@ -1,4 +1,4 @@
-"""Tests the messages during a wait: each names its cause, and the setting that limits the wait."""
+"""Tests the messages during a wait: each names the cause of the wait, and the key that limits the wait."""
 
 import math
 from dataclasses import replace
@@ -85,7 +85,7 @@ TICK = Tick(2000, NOW_S, 1_700_000_000_000_000_000, 0.01, 0.0, overruns=3)
 
 
 class Out(NamedTuple):
-    """The part of a controller's outputs that is used."""
+    """The fields of a controller's outputs that the messages use."""
 
     snapshot: Snapshot
     finished: bool = False

@@ -1,4 +1,4 @@
-"""Vehicles other than the Crazyflie: files, flight behaviour, and a configuration for their size."""
+"""Tests vehicles other than the Crazyflie: files, flight behaviour, and a configuration for their size."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Compares the plant with a second model, a conservation law and a closed form."""
+"""Compares the simulated vehicle with a second model, a conservation law and a closed form."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def quiet_vehicle(slow=False, **parts):
 
 
 class FreePlant:
-    """Body and rotors in free air, with given rotor commands."""
+    """Simulated body and rotors in free air, with given rotor commands."""
 
     def __init__(self, slow=False, **parts):
         self.sim = quiet_vehicle(slow, **parts)
@@ -120,7 +120,7 @@ def test_six_degrees_of_freedom_agree_with_the_independent_model(seed, slow):
     rates = reference[:, 10:13]
     turning = np.abs(rates).max()
     angular_acceleration = np.abs(np.diff(rates, axis=0)).max(axis=0) / 0.02
-    assert turning > 0.5  # the vehicle has turned, so the bounds are tested
+    assert turning > 0.5  # the vehicle has turned enough to test the bounds
     assert (error[:, 10:13].max(axis=0) < STEP_S * angular_acceleration + 1e-4).all()
     assert 2.0 * error[:, 6:10].max() < STEP_S * turning + 1e-4  # rad
     assert error[:, 3:6].max() < 0.5 * STEP_S * turning * G * 1.5  # thrust, about m g, turned by half a step

@@ -1,4 +1,4 @@
-"""The pad carries a vehicle at rest as MuJoCo's contact does, and only as long as friction holds it."""
+"""Tests the model of a vehicle at rest on the pad: it agrees with MuJoCo and ends when friction ends."""
 
 import itertools
 import math
@@ -22,7 +22,7 @@ FRICTION = PARAMS.contact.friction
 
 
 class Deck:
-    """Sets the deck every 10 ms, as the vehicle's process does, to its predicted pose."""
+    """Sets the deck to its predicted pose every 10 ms, as the vehicle's process does."""
 
     def __init__(self, velocity_of, rate=0.0, height_m=0.2):
         self.velocity_of, self.rate = velocity_of, rate

@@ -1,4 +1,4 @@
-"""Errors of state estimates: correlated noise, delays of both signs, and random parameters of a flight."""
+"""Tests errors of state estimates: correlated noise, positive and negative delays, random parameters."""
 
 import math
 
@@ -45,7 +45,7 @@ def test_rows_do_not_depend_on_how_many_are_taken_at_once(parts, seed):
 
 
 def measured(row, truth, *, samples=60, rate_hz=RATE_HZ):
-    """Return the last of many samples along a path."""
+    """Return the last estimated state of many samples along a path."""
     past = new(PastRecord)
     past.rate = rate_hz
     for k in range(samples):

@@ -1,4 +1,4 @@
-"""Body, deck and contact agree with mechanics; MuJoCo runs only where contact is possible."""
+"""Tests body, deck and contact against mechanics, and that MuJoCo runs only if contact is possible."""
 
 import math
 import random
@@ -123,7 +123,7 @@ def test_what_is_not_a_number_is_never_apart(place):
 
 
 def tumble_past(spec, aside_m, searching):
-    """Fly a spinning fall past or onto a moving deck, with bounces; return the state of every step."""
+    """Simulate a tumbling fall past or onto a moving deck, with bounces; return the state of every step."""
     w = world(target=spec)
     if searching:
         w.record.reach.robot = w.record.reach.robot_top = math.inf

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common as mav
 PATIENCE_S = 30.0
 AROUND_M = 6_371_000.0
 
-# motors 1 to 4: x forward, y right, and the sense of rotation (1: counter-clockwise)
+# position x forward, y right, and sense of rotation (1: counter-clockwise) of the motors 1 to 4
 QUAD_X = np.array([[1, 1, 1], [-1, -1, 1], [1, -1, -1], [-1, 1, -1]], dtype=float)
 
 
@@ -101,13 +101,13 @@ class FakePx4:
 
 
 def parameters_of(text):
-    """Return the parameters of lines that end in NAME=VALUE or NAME VALUE."""
+    """Return the parameters in a text whose lines end in NAME=VALUE or NAME VALUE."""
     words = (line.removeprefix("export PX4_PARAM_").replace("=", " ").split() for line in text.splitlines())
     return {name: float(value) for *_, name, value in words}
 
 
 def true_place(fake):
-    """Return north, east and up of the vehicle from the room's origin, m."""
+    """Return the true position of the vehicle relative to the origin: north, east, up, m."""
     t = fake.truth
     north = math.radians(t.lat * 1e-7 - 47.397742) * AROUND_M
     east = math.radians(t.lon * 1e-7 - 8.545594) * AROUND_M * math.cos(math.radians(47.397742))

@@ -1,4 +1,4 @@
-"""Tests which parameters are set in the child process of PX4. A script replaces PX4 and its console."""
+"""Tests which parameters the process of PX4 gets; a script replaces PX4 and its console."""
 
 import pytest
 
@@ -22,7 +22,7 @@ esac
 
 @pytest.fixture
 def build(tmp_path):
-    """Return the folder of a build whose release has three parameters."""
+    """Return the folder of a fake build of PX4 that knows three parameters."""
     (tmp_path / "etc").mkdir()
     (tmp_path / "px4-alias.sh").write_text("alias param='px4-param --instance 0'\n")
     (tmp_path / "px4").write_text(STAND_IN)

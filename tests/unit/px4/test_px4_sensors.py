@@ -1,4 +1,4 @@
-"""Readings of PX4's sensors and of motion capture."""
+"""Tests the simulated readings of PX4's sensors and of motion capture."""
 
 import math
 
@@ -18,7 +18,7 @@ from sim.px4.sensors import (
 )
 from sim.scenarios.scenario import OdometryLink
 
-LEVEL = (1.0, 0.0, 0.0, 0.0)  # nose to the east
+LEVEL = (1.0, 0.0, 0.0, 0.0)  # attitude with the nose to the east
 G = 9.81
 ANGLE = st.floats(-math.pi, math.pi)
 

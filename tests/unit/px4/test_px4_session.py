@@ -57,14 +57,14 @@ class Pair:
         )  # fmt: skip
 
     def begin(self):
-        """Greet, and run the first answered step."""
+        """Send PX4's first messages, and run the first answered step."""
         self.fake.hello()
         self.session.greet()
         self.session._start_s += 10.0  # a busy machine may answer the first step late
         self.answering([(0.0,) * 4])
 
     def answering(self, outputs, **options):
-        """Run this many steps, each answered with its outputs."""
+        """Run one step for each of these motor outputs, which PX4 sends as its answer."""
 
         def px4():
             for controls in outputs:

@@ -1,4 +1,4 @@
-"""Tests bytes, messages and time stamps between PX4 and its simulator."""
+"""Tests the messages between PX4 and its simulator: bytes, fields and time stamps."""
 
 import itertools
 import math

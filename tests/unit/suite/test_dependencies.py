@@ -1,4 +1,4 @@
-"""pyproject.toml declares exactly what the packages import, in the layer of each package."""
+"""Tests that pyproject.toml declares exactly the distributions that each package imports."""
 
 import re
 import sys

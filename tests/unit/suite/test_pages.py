@@ -1,4 +1,4 @@
-"""The documentation: every link is valid, every named file exists, every page is in the index."""
+"""Tests the documentation: every link is valid, every named file exists, every page is in the index."""
 
 import re
 from pathlib import Path

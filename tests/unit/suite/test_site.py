@@ -1,4 +1,4 @@
-"""The documentation site builds without a broken link, and each page is in its navigation."""
+"""Tests that the documentation site builds without a broken link and has each page in its navigation."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Limits on the length of files and on the number of files in a folder."""
+"""Tests the limits on the length of a file and on the number of files in a folder."""
 
 import subprocess
 from collections import Counter

@@ -1,4 +1,4 @@
-"""ROS 2 messages by mcap-ros2-support, an independent CDR codec, and Zenoh sessions."""
+"""Makes ROS 2 messages with mcap-ros2-support, an independent CDR codec, and Zenoh sessions."""
 
 import re
 from contextlib import contextmanager
@@ -104,7 +104,7 @@ def rmw_session(endpoint):
 
 @contextmanager
 def network(nodes=1):
-    """A real router, our client of it, and sessions of ROS 2 nodes."""
+    """A real Zenoh router, the session of this project's client, and sessions of ROS 2 nodes."""
     endpoint = free_endpoint()
     sessions = [zenoh_link.open_session([endpoint], role=zenoh_link.Role.ROUTER)]
     try:

@@ -1,4 +1,4 @@
-"""CDR of odometry and poses equals that of rosbags byte for byte."""
+"""Tests that odometry and poses have the same CDR bytes as in rosbags."""
 
 import math
 import struct
@@ -138,7 +138,7 @@ def test_anything_else_is_no_attachment(data):
 @pytest.mark.parametrize(
     ("x", "y", "sigma"),
     [
-        (0.0, 0.0, 0.0),  # unknown (nav_msgs/msg/Odometry)
+        (0.0, 0.0, 0.0),  # zeros mean an unknown covariance (nav_msgs/msg/Odometry)
         (0.0004, 0.0009, 0.03),
         (0.0009, 0.0004, 0.03),
         (0.0004, 0.0, 0.0),

@@ -26,7 +26,7 @@ def attachment(sequence, time_ns):
 
 
 class Robot:
-    """Plays a publisher of rmw_zenoh: an advanced one without a cache (rmw_publisher_data.cpp)."""
+    """Publishes like rmw_zenoh: with an advanced publisher without a cache (rmw_publisher_data.cpp)."""
 
     def __init__(self, session, key):
         self.publisher = declare_advanced_publisher(session, key)
@@ -67,7 +67,7 @@ def collect(listening, count):
 
 
 def told(listening):
-    """Return the first reported problem."""
+    """Wait for a problem that the source reports, and return its text."""
 
     def one():
         assert listening.poll() == []

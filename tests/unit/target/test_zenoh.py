@@ -1,4 +1,4 @@
-"""Tests odometry over Zenoh, sessions, and the search for keys of a target."""
+"""Tests odometry over Zenoh, sessions, and the search for a target's key."""
 
 import contextlib
 import json
@@ -55,7 +55,7 @@ def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
         )
         publisher.put(payload, source_time_ns=1000 + i)
         payloads.append(payload)
-        if not lossless:  # a busy machine may drop some of the hundred messages
+        if not lossless:  # on a busy machine some of the hundred messages may be lost
             wait_for(lambda: count() == len(payloads))
     wait_for(lambda: count() == 100)
     assert [raw.payload for raw in received] == payloads

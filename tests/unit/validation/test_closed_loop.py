@@ -1,4 +1,4 @@
-"""The simulated vehicle flies recorded set-points of simulated and real flights."""
+"""Tests flights of the simulated vehicle with the recorded set-points of simulated and real flights."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_a_tired_battery_saturates_in_both():
 
 
 def test_a_plant_of_less_thrust_is_named():
-    """The thrust identified from the flight shows that the vehicle file is wrong."""
+    """The thrust that is identified from the flight contradicts the vehicle file."""
     weak = replace(ROOM, body=replace(ROOM.body, mass_kg=1.1 * ROOM.body.mass_kg))
     assert fly(screen(recorded(AIRFRAME)), weak, 0).thrust == pytest.approx(1.1 * 0.97, abs=0.01)
 

@@ -1,4 +1,4 @@
-"""The simulated plant flies recorded motor commands of simulated and real flights."""
+"""Tests flights of the simulated vehicle with recorded motor commands of simulated and real flights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fit finds given parameters of state-estimate errors, and the defaults are those of real flights."""
+"""Tests that the fit finds given parameters of state errors, and that the defaults fit real flights."""
 
 import numpy as np
 import pytest

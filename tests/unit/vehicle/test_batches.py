@@ -1,4 +1,4 @@
-"""Landings in compiled batches of ticks equal landings tick by tick bit for bit, also if both alternate."""
+"""Tests that landings in compiled batches of ticks equal landings tick by tick, to the last bit."""
 
 from dataclasses import fields, replace
 
@@ -37,8 +37,7 @@ def flown(scenario, seed, on_step=None, parameters=()):
 
 
 def assert_equal(scenario, seed, least, *parameters):
-    """Compare tick by tick with batches, which must fly at least this fraction of the ticks; none
-    without numba."""
+    """Compare tick by tick with batches, which must fly this fraction of the ticks, or none without numba."""
     one, seen, in_batches = flown(scenario, seed, None, parameters)
     other, wanted, none = flown(scenario, seed, lambda tick, out: None, parameters)
     assert in_batches == 0 if is_off() else in_batches >= least * len(wanted.steps.t_s)
@@ -114,7 +113,7 @@ class Slower(fs.Filter):
 
 
 class Restless(fs.Filter):
-    """Changes in flight a field of which compiled code has a copy; the copy must change, too."""
+    """Filter that changes a field in flight; the copy of this field in compiled code must change, too."""
 
     def filter(self, nominal, at):
         if at.d_m < 0.3:

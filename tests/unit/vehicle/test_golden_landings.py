@@ -1,4 +1,4 @@
-"""Golden landings: scenarios, filters, variants and faults still fly as stored in ``tests/golden``."""
+"""Tests that scenarios, filters, variants and faults still give the landings stored in ``tests/golden``."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""A landing in one process: messages are rounded as on real links, and all randomness is in the seed."""
+"""Tests a landing in one process: messages are rounded as on real links, equal seeds fly equally."""
 
 import math
 import random

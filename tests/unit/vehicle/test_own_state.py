@@ -13,8 +13,7 @@ from tests.unit.vehicle.vehicle_sim_helpers import scenario, vehicle
 
 
 def driven(error, seed=1):
-    """Return samples of a robot on a circle, and its true position, velocity (ENU) and heading at
-    each tick."""
+    """Return samples of a robot on a circle, and its true position, velocity (ENU) and heading, by tick."""
     spec = TargetSpec(PathKind.CIRCLE, 0.2, 0.5, wait_for_landing=False)
     motion = TargetMotion(scenario(target=spec, odometry=TargetLink(error=error)), seed, TickGrid(100))
     truth, samples = [], motion.first[2].tolist()

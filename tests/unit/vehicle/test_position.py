@@ -1,4 +1,4 @@
-"""Tests position set-points: PID position loop, Mellinger controller, map from counts to volts."""
+"""Tests position set-points: PID position loop, Mellinger controller, map of thrust counts to volts."""
 
 import math
 
@@ -122,8 +122,7 @@ RAMP_M_S = 0.5
 
 @pytest.mark.parametrize("by_mellinger", [False, True])
 def test_a_moving_set_point_is_followed_half_a_second_late(by_mellinger):
-    """Without velocity set-points the lags are 1 / kp and kd / kp; drag increases them, Mellinger's
-    integral reduces them."""
+    """Without velocity set-points the lags are 1 / kp and kd / kp, plus drag, minus Mellinger's integral."""
     sim = vehicle(
         start=Start(StartKind.GROUND, ground_position_m=(3.0, 0.0)),
         vehicle=VehicleSpec("crazyflie21_room", VelocityLoop.PID),

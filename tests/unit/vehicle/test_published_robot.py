@@ -1,4 +1,4 @@
-"""The robot of the world process in lockstep: published data, its lead, and the start of its drive."""
+"""Tests the robot of the world process in lockstep: published data, ticks ahead, start of its drive."""
 
 from types import SimpleNamespace
 
@@ -33,7 +33,7 @@ class Log(EventLog):
 
 @pytest.fixture
 def ends():
-    """A session for the robot, and a subscriber to all its data."""
+    """Yield a Zenoh session for the robot, and a subscriber to all its data."""
     endpoint = free_endpoint()
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
     wait_for(lambda: zenoh_link.transports(ours) == 1)
@@ -79,7 +79,7 @@ def test_it_drives_ahead_of_the_credit_by_a_fixed_number_of_ticks_and_waits_for_
 
 
 class Radio:
-    """Sender and receiver of set-points at the ring buffer of the radio."""
+    """Sends and reads set-points through the ring buffer of the simulated radio."""
 
     def __init__(self):
         self.record, self.present = new(InboxRecord), new(SetpointRecord)

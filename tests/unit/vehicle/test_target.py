@@ -72,7 +72,7 @@ def test_limits_are_never_passed(path, seed):
 
 
 def test_pose_follows_from_the_twist_given_before():
-    """Moving the pad on an arc with the twist from an interval's start ends at its true pose."""
+    """A pad that moves on an arc with the twist of the interval's start reaches the true pose at its end."""
     spec = TargetSpec(
         path=PathKind.REVERSING, speed_m_s=0.5, turn_rate_rad_s=0.4, speed_max_m_s=0.5,
         pad_behind_axle_m=0.032, heave_amplitude_m=0.15, heave_rate_hz=0.25,

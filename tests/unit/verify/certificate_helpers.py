@@ -47,6 +47,6 @@ def rooms(**sections):
 
 
 def one(name, **sections):
-    """Return one check by its name."""
+    """Return the check of the certificate with this name."""
     (found,) = (check for check in checks(config(**sections)) if check.name == name)
     return found

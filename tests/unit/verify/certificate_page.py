@@ -30,7 +30,7 @@ def _table(first, rows):
 
 
 def worked():
-    """Return the table of computed values for each tier."""
+    """Return the table of the values that the certificate computes for each tier."""
     found = [(c, extremes(c)) for c in (scenario.load(tier).onboard for tier in TIERS)]
 
     def row(name, value):
@@ -106,7 +106,7 @@ def _room(check):
 
 
 def tables():
-    """Return page and table by name."""
+    """Return page and text of each table, by the name of the table."""
     return {
         "worked": (PAGES / "robust_filter.md", worked()),
         "verdicts": (PAGES / "robust_filter.md", verdicts()),

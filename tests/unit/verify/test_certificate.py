@@ -26,7 +26,7 @@ GAIN_1_S = config().robust.gain_over_pad_1_s
 
 
 def own(share):
-    """Return a vehicle whose velocity error is estimated in this fraction of the position loop's time."""
+    """Return keys for a velocity error that is estimated in this fraction of the position loop's time."""
     return {"own": {"velocity_error_m_s": 0.05, "velocity_error_time_s": share / GAIN_1_S}}
 
 
@@ -197,7 +197,7 @@ def test_the_voltage_that_the_reserve_check_names_is_the_lowest_that_it_proves()
     assert one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v}).proven
     assert not one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v - 0.02}).proven
     fresh = one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v})
-    # the check of the limit requires this value
+    # smallest value of the limit that passes the check
     needed = config().robust.acceleration_max_m_s2[2] - rooms()["acceleration"]
     assert f"{needed:.3g} are needed" in fresh.worst
     assert "thrust reserve" not in rooms()

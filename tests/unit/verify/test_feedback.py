@@ -1,4 +1,4 @@
-"""The proof of the velocity feedback agrees with the flown code on a plant with a delay."""
+"""Tests that the proof of the velocity feedback agrees with the controller's code on a plant with a delay."""
 
 import math
 from functools import cache

@@ -12,7 +12,7 @@ from tests.benchmarks.proven import FILTERS, SCENARIOS, cases, fly
 
 pytestmark = pytest.mark.slow
 
-EVERY = 797  # interval between tested changes of both filters in all scenarios
+EVERY = 797  # every 797th change of a key is tested, over both filters and all scenarios
 SAMPLE = list(cases([], list(SCENARIOS), list(FILTERS), 5))[::EVERY]
 
 

@@ -18,7 +18,7 @@ from tests.unit.verify.certificate_page import BEGIN, END, split
 
 PAGE = Path(__file__).parents[4] / "docs" / "reference" / "autopilots.md"
 PROFILES = (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)
-EXAMPLE = "lab"  # scenario whose speed limits the required values refer to
+EXAMPLE = "lab"  # scenario whose configuration gives the required values in the tables
 
 
 def _table(head, rows):
@@ -109,7 +109,7 @@ _OTHERWISE = {
 
 
 def rules(name):
-    """Return the table of one autopilot's checked parameters, for all releases."""
+    """Return the table of the parameters that are checked for one autopilot, for all releases."""
     rows = [
         [
             each.name + (f" ({each.where})" if each.where else ""),

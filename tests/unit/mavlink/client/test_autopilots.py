@@ -1,4 +1,4 @@
-"""Profiles of the autopilots, and the page about them."""
+"""Tests the profiles of the autopilots, and the page that lists them."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Frames of the vehicle are identified by its ids, its address if known, and its heartbeats."""
+"""Tests that frames of the vehicle are identified by ids, known address and heartbeats."""
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -25,7 +25,7 @@ ACK = dialect.MAVLink_command_ack_message(400, 4)
 
 
 class Wire:
-    """``Senders``, and the newest sequence number of each stream."""
+    """A ``Senders`` object under test, and the newest sequence number of each stream."""
 
     def __init__(self, **known):
         self.senders = Senders(**known)
@@ -94,7 +94,7 @@ def test_a_vehicle_behind_a_new_port_is_followed_once_the_old_one_is_silent():
     wire = Wire()
     assert wire.beats(armed=True)
     assert not wire.beats(peer=THERE, now_s=SILENT_S, armed=True)
-    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # needs a heartbeat
+    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # refused until a heartbeat arrives
     assert wire.beats(peer=THERE, now_s=SILENT_S + 0.1, armed=True)
     assert wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)
     assert not wire.admits(position(), HERE, SILENT_S + 0.2, armed=True)

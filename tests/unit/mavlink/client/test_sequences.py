@@ -1,4 +1,4 @@
-"""Tests the commands sent for each request, requested streams, the origin, and texts."""
+"""Tests the commands for each request, the requested streams, the origin, and status texts."""
 
 import math
 from itertools import pairwise
@@ -19,7 +19,7 @@ NONE, TAKEOFF, EXTERNAL, DOWN, KILL = (
 READY, ARMED, FLIES = {}, {"armed": True}, {"armed": True, "landed": Landed.IN_AIR}
 OURS, LANDS, OTHER, RISES = ({"mode": m} for m in (Mode.EXTERNAL, Mode.LAND, Mode.OTHER, Mode.TAKEOFF))
 STREAM = "set-points at 100 Hz until then"
-# profile, request, and rows: time, s; vehicle status (None: no heartbeat); commands that are sent
+# profile, request, rows: time in s, vehicle status (None: no heartbeat), ids of the commands that are sent
 STORIES = {
     "nothing for no request": (PX4, NONE, [(0.0, READY, [])]),
     "nothing to a vehicle that is not heard": (PX4, TAKEOFF, [(1.0, None, [])]),
@@ -227,7 +227,7 @@ def test_long_texts_are_put_together():
     ]
     assert [texts.add(chunk) for chunk in chunks] == [[], [(3, text.strip())]]
     assert texts.add(dialect.MAVLink_statustext_message(6, b"short\x1b[2J", 0, 0)) == [(6, "short [2J")]
-    assert texts.add(dialect.MAVLink_statustext_message(3, b"a" * 50, 7, 0)) == []  # the text is incomplete
+    assert texts.add(dialect.MAVLink_statustext_message(3, b"a" * 50, 7, 0)) == []  # only a part of the text
     assert texts.add(dialect.MAVLink_statustext_message(6, b"next", 0, 0))[0] == (3, "a" * 50 + " ...")
 
 

@@ -1,4 +1,4 @@
-"""Tests state and parameters that the client reads from a vehicle, and the stated reasons of a silence."""
+"""Tests state and parameters that the client reads from a vehicle, and the reasons it gives for silence."""
 
 import math
 import struct
@@ -198,7 +198,7 @@ def test_who_speaks_instead_is_named():
     )
     many = {(system, 1): 1 for system in range(10, 20)}
     assert "10/1, 11/1, 12/1, 13/1, ...;" in why_silent(1, {"received": 7}, many)
-    assert "for 12 s: no data" in why_silent(1, {}, senders, time=" for 12 s")  # they are silent, too
+    assert "for 12 s: no data" in why_silent(1, {}, senders, time=" for 12 s")  # all senders are silent
 
 
 def event(number, log_levels=0x66, arguments=b""):

@@ -59,7 +59,7 @@ def test_lockstep_stamps_what_came_with_the_time_of_the_request(vehicle):
     link = linked(vehicle, defer_timesync=True)
     vehicle.send(heartbeat(), attitude(30), position(30))
     poll(link, 77.0)
-    assert link.state.own is None  # no tick has read it yet
+    assert link.state.own is None  # the state is empty until a tick reads the messages
     vehicle.send(dialect.MAVLink_timesync_message(0, 30_000_000))
     poll(link, 77.0)
     assert link.state.own.arrival_s == 30_000_000 / 1e9

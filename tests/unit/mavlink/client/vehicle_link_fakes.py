@@ -1,4 +1,4 @@
-"""Messages and helpers for the tests of the vehicle link."""
+"""Messages and a fake autopilot for the tests of the vehicle link."""
 
 from dataclasses import dataclass
 
@@ -56,7 +56,7 @@ def params(message):
 
 
 class FakeAutopilot:
-    """A UDP socket without own replies; a test sends messages from it and reads received ones."""
+    """A UDP socket that sends no replies; a test sends messages from it and reads the received ones."""
 
     def __init__(self, url="udpin:127.0.0.1:0"):
         self.endpoint = Endpoint(url, 1, 1)

@@ -1,4 +1,4 @@
-"""Frames for the tests of codec and endpoint."""
+"""Makes MAVLink frames for the tests of codec and endpoint."""
 
 import random
 import struct

@@ -1,4 +1,4 @@
-"""Tests endpoints on serial lines and TCP connections: full, in use, or not yet available."""
+"""Tests endpoints on serial lines and TCP connections that are full, in use, or not yet available."""
 
 import time
 

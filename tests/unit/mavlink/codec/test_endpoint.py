@@ -79,7 +79,7 @@ def test_too_much_for_one_datagram_is_split_in_order(pair):
 
 
 def test_full_datagrams_do_not_keep_the_loop(pair):
-    """50 datagrams of 90 frames exceed one call; no frame is lost."""
+    """50 datagrams of 90 frames are more than one call reads; no frame is lost."""
     server, _ = pair
     frames = [position().pack(dialect.MAVLink(None, 1, 191))] * 90
     datagram = b"".join(frames)
@@ -96,7 +96,7 @@ def test_full_datagrams_do_not_keep_the_loop(pair):
 
 
 class Caller:
-    """A plain socket with unsigned MAVLink."""
+    """A UDP socket that sends and receives unsigned MAVLink messages."""
 
     def __init__(self, server, ids=(1, 191)):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -64,7 +64,7 @@ def test_signed_frame_is_kept_whole_and_unknown_flags_are_refused():
 
 
 def test_fuzz_never_raises_and_never_loses_a_good_frame():
-    """5 000 datagrams: random bytes, mutations, cuts and good frames, mixed in any order."""
+    """The input is 5000 datagrams: random bytes, changed or truncated frames and good ones, in any order."""
     rng = random.Random(1)
     pool = frames_of(200, seed=2)
     for _ in range(5_000):
@@ -109,7 +109,7 @@ def push_all(framer, pieces, unknown=None):
 
 
 def test_hundred_thousand_bytes_of_noise_lose_no_frame():
-    """Noise between the frames, half of it start bytes; every good frame is found, in order."""
+    """Half of the noise between the frames is start bytes; every good frame is found, in order."""
     rng, counters = random.Random(2), FrameCounters()
     frames, stream, noise = frames_of(2000, seed=3), bytearray(), 0
     for frame in frames:

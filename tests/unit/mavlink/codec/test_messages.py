@@ -1,4 +1,4 @@
-"""Messages are packed and decoded as in pymavlink; some are missing in its dialect ardupilotmega."""
+"""Tests that messages are packed and decoded as by pymavlink, also those that its dialect lacks."""
 
 import math
 import random
@@ -29,7 +29,7 @@ def number(rng, kind):
 
 
 def fields(cls):
-    """Return (type, length of an array or 0) of each constructor argument."""
+    """Return the type and the array length (0: no array) of each constructor argument."""
     wire = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
     return [(kind, wire[name]) for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True)]
 
@@ -55,7 +55,7 @@ def by_pymavlink(message, sequence, system, component):
 
 
 def outcome(packer, cls, values):
-    """Return the frame, or the kind of error."""
+    """Return the packed frame, or the kind of the error."""
     try:
         return packer(cls(*values), 7, 1, 1)
     except Exception as error:

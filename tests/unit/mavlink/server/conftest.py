@@ -1,4 +1,4 @@
-"""Runs every test of the server with each of its users."""
+"""Runs every test of the MAVLink server with both vehicles that use it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ USERS: dict[str, type[Served]] = {"px4": Simulated, "crazyflie": Bridged}
 
 @functools.cache
 def prepared(user: str, situation: str) -> Served:
-    """Return a user of the server in a situation; copy it before use."""
+    """Return a vehicle of the server in a situation; copy it before use."""
     made = USERS[user]()
     if situation != "disarmed":
         getattr(made, situation)()
@@ -43,7 +43,7 @@ def user(request) -> str:
 
 @pytest.fixture
 def fresh(user):
-    """Return a user of the server in a situation: ``disarmed``, ``homed``, ``fly`` or ``offboard``."""
+    """Return a vehicle of the server in a situation: ``disarmed``, ``homed``, ``fly`` or ``offboard``."""
 
     def make(situation: str) -> Served:
         return copy.deepcopy(prepared(user, situation))
@@ -53,7 +53,7 @@ def fresh(user):
 
 @pytest.fixture
 def numbers(user) -> frozenset[int]:
-    """Return the MAV_CMD numbers of its commands."""
+    """Return the MAV_CMD numbers of the commands that a vehicle supports."""
     return frozenset(prepared(user, "disarmed").server.commands.table)
 
 

@@ -20,12 +20,12 @@ TICK_S = 0.01
 
 
 def as_long(number: int, params: tuple[float, ...], target: tuple[int, int] = (1, 1)):
-    """Return COMMAND_LONG; missing parameters are NaN."""
+    """Return a command as COMMAND_LONG; missing parameters are NaN."""
     return mav.MAVLink_command_long_message(*target, number, 0, *params, *NAN7[len(params) :])
 
 
 def as_int(number: int, params: tuple[float, ...], frame: int = 0):
-    """Return the same command as COMMAND_INT."""
+    """Return a command as COMMAND_INT."""
     p1, p2, p3, p4, p5, p6, p7 = (*params, *NAN7[len(params) :])
     x, y = (2**31 - 1 if math.isnan(p) else round(p * 1e7) for p in (p5, p6))
     return mav.MAVLink_command_int_message(1, 1, frame, number, 0, 0, p1, p2, p3, p4, x, y, p7)
@@ -50,7 +50,7 @@ class Served:
     silence_s: float  # time without set-points after which another client may take control
 
     def state(self) -> list[object]:
-        """Return all state that commands change."""
+        """Return all values of the vehicle that commands change."""
         intervals_us = [self.server.streams.interval_us(i) for i in (30, 32, 1)]
         return [self.mode, self.armed, intervals_us, self.server.vehicle.home_enu_m]
 

@@ -1,4 +1,4 @@
-"""No input from the network can crash or flood the server, or make it fly on invalid numbers."""
+"""Tests that no input from the network crashes or floods the server, or makes it use invalid numbers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def frame_of(cls, id_: int, payload: bytes):
 
 
 def hostile(rng: random.Random, id_: int, commands: list[int]):
-    """Return a message with this id; most are addressed to the vehicle and use its names."""
+    """Return a random message with this id; most are addressed to the vehicle and use its parameter names."""
     cls = mav.mavlink_map[id_]
     size = cls.unpacker.size
     pattern = rng.choice([None, *EXTREMES])

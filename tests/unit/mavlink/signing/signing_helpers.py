@@ -36,7 +36,7 @@ def heartbeat():
 
 
 def theirs(ids=COMPANION, *, secret=SECRET, stamp, link_id=0):
-    """Return a pymavlink codec that signs the frames it packs."""
+    """Return a pymavlink codec that signs each packed frame."""
     mav = dialect.MAVLink(None, *ids)
     mav.robust_parsing = True
     mav.signing.secret_key = secret

@@ -1,4 +1,4 @@
-"""Setting and removing a signing key, tested with a vehicle that behaves like PX4 1.18."""
+"""Tests how a signing key is set and removed, with a vehicle that behaves like PX4 1.18."""
 
 import socket
 import threading

@@ -1,4 +1,4 @@
-"""Signed endpoints on real sockets: accepted frames, counters, log, and replies."""
+"""Tests signed endpoints on real sockets: accepted frames, counters, log, and replies."""
 
 import select
 import socket
@@ -14,7 +14,7 @@ from tests.unit.mavlink.signing.signing_helpers import COMPANION, KEY, S, forged
 
 
 class Wire:
-    """A signed endpoint, and a plain socket that reaches it."""
+    """A signed endpoint, and a socket that sends frames to it."""
 
     def __init__(self, key=KEY):
         self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=key)

@@ -32,7 +32,7 @@ def clock():
     return Clock()
 
 
-# --- rules of the signer
+# --- rules by which the signer accepts a frame
 
 
 def test_accepts_what_pymavlink_signs_and_signs_what_pymavlink_accepts(clock):
@@ -107,11 +107,11 @@ def test_table_is_bounded_and_forgets_only_what_its_age_keeps_out(clock):
     assert signer.refusal(signed((2, 2), stamp=clock.ticks)) is None
     assert signer.refusal(signed((3, 1), stamp=clock.ticks)) is None
     assert signer.streams == STREAMS_MAX
-    assert signer.refusal(frames[0]) is Refusal.STALE  # the stream is forgotten, its frame rejected
+    assert signer.refusal(frames[0]) is Refusal.STALE  # the frame of a removed stream is rejected
     assert signer.refusal(frames[1]) is Refusal.REPLAYED
 
 
-# --- over a restart
+# --- time stamps after a restart
 
 
 @pytest.fixture
