@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from flightstack.common.options import Argument, Option
+from flightstack.common.options import Option
 from flightstack.config import options as shared
 
 
@@ -84,7 +84,7 @@ class Px4SimOptions(shared.Simulator):
 class ValidateOptions(shared.Result):
     """Options of the tool that compares the simulator with recorded flights."""
 
-    folder: Annotated[Path, Argument(metavar="DIR", exists=True, path="folder")]
+    folder: Annotated[Path, Option("DIR", exists=True, path="folder")]
     columns: Annotated[Path | None, Option(
         "--columns", "TOML with the recordings' columns, units and signs; default: those of NanoBench.",
         "FILE", path="file", exists=True

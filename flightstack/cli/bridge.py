@@ -9,8 +9,8 @@ import click
 
 from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.mocap.checks import MocapOptions
-from flightstack.cli.options import takes
 from flightstack.common.hangup import say
+from flightstack.common.options import takes
 
 if TYPE_CHECKING:
     from flightstack.core.types import Vec3

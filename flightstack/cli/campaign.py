@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 from rich.table import Column, Table
 
-from flightstack.cli.options import takes
-from flightstack.common.options import Argument, Option
+from flightstack.common.options import Option, takes
 from flightstack.common.terminal import Bar, Terminal
 from flightstack.config import options as shared
 from flightstack.core.parameters.filters import short_name
@@ -28,7 +27,7 @@ COMPLETE, INCOMPLETE, WRONG_INPUT = 0, 1, 2
 class CampaignOptions(shared.Result):
     """Options of ``campaign``."""
 
-    scenario: Annotated[str, Argument(metavar="SCENARIO")]
+    scenario: Annotated[str, Option("SCENARIO")]
     runs: Annotated[int, Option("--runs", "Landings.", span=(1, 10_000_000))] = 1000
     first_seed: Annotated[int, Option("--seed", "First seed.", span=(0, 2**62))] = 0
     filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the scenario's")] = None

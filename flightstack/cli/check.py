@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import click
 
-from flightstack.cli.options import takes
-from flightstack.common.options import Argument, Option
+from flightstack.common.options import Option, takes
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml
 from flightstack.common.text import labels
 from flightstack.config import load, names, path_of
@@ -32,7 +31,7 @@ STEP_S = 0.01  # time between two calls of the robot's function, s
 class CheckOptions:
     """Options of ``check``."""
 
-    config: Annotated[str, Argument(metavar="CONFIG")]
+    config: Annotated[str, Option("CONFIG")]
     filter: Annotated[
         str | None, shared.safety_filter("Check it for this safety filter; default: the configuration's")
     ] = None

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import click
 
-from flightstack.cli.options import takes
 from flightstack.common.hangup import say
+from flightstack.common.options import takes
 from flightstack.config.options import OnboardOptions
 from flightstack.launch.run_options import FlyOptions, RunOptions
 from sim.options import Px4SimOptions, TargetOptions, VehicleOptions, WorldOptions

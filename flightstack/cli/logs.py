@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from flightstack.cli.options import takes, without_rerun
-from flightstack.common.options import Argument, Option
-from flightstack.common.text import plain
+from flightstack.common.options import Option, takes
+from flightstack.common.text import plain, without_rerun
 
 if TYPE_CHECKING:
     from logs.reader.reader import LogFile
@@ -111,7 +110,7 @@ def _open(path: Path, member: str | None) -> LogFile:
 class IdentifyOptions:
     """Options of ``identify``."""
 
-    logs: Annotated[tuple[Path, ...], Argument(metavar="LOG...", exists=True)]
+    logs: Annotated[tuple[Path, ...], Option("LOG...", exists=True)]
     as_json: Annotated[bool, Option("--json", "Print one JSON object instead of TOML.")] = False
 
 

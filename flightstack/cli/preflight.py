@@ -16,8 +16,7 @@ from bridge.mavlink.endpoint import open_endpoint
 from bridge.mavlink.preflight.examine import Report, provision
 from bridge.mavlink.preflight.table import Level
 from bridge.mavlink.signing import load_key
-from flightstack.cli.options import takes
-from flightstack.common.options import Option
+from flightstack.common.options import Option, takes
 from flightstack.common.terminal import Terminal
 from flightstack.config import load
 from flightstack.config import options as shared

@@ -12,8 +12,7 @@ from typing import Annotated
 
 import click
 
-from flightstack.cli.options import takes
-from flightstack.common.options import Option
+from flightstack.common.options import Option, takes
 from flightstack.config import options as shared
 
 

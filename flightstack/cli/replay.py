@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from flightstack.cli.options import takes
-from flightstack.common.options import Argument, Option
+from flightstack.common.options import Option, takes
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import labels, outline, plain
 from flightstack.config import options as shared
@@ -30,7 +29,7 @@ _STATUS = {"unusable": UNUSABLE, "different": DIFFERENT, "equal": EQUAL}  # orde
 class ReplayOptions:
     """Options of ``replay``."""
 
-    log: Annotated[Path, Argument(exists=True)]
+    log: Annotated[Path, Option("LOG", exists=True)]
     check: Annotated[bool, Option("--check", "Compare bit by bit; this is also the default.")] = False
     settings: Annotated[tuple[str, ...], Option(
         "--set",

@@ -14,9 +14,9 @@ from rich.box import SIMPLE
 from rich.table import Table
 from rich.text import Text
 
-from flightstack.cli.options import takes, without
+from flightstack.common.options import takes
 from flightstack.common.terminal import Bar, Terminal
-from flightstack.common.text import pip_install
+from flightstack.common.text import pip_install, without
 from sim.options import ValidateOptions
 
 PASSED, FAILED = 0, 1

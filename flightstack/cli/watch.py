@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flightstack.cli.options import takes, without_rerun
 from flightstack.common.hangup import Stop
+from flightstack.common.options import takes
 from flightstack.common.streams import reader_gone
+from flightstack.common.text import without_rerun
 from flightstack.config.options import WATCHED, WatchOptions
 
 if TYPE_CHECKING:

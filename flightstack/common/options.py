@@ -1,16 +1,20 @@
-"""Command-line options: the dataclass that configures a process declares its command line.
+"""Options of the commands: the annotated fields of a dataclass declare its command line, each option once.
 
-An option is a field annotated with an ``Option`` or ``Argument``; the field has its type and default:
-``rate_hz: Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))] = 100``. A command reads the
-dataclass from a command line (``flightstack.cli.options``), and ``argv`` writes one for a child process.
+``rate_hz: Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))] = 100`` has name, help, range,
+type and default. ``takes`` reads the dataclass from a command line, ``argv`` writes the arguments of a child
+process, and ``shared`` passes fields on to the options of another command.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import click
 
 T = TypeVar("T")
 
@@ -20,20 +24,13 @@ class BadOptionError(ValueError):
 
 
 @dataclass(frozen=True)
-class Argument:
-    """A positional argument."""
-
-    metavar: str | None = None
-    path: str = "any"  # allowed kind of path: any, file or folder
-    exists: bool = False  # whether the path has to exist
-
-
-@dataclass(frozen=True)
 class Option:
-    """A named option: ``bool`` is a flag; ``tuple[T, ...]`` and ``Mapping`` may be given repeatedly."""
+    """An option: ``bool`` is a flag; ``tuple[T, ...]`` and ``Mapping`` may be given repeatedly."""
 
-    name: str  # --name, or --name/--no-name for a flag that is on by default
-    help: str
+    # --name, or --name/--no-name for a flag that is on by default; a name without dashes is the name of a
+    # positional argument in the help
+    name: str
+    help: str = ""
     metavar: str | None = None
     span: tuple[float | None, float | None] = (None, None)  # smallest and largest allowed number
     choices: tuple[str, ...] = ()  # allowed texts; empty: any text
@@ -43,12 +40,16 @@ class Option:
     bare: str | None = None  # value if the name is given without a value
     variable: str | None = None  # environment variable that is read if the option is not given
 
+    @property
+    def positional(self) -> bool:
+        return not self.name.startswith("-")
+
 
 class Declared(NamedTuple):
-    """An option or argument of a dataclass."""
+    """An option of a dataclass."""
 
     name: str  # name of the field
-    option: Option | Argument
+    option: Option
     type: type  # type of one value
     many: bool  # whether the option may be given several times
     number: int  # number of values each time
@@ -56,13 +57,13 @@ class Declared(NamedTuple):
 
 
 def declared(cls: type) -> tuple[Declared, ...]:
-    """Return the options and arguments of a dataclass, in the order of its fields."""
+    """Return the options of a dataclass, in the order of its fields."""
     found: list[Declared] = []
     hints: dict[str, Any] = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
         hint: Any
         hint, *notes = get_args(hints[field.name]) or [None]
-        option = next((note for note in notes if isinstance(note, Option | Argument)), None)
+        option = next((note for note in notes if isinstance(note, Option)), None)
         if option is None:
             continue
         if get_origin(hint) in (Union, UnionType):
@@ -90,7 +91,7 @@ def argv(options: Any) -> list[str]:
     words: list[str] = []
     for name, option, _, many, number, default in declared(type(options)):
         value = getattr(options, name)
-        if isinstance(option, Argument):
+        if option.positional:
             words += map(str, value) if many else [str(value)]
         elif value is None or (value == default and option.variable is None):
             continue
@@ -102,3 +103,94 @@ def argv(options: Any) -> list[str]:
             for each in value if many else [value]:
                 words += [option.name, *map(str, each if number > 1 else [each])]
     return words
+
+
+def takes(cls: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
+    """Return a decorator that passes a command's options (required ones first) as one object of ``cls``."""
+    parameters = sorted(declared(cls), key=lambda each: each.default is not MISSING)
+
+    def decorate(verb: Callable[[T], None]) -> Callable[..., None]:
+        def run(**given: Any) -> None:
+            verb(cls(**given))
+
+        run.__doc__, run.__name__ = verb.__doc__, verb.__name__
+        decorated: Callable[..., None] = run
+        for each in reversed(parameters):
+            decorated = _clicked(each)(decorated)
+        return decorated
+
+    return decorate
+
+
+def _clicked(each: Declared) -> Callable[..., Any]:
+    name, option, kind, many, number, default = each
+    required = default is MISSING
+    if option.positional:
+        return click.argument(
+            name, type=_type(each), nargs=-1 if many else 1, required=required, metavar=option.name
+        )
+    settings: dict[str, Any] = {"help": option.help, "metavar": option.metavar, "required": required}
+    if option.variable is not None:
+        settings |= {"envvar": option.variable, "show_envvar": True}
+    if option.bare is not None:
+        settings |= {"is_flag": False, "flag_value": option.bare}
+    if kind is bool:
+        settings["is_flag"] = True
+    else:
+        settings |= {"type": _type(each), "multiple": many, "nargs": number}
+    if not required and not many:
+        settings["default"] = default
+    if option.read is not None:
+        settings["callback"] = _callback(option.read)
+    return click.option(option.name, name, show_default=True, **settings)
+
+
+def _type(each: Declared) -> Any:
+    option, (low, high) = each.option, each.option.span
+    if option.read is not None:
+        return str
+    if each.type is Path:
+        kind = _File if option.path == "file" and option.exists else click.Path
+        return kind(
+            exists=option.exists, file_okay=option.path != "folder", dir_okay=option.path != "file",
+            path_type=Path,
+        )  # fmt: skip
+    if each.type is float:
+        return _Number(low, high)
+    if each.type is int:
+        return click.IntRange(low, high) if (low, high) != (None, None) else int  # type: ignore[arg-type]
+    return click.Choice(option.choices) if option.choices else str
+
+
+class _Number(click.FloatRange):
+    """Finite number in an optional range; NaN, which would pass comparisons, is rejected."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        found: float = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"found {value}, a finite number is needed", param, ctx)
+        return found
+
+    def _describe_range(self) -> str:
+        return super()._describe_range() if self.min is not None or self.max is not None else ""
+
+
+class _File(click.Path):
+    """Path of an ordinary file; devices and pipes, which may never end, are rejected."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        found: Any = super().convert(value, param, ctx)
+        if not found.is_file():
+            self.fail(f"{found} is a pipe, socket or device; an ordinary file is needed", param, ctx)
+        return found
+
+
+def _callback(read: Callable[[Any], Any]) -> Callable[..., Any]:
+    def call(context: click.Context, parameter: click.Parameter, given: Any) -> Any:
+        del context, parameter
+        try:
+            return None if given is None else read(given)
+        except BadOptionError as error:
+            raise click.BadParameter(str(error)) from None
+
+    return call

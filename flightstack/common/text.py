@@ -35,6 +35,18 @@ def pip_install(extras: str) -> str:
     return f"{shlex.quote(sys.executable)} -m pip install 'crazyflie-flightstack[{extras}]'"
 
 
+def without(error: ModuleNotFoundError, text: str, *packages: str) -> Exception:
+    """Return an error with this text if one of the packages is missing, else the given error."""
+    package = (error.name or "").partition(".")[0]
+    return ValueError(text.format(package)) if package in packages else error
+
+
+def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
+    """Return the error for a command or option ``what`` that cannot import Rerun."""
+    text = f"`{what}` needs Rerun: {pip_install('view')}; "
+    return without(error, text + "or open the log itself in another viewer (docs/how_to/viewing.md)", "rerun")
+
+
 def failed_code(reason: str) -> str:
     """Return the part of a reason that names failed code of the user; empty: no such code failed."""
     found = [at for what in (ROBOT_FAILED, FILTER_FAILED) if (at := reason.find(what)) >= 0]

@@ -243,7 +243,7 @@ def repeated(described: Mapping[str, str]) -> list[str]:
     """Return the command-line arguments of the logged options; a flag has no value."""
     words: list[str] = []
     for name, option, kind, *_ in declared(Repeated):
-        if name in described and isinstance(option, Option):
+        if name in described:
             words += [option.name] if kind is bool else [option.name, described[name]]
     return words
 

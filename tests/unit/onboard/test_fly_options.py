@@ -10,8 +10,7 @@ from click.testing import CliRunner
 from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.mocap.checks import MocapOptions
 from flightstack.cli.main import main
-from flightstack.cli.options import takes
-from flightstack.common.options import argv, declared
+from flightstack.common.options import argv, declared, takes
 from flightstack.common.processes import LaunchError
 from flightstack.config import load, path_of
 from flightstack.config.options import FlightOptions, OnboardOptions, WatchOptions
