@@ -108,33 +108,26 @@ class Silence:
 class RealTimePacer:
     """Source of absolute deadlines at a fixed rate; a missed deadline is counted and not repeated."""
 
-    def __init__(
-        self,
-        rate_hz: int,
-        *,
-        monotonic: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-        unix_ns: Callable[[], int] = time.time_ns,
-    ) -> None:
+    def __init__(self, rate_hz: int, clock: Clock) -> None:
         self.period_s = 1.0 / rate_hz
         self.overruns = 0  # number of missed deadlines so far
-        self._monotonic, self._sleep = monotonic, sleep
-        self._start_s = monotonic()
-        self.unix_start_ns = unix_ns()  # Unix time at zero of the stack clock
+        self._clock = clock
+        self._start_s = clock.monotonic()
+        self.unix_start_ns = clock.unix_ns()  # Unix time at zero of the stack clock
         self._next = 0  # number of the next deadline
         self._ticks = 0
         self._last_s: float | None = None
 
     def now_s(self) -> float:
         """Return the time on the stack clock, s."""
-        return self._monotonic() - self._start_s
+        return self._clock.monotonic() - self._start_s
 
     def wait(self) -> Tick:
         """Sleep until the next deadline; return its tick."""
-        deadline_s = self._start_s + self._next * self.period_s
-        while (ahead_s := deadline_s - self._monotonic()) > 0.0:
-            self._sleep(ahead_s)
-        began_s = self._monotonic()
+        clock, deadline_s = self._clock, self._start_s + self._next * self.period_s
+        while (ahead_s := deadline_s - clock.monotonic()) > 0.0:
+            clock.sleep(ahead_s)
+        began_s = clock.monotonic()
         late_s = began_s - deadline_s
         missed = int(late_s / self.period_s)
         self.overruns += missed

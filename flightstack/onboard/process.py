@@ -33,18 +33,17 @@ from flightstack.core.strategies.strategy import ignored
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard import preflight
 from flightstack.onboard.fleet_wire import FleetWire, NoFleet, namespace_of
-from flightstack.onboard.leaving import Ended, Leaving, Signals
+from flightstack.onboard.leaving import Leaving, Signals, fly
 from flightstack.onboard.lockstep import LockstepWires, LockstepWords
 from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.recording import Described, own_recorder
 from flightstack.onboard.runner import (
+    Ended,
     LinkedVehicle,
-    LiveTarget,
-    RealTimeClock,
+    LiveWires,
     Refusals,
     Runner,
     Taken,
-    fly,
 )
 from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.zenoh_wires import ZenohWires
@@ -338,16 +337,17 @@ class _Leaving(Leaving):
 
 def _runner(onboard: Onboard, vehicle: LinkedVehicle, leaving: Leaving, signals: Signals) -> Runner:
     """Return the runner of the ticks, in real time or in lockstep."""
-    options, link, wires = onboard.options, onboard.link, onboard.wires
+    options, wires, fleet = onboard.options, onboard.wires, onboard.fleet
     rate_hz = onboard.config.loop.rate_hz
+    both: LockstepWires | LiveWires
     if options.lockstep:
         both = LockstepWires(
-            vehicle, rate_hz, wires.odometry, wires.session, onboard.namespace, signals, onboard.fleet
+            vehicle, rate_hz, wires.odometry, wires.session, onboard.namespace, signals, fleet
         )
-        return Runner(onboard.controller, both, vehicle, both, leaving, onboard, onboard.fleet.words)
-    run_promptly()
-    clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
-    pacer = RealTimePacer(rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
-    onboard.fleet.begin(pacer.unix_start_ns, pacer.now_s)
-    ticks, target = RealTimeClock(pacer, link), LiveTarget(wires.odometry, pacer.now_s)
-    return Runner(onboard.controller, ticks, vehicle, target, leaving, onboard, onboard.fleet.words)
+    else:
+        run_promptly()
+        clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
+        pacer = RealTimePacer(rate_hz, clock)
+        fleet.begin(pacer.unix_start_ns, pacer.now_s)
+        both = LiveWires(pacer, onboard.link, wires.odometry)
+    return Runner(onboard.controller, both, vehicle, both, leaving, onboard, fleet.words)

@@ -6,9 +6,7 @@ clock, the vehicle, the source of target samples, the end of the flight, and the
 
 from __future__ import annotations
 
-import contextlib
 import time
-import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol
@@ -19,20 +17,18 @@ from bridge.ros2.cdr import OdometryError
 from bridge.target.odometry import RawSample, SampleSource, sample_of
 from flightstack.common.pacing import RealTimePacer, Tick
 from flightstack.core.controller import Controller, Outputs
-from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.parameters.filters import failed_in
+from flightstack.core.memory import Memory
 from flightstack.core.types import (
     Inputs,
-    Mode,
     Neighbour,
     Operator,
     OwnState,
+    Phase,
     Power,
     Request,
     TargetSample,
     VehicleStatus,
 )
-from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Ended, Leaving, flies
 
 
 class Arrived(NamedTuple):
@@ -64,6 +60,14 @@ class VehicleInputs(NamedTuple):
     power: Power | None = None
 
 
+class Ended(NamedTuple):
+    """Result of a flight: last phase, its reason, and the exit status of the process."""
+
+    phase: Phase
+    reason: str
+    exit_code: int
+
+
 class ClockStoppedError(RuntimeError):
     """No further tick arrives; the text gives the reason."""
 
@@ -72,10 +76,7 @@ class Clock(Protocol):
     """Source of the ticks."""
 
     def wait(self) -> Tick:
-        """Wait for the next tick, and read the vehicle's messages until then.
-
-        Raises ClockStoppedError: there is no further tick.
-        """
+        """Wait for the next tick, and read the vehicle's messages until then."""
 
 
 class Vehicle(Protocol):
@@ -93,7 +94,7 @@ class Target(Protocol):
         """Return the samples since the last call; ``now_s`` is their arrival time."""
 
     def landing_began(self, tick: int) -> None:
-        """Report that the landing has started at this tick; a simulated robot may drive from this tick."""
+        """Report the start of the landing; a simulated robot may drive from this tick."""
 
 
 class Ending(Protocol):
@@ -167,11 +168,11 @@ class Runner:
         return self._ending.ended(out, memory, status, now_s)
 
 
-class RealTimeClock:
-    """Clock with deadlines in real or simulated time; at each deadline it reads the vehicle's messages."""
+class LiveWires:
+    """Clock with deadlines, and target, in real time; the robot receives no message about the landing."""
 
-    def __init__(self, pacer: RealTimePacer, link: VehicleLink) -> None:
-        self._pacer, self._link = pacer, link
+    def __init__(self, pacer: RealTimePacer, link: VehicleLink, source: SampleSource) -> None:
+        self._pacer, self._link, self._source = pacer, link, source
 
     def wait(self) -> Tick:
         """Sleep until the next deadline, then read the vehicle's messages."""
@@ -179,30 +180,21 @@ class RealTimeClock:
         self._link.poll(tick.now_s)
         return tick
 
-
-class LiveTarget:
-    """Target in real time. The robot receives no message about the landing.
-
-    Samples of a tick in which the process stalled are dropped: they may have arrived after the tick started,
-    would reduce the minimum delay too much, and later samples would then count as too late.
-
-    ``source``: source of the samples; ``clock``: stack clock, s.
-    """
-
-    def __init__(self, source: SampleSource, clock: Callable[[], float]) -> None:
-        self._source, self._clock = source, clock
-
     def samples(self, now_s: float) -> Arrived:
-        """Return the samples that have arrived since the last call."""
+        """Return the samples that have arrived since the last call.
+
+        Samples of a tick in which the process stalled are dropped: they may have arrived after the tick
+        started, would reduce the minimum delay too much, and later samples would then count as too late.
+        """
         messages = self._source.poll()
-        stall_s = self._clock() - now_s
+        stall_s = self._pacer.now_s() - now_s
         if messages and stall_s > STALL_MAX_S:
             text = f"target samples not used: the process stalled for {stall_s:.2f} s before it had read them"
             return Arrived((), [text], messages)
         return decoded(messages, now_s)
 
     def landing_began(self, tick: int) -> None:
-        """Do nothing; a real target needs no message."""
+        pass
 
 
 class LinkedVehicle:
@@ -244,7 +236,6 @@ class LinkedVehicle:
         link.flush([reply])
 
 
-_PERIOD_S = 0.02  # wall time between two checks after the last tick, s
 REFUSED = "target sample refused: "
 
 
@@ -280,62 +271,3 @@ def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:
         except OdometryError as error:
             problems.append(f"{REFUSED}{error}")
     return Arrived(tuple(samples), problems, messages)
-
-
-def fly(ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, failed: Callable[[str], None]) -> Ended:
-    """Fly until the flight is over or an error occurs, then release the vehicle; every flight ends here.
-
-    Autopilots differ when set-points stop: PX4 lands, ArduPilot hovers. A process that ends in flight
-    therefore requests the autopilot's landing until a heartbeat confirms it, for a bounded time: through the
-    controller as long as ticks can run, or directly after an exception.
-
-    ``leaving``: decides when the flight is over; ``failed``: receives the text of an exception.
-    """
-    ended: Ended | None = None
-    works = True
-    try:
-        while ended is None:
-            ended = ticks.tick()
-    except ClockStoppedError as error:
-        ended, works = Ended(ticks.memory.phase, str(error), 1), False
-    except BaseException as error:  # any exception: a library may even raise SystemExit
-        reason = failed_in(ticks.filter_name, error) or f"internal error: {error!r}"
-        ended, works = Ended(ticks.memory.phase, reason, 1), False
-        with contextlib.suppress(Exception):
-            failed(f"{ended.reason}\n{traceback.format_exc()}")
-    return _leave(ended, ticks, vehicle, leaving, works=works)
-
-
-def _leave(ended: Ended, ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, *, works: bool) -> Ended:
-    """Request the landing until the heartbeat confirms it; the reason states whether it did."""
-    memory, began_s, leaving.leaves = ticks.memory, time.monotonic(), True
-    arms = leaving.arms and not memory.was_armed  # arming may follow after this process has ended
-    works = works and not arms
-    status = vehicle.read().status
-    while flies(memory, status) or (arms and status is not None and status.mode is not Mode.LAND):
-        lands = status is not None and status.mode is Mode.LAND
-        waited_s = time.monotonic() - began_s
-        if lands or waited_s >= LAND_SHOWN_MAX_S:
-            break
-        if works:
-            try:
-                ticks.tick()
-            except BaseException:  # after an exception the loop continues without the controller
-                works = False
-        else:
-            with contextlib.suppress(Exception):
-                vehicle.ask(Request.MOTORS_OFF if _off(memory) else Request.LAND, ticks.now_s + waited_s)
-            time.sleep(_PERIOD_S)
-        status = vehicle.read().status
-    if not flies(memory, status):
-        return ended
-    shown = "the vehicle lands"
-    if status is None or status.mode is not Mode.LAND:
-        wanted = "its motors are off" if _off(memory) else "it lands"
-        shown = f"the vehicle did not report in {LAND_SHOWN_MAX_S:g} s that {wanted}"
-    return ended._replace(phase=memory.phase, reason=f"{ended.reason}; {shown}")
-
-
-def _off(memory: Memory) -> bool:
-    """Whether an emergency stop was requested."""
-    return memory.abort_way is AbortWay.MOTORS_OFF

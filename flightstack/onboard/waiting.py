@@ -1,8 +1,4 @@
-"""Reasons why a flight waits, as texts for the operator, each with the setting that limits the wait.
-
-``missing`` finds the causes in the state of the links, ``countdown`` gives the limit of a phase; both are
-pure. ``WaitReport`` observes the links and reports both every two seconds.
-"""
+"""Reasons why a flight waits, as texts for the operator, each with the setting that limits the wait."""
 
 from __future__ import annotations
 
@@ -62,10 +58,7 @@ class TargetSeen(NamedTuple):
 
 
 def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[str, ...]:
-    """Return the known causes that delay the start of the flight, one sentence each.
-
-    ``checks``: limits of the configuration.
-    """
+    """Return the known causes that delay the start of the flight, one sentence each."""
     return (*_of_vehicle(vehicle, checks), *_of_target(target, checks))
 
 
@@ -77,37 +70,34 @@ def _seldom(what: str, every_s: float, age_s: float | None, key: str, most_s: fl
 
 
 def _of_vehicle(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
-    age_s, status = seen.heartbeat_age_s, seen.status
-    every_s, most_s = seen.heartbeat_every_s, checks.status_age_max_s
-    if seldom := _seldom("heartbeats", every_s, age_s, "status_age_max_s", most_s):
+    age_s, most_s, status = seen.heartbeat_age_s, checks.status_age_max_s, seen.status
+    if seldom := _seldom("heartbeats", seen.heartbeat_every_s, age_s, "status_age_max_s", most_s):
         return seldom
-    if age_s is None or age_s > checks.status_age_max_s or status is None:
+    if age_s is None or age_s > most_s or status is None:
         return (seen.silence,)
     return (*_of_position(seen, checks), *_of_status(seen, status))
 
 
 def _of_position(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
-    age_s = seen.own_age_s
-    if seldom := _seldom("positions", seen.own_every_s, age_s, "own_age_max_s", checks.own_age_max_s):
+    age_s, most_s = seen.own_age_s, checks.own_age_max_s
+    if seldom := _seldom("positions", seen.own_every_s, age_s, "own_age_max_s", most_s):
         return seldom
-    if age_s is None or age_s > checks.own_age_max_s:
-        causes = (
-            ("not_finite", "positions contain numbers that are not finite or out of range"),
-            ("without_yaw", "positions arrive without ATTITUDE, which contains the heading"),
-            ("out_of_order", "positions have a time that does not advance"),
-            ("ahead", "positions have a time in the future"),
-        )
-        for name, text in causes:
-            if seen.refused.get(name):
-                return (text,)
-        if age_s is None:
-            return (
-                "no position: the vehicle sends no LOCAL_POSITION_NED, as long as it has no estimate of it",
-            )
-        return (f"position is {age_s:.1f} s old; checks.own_age_max_s allows {checks.own_age_max_s:g}",)
+    if age_s is None or age_s > most_s:
+        old = "no position: the vehicle sends no LOCAL_POSITION_NED, as long as it has no estimate of it"
+        if age_s is not None:
+            old = f"position is {age_s:.1f} s old; checks.own_age_max_s allows {most_s:g}"
+        return (next((text for name, text in _REFUSED.items() if seen.refused.get(name)), old),)
     if not seen.own_believed:
         return ("position and velocity of the vehicle do not agree (checks.own_drift_max_m)",)
     return ()
+
+
+_REFUSED = {
+    "not_finite": "positions contain numbers that are not finite or out of range",
+    "without_yaw": "positions arrive without ATTITUDE, which contains the heading",
+    "out_of_order": "positions have a time that does not advance",
+    "ahead": "positions have a time in the future",
+}
 
 
 def _of_status(seen: VehicleSeen, status: VehicleStatus) -> tuple[str, ...]:
@@ -117,12 +107,10 @@ def _of_status(seen: VehicleSeen, status: VehicleStatus) -> tuple[str, ...]:
     if status.landed in _FLYING and status.mode is not Mode.EXTERNAL:
         texts.append(f"the vehicle is in the air and in mode {status.mode.name}: another client controls it")
     if not (status.armed or status.ready_to_arm):
-        if not seen.readiness_told:
-            texts.append("the vehicle does not report whether it may be armed (SYS_STATUS)")
-        else:
-            texts.append("the vehicle's own pre-arm checks fail (SYS_STATUS)")
-        if seen.says:
-            texts[-1] += f"; it reports: {' | '.join(seen.says)}"
+        says = f"; it reports: {' | '.join(seen.says)}" if seen.says else ""
+        fails = "the vehicle's own pre-arm checks fail (SYS_STATUS)"
+        unknown = "the vehicle does not report whether it may be armed (SYS_STATUS)"
+        texts.append((fails if seen.readiness_told else unknown) + says)
     return tuple(texts)
 
 
@@ -177,10 +165,7 @@ _BOUNDS: Mapping[Phase, tuple[str, str]] = {
 
 
 def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
-    """Return a text with the end of the phase, its latest time and the setting; empty without a limit.
-
-    ``in_phase_s``: time since the phase started, s.
-    """
+    """Return a text with the end of the phase, its latest time and the setting; empty without a limit."""
     if phase not in _BOUNDS:
         return ""
     setting, then = _BOUNDS[phase]
@@ -194,7 +179,7 @@ class WaitReport:
     def __init__(
         self, config: FlightConfig, system_id: int, link: VehicleLink, wires: ZenohWires, *, searches: bool
     ) -> None:
-        """Set up. ``wires``: Zenoh connections; ``searches``: search other keys if no sample arrives."""
+        """``searches``: search other keys if no sample arrives."""
         # missing inputs in the last report; they remain after the end of the wait
         self.lacking: tuple[str, ...] = ()
         self._config, self._system_id, self._link, self._wires = config, system_id, link, wires
@@ -204,20 +189,19 @@ class WaitReport:
         self._refused: dict[str, int] = {}
         self._arrived = self._refused_before = self._accepted = 0  # numbers of target samples
         self._heartbeats, self._states, self._samples = _Pace(), _Pace(), _Pace()
-        self._texts: deque[tuple[float, str]] = deque(maxlen=_REASONS)
-        self._recent: dict[str, float] = {}  # newest texts of any severity, with their newest arrival time
+        # newest texts of the vehicle that may be reasons, and newest ones of any severity, with their newest
+        # arrival time
+        self._reasons: dict[str, float] = {}
+        self._recent: dict[str, float] = {}
         self._refusals: deque[str] = deque(maxlen=_PROBLEMS)
 
     def note_text(self, now_s: float, severity: int, text: str) -> None:
         """Store a text of the vehicle."""
-        self._recent.pop(text, None)
-        self._recent[text] = now_s
-        if len(self._recent) > _REASONS:
-            del self._recent[next(iter(self._recent))]
-        if severity <= _REASON_SEVERITY and all(text != known for _, known in self._texts):
-            self._texts.append((now_s, text))
-        elif severity <= _REASON_SEVERITY:
-            self._texts = deque(((now_s if t == text else s, t) for s, t in self._texts), maxlen=_REASONS)
+        for texts in (self._recent, *([self._reasons] if severity <= _REASON_SEVERITY else [])):
+            texts.pop(text, None)
+            texts[text] = now_s
+            if len(texts) > _REASONS:
+                del texts[next(iter(texts))]
 
     def cause(self, now_s: float) -> str:
         """Return why the autopilot acted without a command: its newest messages, or that none arrived."""
@@ -231,8 +215,7 @@ class WaitReport:
     ) -> str | None:
         """Return the text for the operator, if one is due.
 
-        ``out``: outputs of this tick; ``memory``: state after it; ``arrived``: number of target samples in
-        it; ``problems``: why some of them could not be decoded; ``now_s``: time on the stack's clock.
+        ``arrived``: number of target samples in this tick; ``problems``: why some could not be decoded.
         """
         phase = out.phase
         if phase not in (Phase.WAIT, Phase.ABORT):
@@ -249,9 +232,16 @@ class WaitReport:
         if now_s < self._due_s or phase is Phase.LANDED:
             return None
         self._due_s = now_s + PERIOD_S
+        left = countdown(self._config, phase, now_s - memory.phase_since_s)
         if phase is Phase.WAIT:
-            return self._waiting(out, memory, now_s)
-        return self._silent(out, memory, now_s)
+            self.lacking = missing(self._vehicle(out, now_s), self._target(out), self._config.checks)
+            self._refusals.clear()
+            return f"waiting: {'; '.join(self.lacking)}; {left}" if self.lacking else None
+        status = out.snapshot.inputs.status
+        text = self._silence(now_s - status.arrival_s if status is not None else None)
+        if out.snapshot.link_ok or status is None:
+            return None
+        return f"{text}; {left}" if left else text
 
     def _note_arrivals(self, out: Outputs, now_s: float) -> None:
         own, status = out.snapshot.inputs.own, out.snapshot.inputs.status
@@ -263,35 +253,20 @@ class WaitReport:
             self._accepted = out.target_accepted
             self._samples.note(now_s)
 
-    def _waiting(self, out: Outputs, memory: Memory, now_s: float) -> str | None:
-        self.lacking = missing(self._vehicle(out, now_s), self._target(out), self._config.checks)
-        self._refusals.clear()
-        if not self.lacking:
-            return None
-        left = countdown(self._config, Phase.WAIT, now_s - memory.phase_since_s)
-        return f"waiting: {'; '.join(self.lacking)}; {left}"
-
-    def _silent(self, out: Outputs, memory: Memory, now_s: float) -> str | None:
+    def _silence(self, heard_s: float | None) -> str:
+        """Return why no heartbeat has arrived for this time; None: none has ever arrived."""
         grown = self._arrivals.grown(self._link.endpoint.counters)
-        status = out.snapshot.inputs.status
-        if out.snapshot.link_ok or status is None:
-            return None
-        heard_s = now_s - status.arrival_s
-        time = f" for {heard_s:.0f} s"
-        text = why_silent(self._system_id, grown, self._link.counters.senders, time=time)
-        left = countdown(self._config, out.phase, now_s - memory.phase_since_s)
-        return f"{text}; {left}" if left else text
+        time = f" for {heard_s:.0f} s" if heard_s is not None else ""
+        return why_silent(self._system_id, grown, self._link.counters.senders, time=time)
 
     def _vehicle(self, out: Outputs, now_s: float) -> VehicleSeen:
         link, own, status = self._link, out.snapshot.inputs.own, out.snapshot.inputs.status
-        grown = self._arrivals.grown(link.endpoint.counters)
         heard_s = now_s - status.arrival_s if status is not None else None
-        time = f" for {heard_s:.0f} s" if heard_s is not None else ""
         own_age_s = now_s - own.arrival_s if own is not None else None
         before, self._refused = self._refused, asdict(link.state.counters)
         return VehicleSeen(
             heartbeat_age_s=heard_s,
-            silence=why_silent(self._system_id, grown, link.counters.senders, time=time),
+            silence=self._silence(heard_s),
             own_age_s=own_age_s,
             own_believed=out.snapshot.own_ok
             or own_age_s is None
@@ -299,7 +274,7 @@ class WaitReport:
             refused={name: n - before.get(name, 0) for name, n in self._refused.items()},
             status=status,
             readiness_told=link.state.battery is not None,
-            says=tuple(text for at_s, text in self._texts if now_s - at_s <= _REASON_AGE_MAX_S),
+            says=tuple(text for text, at_s in self._reasons.items() if now_s - at_s <= _REASON_AGE_MAX_S),
             heartbeat_every_s=self._heartbeats.report(),
             own_every_s=self._states.report(),
         )

@@ -304,7 +304,7 @@ def _drive(team: TeamScenario, options: TargetOptions, stop: Stop, stack: ExitSt
     quiet_garbage_collector()
     run_promptly()  # a vehicle treats a late pose as lost
     ticks, tick = grid.count(options.duration_s), 0
-    pacer = RealTimePacer(grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
+    pacer = RealTimePacer(grid.rate_hz, clock)
     while not stop.is_set and tick != ticks:
         due = round(pacer.wait().now_s * grid.rate_hz)  # after a pause the robots jump to this tick
         while tick <= due and tick != ticks:

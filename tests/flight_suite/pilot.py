@@ -50,10 +50,7 @@ class Pilot:
             profile=profile(room.autopilot), system_id=room.system_id,
             origin=Origin(*place) if place is not None else None,
         )  # fmt: skip
-        clock = FastClock(room.speed)
-        self._pacer = RealTimePacer(
-            RATE_HZ, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
-        )
+        self._pacer = RealTimePacer(RATE_HZ, FastClock(room.speed))
         self.now_s = 0.0
         self.texts: list[str] = []  # texts that the vehicle sent
         self.start_enu_m: Vec3 | None = None

@@ -38,9 +38,10 @@ class Clock:
         self.now += seconds
 
     def pacer(self, rate_hz):
-        return RealTimePacer(
-            rate_hz, monotonic=self.monotonic, sleep=self.sleep, unix_ns=lambda: 5_000_000_000
-        )
+        return RealTimePacer(rate_hz, self)
+
+    def unix_ns(self):
+        return 5_000_000_000
 
 
 def test_deadlines_are_absolute():
@@ -89,9 +90,7 @@ def file(tmp_path):
 def test_a_follower_makes_every_tick_however_fast_the_simulator_is(file):
     clock = SimulationClock(file)
     followed = FollowedClock(file, Follower.ONBOARD)
-    pacer = RealTimePacer(
-        RATE_HZ, monotonic=followed.monotonic, sleep=followed.sleep, unix_ns=followed.unix_ns
-    )
+    pacer = RealTimePacer(RATE_HZ, followed)
     ticks = []
     follower = threading.Thread(target=lambda: ticks.extend(pacer.wait() for _ in range(101)))
     follower.start()
@@ -240,8 +239,7 @@ def test_a_clock_that_is_twice_as_fast_makes_twice_as_many_ticks_and_their_times
     monkeypatch.setattr(pacing.time, "time_ns", lambda: 20_000 * day_ns + round(wall.now * 1e9))
 
     def pacer():
-        clock = FastClock(2.0)
-        return RealTimePacer(100, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
+        return RealTimePacer(100, FastClock(2.0))
 
     first = pacer()
     ticks = [first.wait() for _ in range(101)]

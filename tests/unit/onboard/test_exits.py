@@ -16,9 +16,9 @@ from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller
 from flightstack.core.memory import AbortWay
 from flightstack.core.types import Landed, Mode, OwnState, Phase, Request, VehicleStatus
-from flightstack.onboard import runner as way_out
-from flightstack.onboard.leaving import Leaving, Signals
-from flightstack.onboard.runner import NOTHING, ClockStoppedError, Runner, VehicleInputs, fly
+from flightstack.onboard import leaving as way_out
+from flightstack.onboard.leaving import Leaving, Signals, fly
+from flightstack.onboard.runner import NOTHING, ClockStoppedError, Runner, VehicleInputs
 from sim.scenarios.scenario import load
 
 CONFIG = load("grid").onboard

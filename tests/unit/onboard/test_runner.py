@@ -15,7 +15,7 @@ from flightstack.onboard.leaving import Person
 from flightstack.onboard.runner import (
     STALL_MAX_S,
     Arrived,
-    LiveTarget,
+    LiveWires,
     Refusals,
     Runner,
     Taken,
@@ -70,8 +70,8 @@ def test_the_vehicle_is_answered_before_anything_is_written_and_the_target_hears
 @pytest.mark.parametrize(("stall_s", "used"), [(STALL_MAX_S / 2, True), (2 * STALL_MAX_S, False)])
 def test_samples_of_a_tick_in_which_the_process_stalled_are_told_and_not_used(stall_s, used):
     messages = [RawSample(Odometry(1, "map", "target", (1.0, 2.0, 0.2), (1.0, 0.0, 0.0, 0.0)).pack())]
-    target = LiveTarget(SimpleNamespace(poll=lambda: messages), lambda: 8.0 + stall_s)
-    arrived = target.samples(8.0)
+    pacer, source = SimpleNamespace(now_s=lambda: 8.0 + stall_s), SimpleNamespace(poll=lambda: messages)
+    arrived = LiveWires(pacer, None, source).samples(8.0)
     assert arrived.messages == messages
     if used:
         assert (arrived.samples[0].arrival_s, arrived.problems) == (8.0, [])
