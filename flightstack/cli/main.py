@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import click
 
 from flightstack.common import hangup, streams
-from flightstack.common.processes import LaunchError, end_with_parent
+from flightstack.common.processes import LaunchError
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import plain
 
@@ -153,5 +153,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    end_with_parent()
     main()

@@ -31,17 +31,6 @@ def may_fork() -> bool:
     return len(list(Path("/proc/self/task").iterdir())) == 1
 
 
-def end_with(parent: int, name: str) -> None:
-    """Name this process (15 bytes, ``ps -e``); the kernel ends it if the process ``parent`` is killed."""
-    if sys.platform != "linux":
-        return
-    kernel = ctypes.CDLL(None)
-    kernel.prctl(_PR_SET_NAME, name.encode()[:_NAME_BYTES])
-    kernel.prctl(PR_SET_PDEATHSIG, int(signal.SIGTERM))
-    if os.getppid() != parent:  # the parent was killed before this call
-        os._exit(1)
-
-
 def hand_on_niceness(pid: int) -> None:
     """Apply the niceness of this process to the session of a child, or to its own session.
 
@@ -79,8 +68,12 @@ class Forked(ForkProcess):
         self.stdout: IO[bytes] | None = os.fdopen(output, "rb")  # standard output of the child
 
     def run(self) -> None:
-        """Run the function in the child."""
-        end_with(self._parent_pid, self.name)  # type: ignore[attr-defined]
+        """Run the function in the child; the kernel ends the child if its parent is killed."""
+        kernel = ctypes.CDLL(None)
+        kernel.prctl(_PR_SET_NAME, self.name.encode()[:_NAME_BYTES])  # the name that ``ps -e`` shows
+        kernel.prctl(PR_SET_PDEATHSIG, int(signal.SIGTERM))
+        if os.getppid() != self._parent_pid:  # type: ignore[attr-defined]  # the parent was already killed
+            os._exit(1)
         leave_parent(self._output, self._errors)
         signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
         gc.freeze()  # the collector does not scan shared memory, so it is not copied

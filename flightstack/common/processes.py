@@ -18,7 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, Protocol
 
-from flightstack.common.forked import PR_SET_PDEATHSIG, Forked, end_with, hand_on_niceness, may_fork
+from flightstack.common.forked import PR_SET_PDEATHSIG, Forked, hand_on_niceness, may_fork
 
 # Limits for the start of a child, s: wall time in which it does not compute, and processor time. A slow
 # computer needs minutes to load and compile.
@@ -27,7 +27,6 @@ _WORKING_S = 0.2  # processor time above which a process counts as computing, s
 _STAT_TIMES = slice(11, 13)  # fields after the name in /proc/PID/stat (proc(5)): user and system time, ticks
 CLI = "flightstack.cli.main"  # module of the command
 _WRONG_INPUT = 2  # exit status of every command after wrong input
-_PARENT = "FLIGHTSTACK_PARENT"  # environment variable with parent process id and child name
 # A function between fork and exec could wait without end for locks of the parent's threads (Zenoh).
 # Therefore a small Python program calls the kernel before it executes the child's program.
 _TIE = (
@@ -51,10 +50,7 @@ class LaunchError(RuntimeError):
 
 
 def socket_folder() -> Path:
-    """Return a new private folder with a path short enough for sockets; one in ``TMPDIR`` may be too long.
-
-    Raises LaunchError: no folder can be made.
-    """
+    """Return a new private folder with a path short enough for sockets; one in ``TMPDIR`` may be too long."""
     reasons = []
     for place in (None, os.environ.get("XDG_RUNTIME_DIR", "/tmp"), "/tmp", "/var/tmp"):
         try:
@@ -86,13 +82,13 @@ class Running(Protocol):
 
 
 class Child:
-    """One process of the run; its standard error is written to a file.
+    """One process of the run; its standard error is written to the file ``name``.txt in ``folder``.
 
     A command is forked from this process and need not load its modules again (``Forked``); if a fork is not
     possible, the command is started as a program.
 
-    ``name``: name of the process and its file; ``folder``: folder of that file; ``program``: command before
-    the arguments, None for ``flightstack``; ``works_in``: working folder, None for that of this process.
+    ``program``: command before the arguments, None for ``flightstack``; ``works_in``: working folder, None
+    for that of this process.
     """
 
     def __init__(
@@ -126,14 +122,9 @@ class Child:
         works_in: Path | None,
         errors: IO[bytes],
     ) -> subprocess.Popen[bytes]:
-        if program is None:
-            words, variables = [sys.executable, "-m", CLI], {_PARENT: f"{os.getpid()} {self.name}"}
-        else:
-            words, variables = tied(program), {}  # a program would pass the variable to its children
         process = subprocess.Popen(
-            [*words, *arguments],
+            [*tied(program or [sys.executable, "-m", CLI]), *arguments],
             cwd=works_in,
-            env=os.environ | variables,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=errors,
@@ -220,13 +211,6 @@ def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM)
     if sys.platform != "linux":
         return [*map(str, program)]
     return [sys.executable, "-ISc", _TIE, str(int(number)), str(os.getpid()), *map(str, program)]
-
-
-def end_with_parent() -> None:
-    """Let the kernel end this process if the process that started it as a ``Child`` is killed."""
-    parent, _, name = os.environ.pop(_PARENT, "").partition(" ")
-    if parent:
-        end_with(int(parent), name)
 
 
 class Port:

@@ -54,16 +54,21 @@ class Followed:
     aborted: bool = False  # whether the process aborted or failed, so that the autopilot lands the vehicle
 
 
+def _verb(child: Running) -> str:
+    """Return the command of a child: its name without that of a vehicle."""
+    return child.name.partition("-")[0]
+
+
 class Launcher:
     """Context manager that owns the child processes and ends all of them on exit.
 
-    ``folder``: folder for the output of the children; ``tells``: whether the output of the onboard process is
-    printed; ``real``: whether the vehicle is real: then Ctrl-C, SIGTERM and a closed terminal are forwarded
-    to the onboard process, which lands the vehicle, and the run ends with that process.
+    ``tells``: whether the output of the onboard process is printed; ``real``: whether the vehicle is real:
+    then Ctrl-C, SIGTERM and a closed terminal are forwarded to the onboard process, which lands the vehicle,
+    and the run ends with that process.
     """
 
     def __init__(self, folder: Path, console: Console, *, tells: bool, real: bool = False) -> None:
-        self.folder, self.console = folder, console
+        self.folder, self.console = folder, console  # folder for the output of the children
         # running processes of this flight, in the order in which they were started
         self.children: list[Running] = []
         self.interrupted = False  # whether the operator requested the end of the run
@@ -95,18 +100,11 @@ class Launcher:
         shutil.rmtree(self._sockets, ignore_errors=True)
 
     def endpoint(self) -> str:
-        """Return a Zenoh endpoint on loopback, on a port that is reserved for this flight.
-
-        Raises LaunchError: no port is free.
-        """
+        """Return a Zenoh endpoint on loopback, on a port that is reserved for this flight."""
         return self.reserved.enter_context(contextlib.closing(Port())).endpoint
 
     def start(self, verb: str, options: object, of: str = "") -> Child:
-        """Start a ``flightstack`` command as a child process.
-
-        ``options``: dataclass of the command's options; ``of``: name of the vehicle, if each vehicle has a
-        process.
-        """
+        """Start a ``flightstack`` command; ``of``: name of the vehicle, if each vehicle has a process."""
         child = Child(f"{verb}-{of}" if of else verb, [verb, *argv(options)], self.folder)
         self.children.append(child)
         return child
@@ -116,19 +114,14 @@ class Launcher:
         self.console.print(line, style="dim", soft_wrap=True, markup=False)
 
     def record(self, log: Path) -> None:
-        """Start the recorder and wait until it listens at ``socket``.
-
-        Raises LaunchError: the recorder did not start.
-        """
+        """Start the recorder and wait until it listens at ``socket``."""
         self._recorder = start_recorder(self.socket, log)
         self.children.append(self._recorder)
 
     def view(self, where: str, endpoint: str, config: Path, namespace: str = NAMESPACE) -> None:
         """Start the 3-D view and wait until it is ready. It only subscribes; the flight never waits for it.
 
-        ``where``: value of the option ``--view``; ``endpoint``: Zenoh endpoint of the onboard process;
-        ``config``: configuration file of the onboard process; ``namespace``: first part of its Zenoh keys.
-        Raises LaunchError: the view did not start.
+        ``where``: value of the option ``--view``; the others are those of the onboard process.
         """
         watch = self.start(
             "watch",
@@ -138,31 +131,26 @@ class Launcher:
 
     def end_all(self) -> None:
         """End every child; the recorder is last, so that the log contains the end of every other process."""
+        lands_s = LAND_MAX_S if self._real else END_TIME_MAX_S
         for child in reversed(self.children):
-            child.end(self._end_max_s(child.name))
+            most_s = {"record": CLOSE_TIME_MAX_S, "onboard": lands_s}
+            child.end(most_s.get(_verb(child), END_TIME_MAX_S))
         self.children.clear()
         self.reserved.close()
-
-    def _end_max_s(self, name: str) -> float:
-        if name == "record":
-            return CLOSE_TIME_MAX_S
-        return LAND_MAX_S if self._real and name.startswith("onboard") else END_TIME_MAX_S
 
     def fly(
         self,
         flights: Sequence[Followed],
         title: str | None,
-        others: Sequence[Running] = (),
-        limit_s: float | None = None,
+        limit_s: float = math.inf,
         teller: Child | None = None,
         *,
         lockstep: bool = False,
     ) -> tuple[str | None, float]:
         """Wait for the onboard processes, watch the flights, end all processes; return problem and wall time.
 
-        ``title``: title of the live view (None: no view); ``others``: processes that must outlive the
-        flights; ``limit_s``: wall time after which the run is stopped (None: no limit); ``teller``: process
-        that reports arming and disarming. Raises LaunchError: an onboard process did not start.
+        ``title``: title of the live view (None: no view); ``limit_s``: wall time after which the run is
+        stopped; ``teller``: process that reports arming and disarming.
         """
         for flight in flights:  # all processes load at the same time
             flight.child.wait_ready()
@@ -171,9 +159,8 @@ class Launcher:
         for flight in flights:
             for endpoint in flight.endpoints:
                 self.hint(f"to watch: flightstack watch --connect {endpoint} --namespace {flight.namespace}")
-        others = [*others, *([self._recorder] if self._recorder is not None else ())]
         started_s = time.monotonic()
-        problem = self._watch(flights, title, others, limit_s, teller)
+        problem = self._watch(flights, title, limit_s, teller)
         wall_s = time.monotonic() - started_s
         self.end_all()
         if problem is None and self._recorder is not None:  # the recorder may end after the flight
@@ -181,18 +168,13 @@ class Launcher:
         return problem, wall_s
 
     def _watch(
-        self,
-        flights: Sequence[Followed],
-        title: str | None,
-        others: Sequence[Running],
-        limit_s: float | None,
-        teller: Child | None,
+        self, flights: Sequence[Followed], title: str | None, limit_s: float, teller: Child | None
     ) -> str | None:
         """Watch until the onboard processes have ended; return an error text, or None."""
         self._take_over()
         begun()
-        others, flying = list(others), list(flights)
-        until = time.monotonic() + (limit_s if limit_s is not None else math.inf)
+        others = [child for child in self.children if _verb(child) not in ("onboard", "watch")]
+        flying, until = list(flights), time.monotonic() + limit_s
         view = session = None
         problem: str | None = None
         if title is not None:
@@ -223,7 +205,7 @@ class Launcher:
                     self._print(problem, style="red")
                 if self.interrupted:
                     return "interrupted"
-                if limit_s is not None and time.monotonic() > until:
+                if time.monotonic() > until:
                     return f"not over after {limit_s:.0f} s"
         finally:
             if view is not None:
@@ -254,7 +236,7 @@ class Launcher:
     def _hand_on(self, number: int) -> None:
         """Forward a signal to the onboard process, which handles it according to its phase."""
         for child in self.children:
-            if isinstance(child, Child) and child.name.startswith("onboard") and child.alive():
+            if isinstance(child, Child) and _verb(child) == "onboard" and child.alive():
                 child.process.send_signal(number)
 
     def _say(self, flight: Followed, lines: list[str]) -> None:

@@ -146,14 +146,12 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     _describe(launcher.socket, options, team, vehicles)
     kind = VEHICLES[options.flies]
     flying = kind.start(launcher, options, team, robots_at)
-    robots = []
     if not kind.with_robots:
         own = plugged(
             TargetOptions, launcher, options, **flying.clock, rate_hz=team.rate_hz,
             duration_s=others_s(team), listen=(robots_at,), connect=(vehicles[0].endpoint,),
         )  # fmt: skip
-        robots.append(launcher.start("target", own))
-        robots[0].wait_ready()
+        launcher.start("target", own).wait_ready()
     flights = tuple(_start(launcher, options, each, vehicles, flying, robots_at) for each in vehicles)
     if options.members:
         launcher.hint(f"robots: {robots_at}")
@@ -162,8 +160,8 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     title = f"{team.name}  seed {options.seed}  filter {filters}"
     live = not options.as_json and launcher.console.is_terminal and not options.lockstep
     problem, wall_s = launcher.fly(
-        flights, title if live else None, [*flying.children, *robots], longest_s(team) / speed + GRACE_S,
-        flying.teller, lockstep=options.lockstep,
+        flights, title if live else None, longest_s(team) / speed + GRACE_S, flying.teller,
+        lockstep=options.lockstep,
     )  # fmt: skip
     about = {"scenario": team.name, "seed": options.seed, "filter": filters}
     return Flown(about, launcher.folder, log, wall_s, flights, problem)

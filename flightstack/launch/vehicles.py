@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeVar
 from bridge.mavlink.profiles import ARDUPILOT, AUTO, OWN_SITL
 from bridge.mavlink.profiles import PX4 as PX4_PROFILE
 from flightstack.common.options import shared
-from flightstack.common.processes import Child, Running
+from flightstack.common.processes import Child
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import Vec3
 from flightstack.launch.launcher import Launcher
@@ -42,7 +42,6 @@ class Flying:
     """A vehicle that has been started."""
 
     options: Sequence[Mapping[str, Any]]  # options of the onboard process of each vehicle
-    children: list[Running]  # processes that must outlive the flight
     teller: Child | None = None  # process that reports arming and disarming
     # options with which robot and onboard process follow the vehicle's clock; empty: option --speed applies
     clock: Mapping[str, Any] = field(default_factory=dict)
@@ -68,7 +67,7 @@ def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
         else {"vehicle_url": next(urls), "autopilot": autopilot}
         for number in range(1, len(team.member) + 1)
     ]
-    return Flying(given, [child], child)
+    return Flying(given, child)
 
 
 class _Px4Start:
@@ -81,8 +80,8 @@ class _Px4Start:
         else:
             self.number = launcher.reserved.enter_context(contextlib.closing(InstanceClaim())).number
 
-    def run(self, model: Px4Model, wanted: Mapping[str, float]) -> tuple[Px4Program, dict[str, Any]]:
-        """Start PX4 and wait until it can arm; return the process, and the options of the onboard process."""
+    def run(self, model: Px4Model, wanted: Mapping[str, float]) -> Mapping[str, Any]:
+        """Start PX4 and wait until it can arm; return the options of the onboard process."""
         program = Px4Program(
             self._binary, self._launcher.folder / "px4", model,
             instance=self.number, parameters=wanted, speed=self._options.speed,
@@ -94,7 +93,7 @@ class _Px4Start:
             self._launcher.console.print(text, markup=False, soft_wrap=True)
         url = f"udpin:127.0.0.1:{program.onboard_port}"
         system_id = 1 + self.number  # PX4's script rcS sets MAV_SYS_ID to this value
-        return program, {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
+        return {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
 
 
 def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
@@ -117,8 +116,8 @@ def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
     from sim.px4.airframe import parameters
 
     wanted = parameters(params.load(scenario.vehicle.airframe), poses)
-    child, given = px4.run(Px4Model.NONE_IRIS, wanted)
-    return Flying([given], [simulator, child], simulator, {**clock, "speed": 1.0})
+    given = px4.run(Px4Model.NONE_IRIS, wanted)
+    return Flying([given], simulator, {**clock, "speed": 1.0})
 
 
 def _px4_sih(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
@@ -126,9 +125,8 @@ def _px4_sih(launcher: Launcher, options: RunOptions, team: TeamScenario, robots
     del robots_at
     from sim.px4.airframe import SAFE_PARAMETERS
 
-    child, given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
-    given["target_offset_m"] = _to_the_floor_m(team.member[0])
-    return Flying([given], [child])
+    given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
+    return Flying([{**given, "target_offset_m": _to_the_floor_m(team.member[0])}])
 
 
 def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
@@ -148,11 +146,8 @@ def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, robo
     )  # fmt: skip
     launcher.children.append(child)
     url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
-    given = {
-        "vehicle_url": url, "autopilot": ARDUPILOT.name,
-        "target_offset_m": _to_the_floor_m(team.member[0]),
-    }  # fmt: skip
-    return Flying([given], [child])
+    floor_m = _to_the_floor_m(team.member[0])
+    return Flying([{"vehicle_url": url, "autopilot": ARDUPILOT.name, "target_offset_m": floor_m}])
 
 
 # Parameters of ArduCopter's simulated quadrotor that differ from the defaults: frame, battery, calibrations
