@@ -128,9 +128,8 @@ class OdometryLink:
 class StateError:
     """Error of a measured state, as in recorded flights: a varying delay, and correlated errors.
 
-    Defaults: ``tests.benchmarks.vehicle.state_error_fit`` on 43 flights of a Crazyflie 2.1 in a Vicon room
-    (NanoBench, arXiv 2603.09908), see docs/how_it_works/own_state.md. Values are standard deviations unless
-    stated otherwise.
+    Defaults: fitted to 43 flights of a Crazyflie 2.1 in a Vicon room (NanoBench, arXiv 2603.09908), see
+    docs/how_it_works/own_state.md. Values are standard deviations unless stated otherwise.
     """
 
     tape: str | None = None  # folder of recorded flights; their error replaces the model below

@@ -24,10 +24,8 @@ LONG = {  # benchmarks that take hours, or whose result is a figure or a page
     "landing_figure": "landing_figure:main",
     "paper_runs": "speed:paper_runs",
     "proven": "proven:main",
-    "px4_faults": "px4:faults",
-    "px4_speed": "px4:speed",
+    "px4_faults": "px4_faults:main",
     "tier_results": "tier_results:main",
-    "vehicle_tables": "vehicle.tables:main",
 }
 
 

@@ -1,32 +1,26 @@
-"""Flies a real PX4 on the simulated vehicle: results of failures, and simulation speed.
+"""Flies a real PX4 on the simulated vehicle, with failures.
 
 ``python -m tests.benchmarks px4_faults [WORD]``: faults with this part in their name; the table is in
-docs/reference/results.md. ``python -m tests.benchmarks px4_speed``: the speed of px4-sim.
+docs/reference/results.md.
 """
 
 from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 from flightstack.common.processes import Child, LaunchError
 from flightstack.config.files import path_of
-from sim.plant import params
-from sim.px4.airframe import parameters
-from sim.px4.program import InstanceClaim, Px4Model, Px4Program
-from sim.scenarios.scenario import load
 from tests.flight_suite.companion import Companion, Radio, companion
 from tests.flight_suite.room import Room, on_px4
-from tests.integration.runs import COMMAND
 from tests.processes.started import StartedChild
 from tests.px4_place import PX4_PLACE, px4_place
 
@@ -143,7 +137,7 @@ def _place(room: Room, said: list[str]) -> str:
     return "on the pad" if any(line.startswith("touched the pad") for line in said) else "IN THE AIR"
 
 
-def faults() -> None:
+def main() -> None:
     """Fly the faults and print a table row for each."""
     place = px4_place()
     if place is None:
@@ -157,56 +151,3 @@ def faults() -> None:
             except (LaunchError, AssertionError) as error:
                 result = f"| not flown: {error} | | |"
             print(f"| {name} | {phase} {result}", flush=True)
-
-
-SIMULATED_S = 60.0
-WALL_MAX_S = 300.0
-
-
-def processor_s(pid: int) -> float:
-    """Return the processor time of a process, all threads, including system time."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _first_child(pid: int) -> int:
-    """Return PX4's process; the shell that waits for it is its parent."""
-    return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
-
-
-def speed() -> None:
-    """Measure px4-sim --speed 0 with a PX4 on the ground: speed, and which process limits it."""
-    place = px4_place()
-    if place is None:
-        sys.exit(f"no PX4 here: {PX4_PLACE} names none; nothing measured")
-    wanted = parameters(params.load(load(SCENARIO).vehicle.airframe))
-    with tempfile.TemporaryDirectory() as folder, closing(InstanceClaim()) as claim:
-        px4 = Px4Program(place, Path(folder), Px4Model.NONE_IRIS, instance=claim.number, parameters=wanted)
-        words = ["--scenario", SCENARIO, "--speed", "0", "--duration", f"{SIMULATED_S:g}", "--once"]
-        simulator = subprocess.Popen(
-            [*COMMAND, "px4-sim", *words, "--tcp", f"127.0.0.1:{px4.simulator_port}"],
-            stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        try:
-            assert simulator.stdout is not None
-            while "lockstep" not in simulator.stdout.readline():
-                assert simulator.poll() is None, "the simulator ended"
-            pids = {"px4-sim": simulator.pid, "PX4": _first_child(px4.process.pid)}
-            before = {name: processor_s(pid) for name, pid in pids.items()}
-            began_s = time.monotonic()
-            used = dict.fromkeys(pids, 0.0)
-            while simulator.poll() is None and time.monotonic() - began_s < WALL_MAX_S:
-                for name, pid in pids.items():
-                    if Path(f"/proc/{pid}/cmdline").read_bytes():  # empty for a zombie process
-                        used[name] = processor_s(pid) - before[name]
-                time.sleep(0.05)
-            wall_s = time.monotonic() - began_s
-        finally:
-            simulator.kill()
-            simulator.wait()
-            px4.end()
-    shares = ", ".join(f"{name} {1e3 * each / SIMULATED_S:.0f} ms" for name, each in used.items())
-    print(
-        f"{SIMULATED_S / wall_s:.1f} x real time (asked 20); processor time for a simulated second: {shares}"
-    )
-    print(f"with a simulator that takes no time: {SIMULATED_S / used['PX4']:.0f} x at most on one core")

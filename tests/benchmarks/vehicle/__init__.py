@@ -1,1 +1,0 @@
-"""Compares the simulated vehicle with published numbers and linear analysis."""
