@@ -111,7 +111,6 @@ class Result:
     noticed_s: float  # time until the abort, the detection of lost inputs, or a fail-safe
     down_s: float  # time until the motors were finally off
     h_min_m: float  # lowest h outside the pad as long as the companion flew; NaN: no landing
-    impact_m_s: float  # fastest downward speed at a contact
     said: str  # first text about the fault
     flown: Flown
 
@@ -140,7 +139,7 @@ def _fly_on(way: Way, moment: Moment, seed: int) -> Result:
 
 
 def _result(end: End, told: str, flown: Flown) -> Result:
-    return Result(end, flown.noticed_s, flown.down_s, h_min(flown), impact(flown.truth), told, flown)
+    return Result(end, flown.noticed_s, flown.down_s, h_min(flown), told, flown)
 
 
 @lru_cache(maxsize=4)

@@ -69,6 +69,7 @@ def test_each_step_of_a_landing_is_the_same_to_the_last_bit(name, filter_name):
     assert by_machine == by_python
 
 
+@pytest.mark.slow
 def test_ordinary_ticks_of_a_landing_are_compiled_and_all_others_are_pythons(monkeypatch):
     if is_off():
         return

@@ -83,6 +83,7 @@ def test_info_of_a_broken_log_says_where_it_breaks(whole, broken):
     assert "BROKEN" in out
 
 
+@pytest.mark.slow  # test_damage.py is quick
 def test_every_byte_offset_of_a_small_log(tmp_path):
     """After a power failure the file may end at any byte."""
     small, cut = (tmp_path / name for name in ("small.mcap", "cut.mcap"))

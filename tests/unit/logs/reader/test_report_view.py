@@ -162,21 +162,13 @@ def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
     )
 
 
-@pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    return record(tmp_path_factory.mktemp("flight") / "flight.mcap")
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, ["view", *map(str, arguments)])
-
-
+@pytest.mark.slow
 def test_a_broken_log_is_shown_up_to_its_break(tmp_path):
     killed = record(tmp_path / "killed.mcap", close=False)
     flight = load_flight(killed)
     assert flight.damage
     assert len(flight.steps.t_s) > 200
-    done = run(killed, "--save", tmp_path / "killed.rrd")
+    done = CliRunner().invoke(main, ["view", str(killed), "--save", str(tmp_path / "killed.rrd")])
     assert done.exit_code == 1
     assert "the log is broken" in done.output
     assert (tmp_path / "killed.rrd").stat().st_size > 10_000
