@@ -30,7 +30,7 @@ from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, store_for
 
 WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING})
 WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # sources of /rosout events that depend on the wall clock
-WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # records with wall times or ports
+WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # metadata with wall times or ports
 WALL_CLOCK_METADATA_KEYS = frozenset(
     {"started", "started_unix_s", "ended", "wall_time_s", "realtime_factor", "host", "out", "log", "pid"}
 )

@@ -14,8 +14,8 @@ from flightstack.identify import identify as fit
 from logs.reader.flight_data import Flight, Floats, Steps
 
 T = TypeVar("T")
-FLYING = (Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB)  # phases without contact
-_NS = 1e-9  # seconds per nanosecond
+FLYING = (Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB)  # phases in the air
+_NS = 1e-9
 
 
 class Found(NamedTuple):
@@ -23,7 +23,7 @@ class Found(NamedTuple):
 
     horizontal: Loop
     vertical: Loop
-    spread: float  # relative spread of the lags between logs; at least two standard errors
+    spread: float  # relative spread of the velocity loop's lags between logs; at least two standard errors
     tracking_error_m_s: float | None
     own_noise_m: float | None
     link: Link | None
@@ -96,7 +96,7 @@ def _own_noise_m(steps: list[Steps]) -> float:
 
 
 def _fresh(steps: Steps, phases: tuple[Phase, ...]) -> Any:
-    """Return (n,) whether the vehicle state is valid and new in a tick; a slow link repeats states."""
+    """Return for each tick, (n,), whether the vehicle state is valid and new; a slow link repeats states."""
     known = steps.own_valid & np.isin(steps.phase, phases) & np.isfinite(steps.own_position_enu_m).all(1)
     moved = np.any(np.diff(steps.own_position_enu_m, axis=0) != 0.0, axis=1)
     return known & np.concatenate(([True], moved))

@@ -19,7 +19,7 @@ from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import CONTROLLER_NEIGHBOURS, FLEET_WORD
 
 AGE_MAX_S = 0.5  # maximum message age by default, s
-_Sent = tuple[float, Intent, tuple[str, ...]]  # time, intent, members to which the sender gives way
+_Sent = tuple[float, Intent, tuple[str, ...]]  # time, s; intent; members to which the sender gives way
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,16 +47,15 @@ class Link:
     # number of messages that the receiver used; the other messages were lost or replaced by newer ones
     used: int
     late_max_s: float | None  # maximum message age on arrival, s; None: none arrived
-    gap_max_s: (
-        float  # longest time between two messages, or from the last to the end, while the sender flew, s
-    )
+    # longest time between two messages, or from the last one to the end, while the sender flew, s
+    gap_max_s: float
     # intervals (begin, end), s, in which the newest message was older than the receiver accepts
     silent: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class FleetMessages:
-    """Messages of a fleet, sent and received."""
+    """Messages that the members of a fleet sent and received."""
 
     spans: dict[str, tuple[Span, ...]]  # spans by member, in time order
     links: tuple[Link, ...]  # one link per ordered pair of members

@@ -105,7 +105,7 @@ def _read(whole: LogFile) -> Fleet:
 
 
 def _of_all(event: Event, parts: Members, shown: Mapping[str, str]) -> Event:
-    """Return an event for the list of all flights; in a fleet its source starts with the member's name."""
+    """Return an event for the common list of a log; in a fleet its source starts with the member's name."""
     owner, logger = parts.split(event.source, ".")
     label = shown[owner] if owner is not None else ""
     return replace(event, source=f"{label}.{logger}" if label else logger)
@@ -169,7 +169,7 @@ def _kind(message: Message) -> str:
 def _unpacked(
     messages: Sequence[Message], unpack: Unpack, origin_ns: int, damage: list[str]
 ) -> tuple[list[Any], Floats]:
-    """Return the readable messages and their times since the origin, s, (n,); count the unreadable ones."""
+    """Return the readable messages and their times since the origin, s, (n,); report the number of others."""
     rows, times_ns, refused = [], [], []
     for message in messages:
         try:
@@ -224,7 +224,7 @@ def _config(attachments: dict[str, bytes]) -> tuple[FlightConfig | None, tuple[s
 
 
 def _barrier(told: dict[str, str]) -> Barrier | None:
-    """Return the barrier that the scenario declares for the verdict, or else the controller's barrier."""
+    """Return the barrier for the verdict: that of the scenario's ``[judge]``, or else the controller's."""
     for whose in ("judge", "barrier"):
         alpha_1_m, beta_m = _number(told, f"{whose}_alpha_1_m"), _number(told, f"{whose}_beta_m")
         if alpha_1_m is not None and beta_m is not None:

@@ -143,9 +143,9 @@ class Flight(Judged):
         label: name of the vehicle if the log has several; else empty.
         complete: whether the recorder closed the file and every byte could be read.
         damage: unreadable parts of the log, as text; empty for a good one.
-        problems: damage, and a configuration of another version.
+        problems: damage of the log, and an unreadable configuration of another version.
         origin_ns: log time of ``t_s = 0``.
-        duration_s: time from the first to the last step or true state.
+        duration_s: time from the first to the last step or true state, s.
         steps, timing, truth, target: ``None`` if the log has no such messages.
         events: events of /rosout in order.
         metadata: metadata records by name.
@@ -153,7 +153,7 @@ class Flight(Judged):
         config: configuration of the onboard process; ``None`` if the log does not hold it.
         barrier: barrier of the verdict; ``None`` if the log does not hold it.
         velocity_max_m_s: velocity box of the filter, m/s; ``None`` if the log does not hold it.
-        pad_radius_m: radius of the landing pad.
+        pad_radius_m: radius of the landing pad, m.
         pad_carries: whether the vehicle can stand on the pad; False only if the log says so.
     """
 
@@ -218,7 +218,7 @@ def _phase(number: int) -> Phase | int:
 
 
 def _rate(values: Floats, t_s: Floats) -> Floats:
-    """Return the time derivative; NaN if there are too few or repeated times."""
+    """Return the time derivative of values, (n,); NaN if there are fewer than two or repeated times."""
     if len(t_s) < 2:
         return np.full(len(t_s), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):

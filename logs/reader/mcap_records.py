@@ -127,7 +127,7 @@ class Records:
         return kind, length
 
     def _taken(self, kind: int, body: bytes, place: int) -> list[Any]:
-        """Return the records in a chunk, or the record itself if it is not a chunk."""
+        """Return the records of a chunk, or the record itself if it is no chunk."""
         if kind == Opcode.MESSAGE or kind in _DECLARED:
             return self._in_chunk(_HEAD.pack(kind, len(body)) + body, place)
         record = _understood(kind, body)
@@ -184,7 +184,7 @@ class Records:
             self._declare(each, found)
 
     def _declare(self, record: Any, found: list[Any]) -> None:
-        """Store and yield a declaration; reject a channel without its schema, and a changed declaration."""
+        """Store and yield a schema or channel; reject a changed one, and a channel without its schema."""
         kind = type(record)
         if self._declared.setdefault((kind, record.id), record) != record:
             raise DamageError(f"{kind.__name__} {record.id} is declared a second time, and differs")
@@ -278,7 +278,7 @@ def named(path: Path, head: bytes) -> str:
 
 
 def no_file(path: Path) -> str:
-    """Return a text that says what this path is, since it is no file, and which file is needed."""
+    """Return the error text for a path that is no file: what it is, and which file is needed."""
     if not path.is_dir():
         return "is a pipe, socket or device; an MCAP file is needed"
     logs = sorted(path.glob("*.mcap"))

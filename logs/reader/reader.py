@@ -1,7 +1,7 @@
 """Reads a flight log, complete or damaged: all data, or the part of one vehicle.
 
 A killed recorder leaves a file without its index, truncated at any byte; a disk or a transfer may damage any
-byte. The data up to this byte are read, and its place is reported.
+byte. The reader returns the data up to this byte, and reports its offset.
 
 The metadata record ``fleet`` names the vehicles of the log, its members. The data of a member have its
 namespace in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``,
@@ -35,7 +35,7 @@ from logs.schema.schemas import LOG, same_fields
 ROSOUT = "/rosout"
 _NAME = re.compile(r"(?=.{1,64}$)[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*")
 _SYSTEM = "uas"  # first part of the topics of MAVLink frames; the system id follows
-_FRAMES = "/uas1"  # first part of these topics in the log part of a member, for any system id
+_FRAMES = "/uas1"  # first part of these topics in a member's view of the log, for any system id
 _OLD_NAMES = {"team.toml": SCENARIO, "team_source.toml": SCENARIO.replace(".", "_source.")}
 _OWNED = ("run", "onboard")  # metadata records that belong to one vehicle
 
@@ -108,7 +108,7 @@ class MemberView:
         return rest if owner in (None, self._member) and name != FLEET else None
 
     def values(self, name: str, values: dict[str, str]) -> dict[str, str]:
-        """Return the values of a metadata record; losses only of this member and of shared processes."""
+        """Return the values of a metadata record; lost records only of this member and shared processes."""
         if name != LOSSES:
             return values
         whose = {who: self._members.split(who, ".") for who in values}
@@ -148,7 +148,7 @@ class Message(NamedTuple):
 
 @dataclass
 class Outline:
-    """Content of a file without its messages."""
+    """Content of a log file without its messages."""
 
     profile: str = ""
     library: str = ""  # program that wrote the file
@@ -164,7 +164,7 @@ class LogFile:
     """A flight log on disk, or the part of one member."""
 
     def __init__(self, path: Path | str, member: str | None = None) -> None:
-        """Check the start of the file.
+        """Check the first bytes of the file.
 
         If ``member`` is given, only data of this member and of all members are read. Their names, except
         topics, are returned without the namespace.
@@ -293,7 +293,7 @@ class LogFile:
 
     @cached_property
     def view(self) -> MemberView | None:
-        """The member's part of the file; None without a member."""
+        """View of the member's part of the file; None for the whole log."""
         return None if self.member is None else MemberView(self.parts, self.member)
 
     @cached_property

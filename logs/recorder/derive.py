@@ -62,7 +62,7 @@ class Deriver:
         name = self._space.strip("/")
         self._base, self._target = f"{name}/base_link", f"{name}/target"
         self._run_text = b""
-        # created early, since the first packer of a type takes milliseconds
+        # the packers are created before the flight, because the first packer of a type takes milliseconds
         self._pack = {kind: packer(kind) for kind in (TF_MESSAGE, ODOMETRY, POSE_STAMPED, TWIST_STAMPED)}
         self._scene = Scene(self._base, self._target)
         self._slots: dict[int, int] = {}
@@ -159,7 +159,7 @@ class FrameDecoder:
         return [(topic, kind.schema, head + (body if kind.verbatim else repacked(kind, body)))]
 
     def _meet(self, system: int, component: int, number: int) -> tuple[str, Type] | None:
-        """Return the topic of a new sender or message; None: the dialect does not have the message."""
+        """Return the topic of a new sender or message type; None: the dialect does not have the type."""
         kind = of(number)
         found = None
         if len(self._known) < TOPICS_MAX:
@@ -196,7 +196,7 @@ class Derivers:
         self._frames: dict[str, FrameDecoder] = {}
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Handle the metadata of a run or of an onboard process."""
+        """Pass the metadata of a run or of an onboard process to the derivations."""
         member, name = split(name)
         if name in ("run", "onboard"):
             self._told[member][name].update(values)

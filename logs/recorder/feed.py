@@ -103,7 +103,7 @@ class Feed:
     """Connection of one process to the recorder."""
 
     def __init__(self, sock: socket.socket | None, client: str, *, lossless: bool, vehicles: int = 1) -> None:
-        """Use a connected socket; None: no recorder. Call :meth:`connect` instead."""
+        """Make a feed from a connected socket; None: without a recorder. Other code calls :meth:`connect`."""
         self._sock = sock
         self._client = client
         self._lossless = lossless
@@ -111,7 +111,7 @@ class Feed:
         self._channels: dict[tuple[str, str], int] = {}
         self._log_time_ns = 0
         self._reported = 0
-        # whether the recorder still accepts records; otherwise, records are ignored
+        # whether the recorder accepts records; later records are ignored after it has ended
         self.alive = sock is not None
         self.dropped = 0  # number of dropped records: the recorder was too slow, or has ended
         if sock is not None:
@@ -121,7 +121,7 @@ class Feed:
 
     @staticmethod
     def connect(path: str | Path | None, client: str, *, lossless: bool, vehicles: int = 1) -> Feed:
-        """Return a feed to the recorder that listens at ``path``; None: a feed without a recorder.
+        """Return a feed to the recorder that listens at ``path``; if None, a feed without a recorder.
 
         A lossless feed waits for the recorder (lockstep); any other feed never blocks (real time). The
         buffer limit is proportional to the number of vehicles.
@@ -187,7 +187,7 @@ class Feed:
             self._drain(PATIENCE_S)
 
     def close(self) -> None:
-        """Send the buffered records within a bounded time, then GOODBYE; close the socket."""
+        """Send the buffered records and GOODBYE within a bounded time, and close the socket."""
         if self._sock is None:
             return
         if self.alive:

@@ -17,11 +17,11 @@ ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # 
 LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz; a marker that is not sent again disappears
 PATH_POINTS = 200  # maximum number of points of a path; a full path loses every second point
 PATH_PERIOD_NS = 100_000_000  # initial period of path points, 10 Hz
-REACH = 2.5  # radius of the barrier surface, divided by the distance of the barrier's peak
+REACH = 2.5  # drawn radius of the barrier surface, divided by the distance of its peak from the axis
 REACH_BESIDE = 1.0  # ``REACH`` in a fleet: smaller, so that surfaces of neighbours do not overlap
 SECTORS, RINGS = 24, 8  # grid of the barrier surface: 24 x 8 x 2 triangles
 _GRID_1_M = 1024.0  # surface points are rounded to 1/1024 m: finer than a millimetre, and compressible
-_ARROW_SIZE_M = (0.012, 0.03, 0.04)  # size of an arrow: shaft diameter, head diameter, head length
+_ARROW_SIZE_M = (0.012, 0.03, 0.04)  # size of an arrow, m: shaft diameter, head diameter, head length
 BODY_SIZE_M = (0.092, 0.092, 0.029)  # Bitcraze, Crazyflie 2.1 data sheet: 92 x 92 x 29 mm
 _ARROW_S = 1.0  # arrow length divided by velocity, s
 
@@ -35,7 +35,7 @@ NOMINAL_COLOR: Color = (1.0, 0.5, 0.05, 1.0)
 FILTERED_COLOR: Color = (0.17, 0.63, 0.17, 1.0)
 COMMAND_COLOR: Color = (0.58, 0.40, 0.74, 1.0)
 
-# Colours of several flights; a member has the same one in report and viewer.
+# Colours of the members of a fleet; a member has the same colour in report and viewer.
 # Okabe and Ito (2008), dark ones first, then two of Tol; the ninth flight has the first colour again
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#44AA99")
 # other colours of Tol for pairs of flights, so that each colour has one meaning
@@ -113,7 +113,7 @@ class Scene:
                     f"{frame}_pad", "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh
                 )
 
-        if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # half of the ellipsoid of a pair
+        if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # half of a pair's ellipsoid for each vehicle
             beside_m, above_m = float(run["ellipsoid_xy_m"]), float(run["ellipsoid_z_m"])
             scale = (beside_m, beside_m, above_m)
             self._ellipsoid = Marker(self._own_frame, "ellipsoid", 0, SPHERE, scale, ELLIPSOID_COLOR)
@@ -143,7 +143,7 @@ class Scene:
 
 
 def reach_of(run: Mapping[str, str]) -> float:
-    """Return the radius of the barrier surface, divided by the distance of the barrier's peak."""
+    """Return the drawn radius of the barrier surface, divided by the distance of its peak from the axis."""
     return REACH_BESIDE if "ellipsoid_xy_m" in run else REACH
 
 

@@ -1,6 +1,6 @@
 """The flight recorder: one process, many clients on a local socket, one MCAP file.
 
-A separate process survives a crash of the others and then closes the file, and disk and compressor never
+A separate process survives a crash of other processes and then closes the file; disk and compressor never
 delay the control loop. Written data immediately survive a crash of the recorder, but the kernel may hold them
 for half a minute. A thread syncs the file to the disk, since this may take long on a memory card; the loop
 continues to read meanwhile.
@@ -34,10 +34,10 @@ _RECEIVE_BYTES = 2**18
 
 
 class RecorderProcess:
-    """Listening socket, its clients, and the file."""
+    """The recorder: its listening socket, its clients, and the file."""
 
     def __init__(self, socket_path: Path, out: Path) -> None:
-        """Listen and create the file."""
+        """Open the socket and create the file."""
         self._selector = selectors.DefaultSelector()
         self._wake_in, self._wake_out = socket.socketpair()
         self._wake_in.setblocking(False)
@@ -95,7 +95,7 @@ class RecorderProcess:
         return self._finish()
 
     def _pass(self, patience_s: float) -> None:
-        """Wait for input, then read all of it."""
+        """Wait for data of the clients, then read all of them."""
         ready = [key.fileobj for key, _ in self._selector.select(patience_s)]
         for fileobj in ready:
             if fileobj is self._wake_in:

@@ -132,7 +132,7 @@ class McapFile(Writer):  # type: ignore[misc]
     def write(
         self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
     ) -> None:
-        """Add one message; ignored once the disk is full."""
+        """Add one message; messages after a failure of the disk are ignored."""
         if self._output.failure:
             return
         chunk, counts = self._chunk, self._counts
@@ -163,7 +163,7 @@ class McapFile(Writer):  # type: ignore[misc]
         self.add_metadata(name, dict(values))
 
     def attachment(self, name: str, media_type: str, log_time_ns: int, data: bytes) -> None:
-        """Add a file; ignored once the disk is full."""
+        """Add a file to the log; it is ignored after a failure of the disk."""
         if not self._output.failure:
             _encodable(Attachment(log_time_ns, log_time_ns, name, media_type, data))
             self.add_attachment(log_time_ns, log_time_ns, name, media_type, data)
@@ -179,7 +179,7 @@ class McapFile(Writer):  # type: ignore[misc]
 
 
 def _encodable(record: McapRecord) -> None:
-    """Raise an error before the writer has stored a part of a record that cannot be encoded."""
+    """Check that a text can be encoded, before the writer has stored a part of its record."""
     record.write(RecordBuilder())
 
 
@@ -206,14 +206,14 @@ class RecorderError(Exception):
 
 @dataclass
 class Statistics:
-    messages: int = 0  # messages in the file, including derived ones
+    messages: int = 0  # number of messages in the file, including derived ones
     derived: int = 0
     clients: int = 0
-    invalid: int = 0  # records that could not be interpreted
-    refused: int = 0  # messages after the disk was full
-    unfinished_bytes: int = 0  # bytes of records that their sender's crash cut off
-    crashed: int = 0  # clients that ended without a goodbye
-    dropped: dict[str, int] = field(default_factory=dict)  # dropped records by client, reported by the client
+    invalid: int = 0  # number of records that could not be interpreted
+    refused: int = 0  # number of messages that arrived after the disk was full
+    unfinished_bytes: int = 0  # number of bytes of records that are incomplete because their sender crashed
+    crashed: int = 0  # number of clients that ended without a goodbye
+    dropped: dict[str, int] = field(default_factory=dict)  # number of dropped records by client, as reported
     syncs: int = 0  # number of fdatasync calls on the file
     sync_worst_s: float = 0.0  # wall time of the longest fdatasync call, s
     failure: str = ""  # reason why the disk stopped accepting data
@@ -222,7 +222,7 @@ class Statistics:
 @dataclass
 class _Client:
     name: str
-    channels: dict[int, int] = field(default_factory=dict)  # channel in the file by that of the client
+    channels: dict[int, int] = field(default_factory=dict)  # channel number in the file by that of a client
     derivers: dict[int, Derive] = field(default_factory=dict)
     goodbye: bool = False
 

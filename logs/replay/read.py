@@ -40,9 +40,9 @@ class ReplayError(ValueError):
 class TickRecord:
     """Records of one tick of the onboard process."""
 
-    unix_ns: int  # time of the tick in the log
-    given: TickInputs | None = None  # inputs of the controller; None if the log ends before them
-    step: bytes | None = None  # recorded decisions; None if the log ends before them
+    unix_ns: int  # log time of the tick, Unix, ns
+    given: TickInputs | None = None  # inputs of the controller; None if the log ends before their record
+    step: bytes | None = None  # recorded decisions; None if the log ends before their record
     # recorded battery, motors and thrust reserve; None in a flight without them
     power: bytes | None = None
     told: bool = False  # whether the tick has messages of other members, which are in ``given``
@@ -56,7 +56,7 @@ class TickRecord:
 
 
 class FlightInputs:
-    """A log opened for replay."""
+    """Inputs of a flight, read from its log for a replay."""
 
     def __init__(self, path: Path | str, member: str | None = None) -> None:
         """Find the inputs and the configuration in the log."""

@@ -44,10 +44,10 @@ class PhaseChange:
 
 @dataclass
 class Result:
-    """Differences found by a replay, and its extent."""
+    """Differences that a replay found, and the range of ticks that it compared."""
 
     path: Path  # path of the log file
-    start: str = ""  # start of the replay, as text
+    start: str = ""  # description of the start of the replay
     first_tick: int = -1  # first compared tick
     last_tick: int = -1  # last compared tick
     compared: int = 0  # number of compared ticks
@@ -55,7 +55,7 @@ class Result:
     states: Tally = field(default_factory=Tally)  # differences of snapshots
     # differences of the inputs and frames from the replayed MAVLink link; None if not replayed
     wire: Tally | None = None
-    notes: list[str] = field(default_factory=list)  # omitted parts, with reasons
+    notes: list[str] = field(default_factory=list)  # parts that were not replayed, with the reasons
     command_ticks: int = 0  # number of ticks in which the set-point differs
     command_first: int | None = None  # first tick in which the set-point differs; None: no tick
     command_most_m_s: float = 0.0  # largest difference of the set-points of one tick, m/s
@@ -83,7 +83,7 @@ def replay(path: Path | str, config: FlightConfig | None = None, member: str | N
 
 
 class _Run:
-    """A replay: recorded ticks replace clock, vehicle and target, and the outputs are compared with them."""
+    """A replay: recorded ticks replace clock, vehicle and target; outputs are compared with the record."""
 
     def __init__(self, flight: FlightInputs, config: FlightConfig | None) -> None:
         self.flight, self.changed = flight, config is not None
@@ -102,7 +102,7 @@ class _Run:
         self.state_refused = ""
 
     def whole(self, ticks: Iterator[TickRecord]) -> Iterator[TickRecord]:
-        """Yield the complete ticks; there must be no gap between them."""
+        """Yield the complete ticks of the log, up to the first gap or damage."""
         last: int | None = None
         cut: TickRecord | None = None
         for record in ticks:

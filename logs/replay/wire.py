@@ -30,7 +30,7 @@ from logs.compare import TickDifference, values_of
 from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
 from logs.schema.controller_rows import TickInputs
 
-_SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # other texts concern the socket
+_SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # prefixes of the compared texts
 _ID_AND_PAYLOAD = slice(7, -2)  # part of an unsigned frame without head, sequence number and checksum
 
 
@@ -104,7 +104,7 @@ class WireReplay:
             return [TickDifference(SOURCE, given.tick, "frame", "a decodable frame", repr(error))]
         arrived = decoded([RawSample(payload) for payload in record.odometry], given.now_s)
         own, status, command_failed, power = self._vehicle.read()
-        neighbours = given.inputs.neighbours  # the log does not contain their bytes
+        neighbours = given.inputs.neighbours  # the log does not contain the bytes of fleet messages
         inputs = Inputs(own, status, arrived.samples, given.inputs.operator, power, neighbours)
         found = list(values_of(given.inputs, inputs))
         found += values_of(given.command_failed, command_failed, "command_failed")

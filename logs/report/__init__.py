@@ -1,1 +1,1 @@
-"""Makes HTML reports from flight logs."""
+"""HTML reports of flight logs."""

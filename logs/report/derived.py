@@ -32,7 +32,7 @@ _RAN = (
 _NEAR_S = 0.02  # maximum time between a step and its true state, s: two ticks
 BEGINS, ENDS = "Fault: ", "Fault over: "
 _RELAYED = "vehicle: "  # prefix of the vehicle's messages in events of the onboard process
-_ENOUGH = 200  # maximum number of shown entries
+_ENOUGH = 200  # maximum number of entries in a table of the report
 
 
 def held_margin_m(flight: Flight) -> Floats | None:
@@ -56,7 +56,7 @@ def held_margin_m(flight: Flight) -> Floats | None:
 
 @dataclass(frozen=True)
 class Errors:
-    """Estimated minus true values at the controller's n steps; vectors are (n, 3), unknown values NaN."""
+    """Estimated minus true values at the n controller steps; vectors are (n, 3), unknown values are NaN."""
 
     t_s: Floats
     own_m: Floats
@@ -111,7 +111,7 @@ def _nearest(times: Floats, wanted: Floats) -> np.ndarray[tuple[int], np.dtype[n
 
 
 class FaultSpan(NamedTuple):
-    """One fault, with times as in the flight; ``over``: whether the fault ended before the log."""
+    """One fault, with its times since the flight's origin, s; ``over``: whether it ended before the log."""
 
     text: str
     begin_s: float
@@ -150,10 +150,10 @@ _HALF = 128  # half of the 256 sequence numbers; a number ahead by this or more 
 
 @dataclass(frozen=True)
 class Stream:
-    """One kind of message on one link."""
+    """All messages of one kind on one link."""
 
     name: str
-    t_s: Floats  # arrival times, as in the flight, (n,)
+    t_s: Floats  # arrival times, s since the origin of the flight, (n,)
     # number of missing messages by sequence number; ``None`` if the sender does not number this kind
     lost: int | None
 
@@ -219,7 +219,7 @@ def missing(numbers: Sequence[int]) -> int | None:
 
 
 class Side(NamedTuple):
-    """A flight with its data on a page."""
+    """A flight as one side of a report page, with the data that the page shows."""
 
     name: str  # name of the side: "A" or "B" in a comparison, the member in a fleet, else empty
     flight: Flight
@@ -229,7 +229,7 @@ class Side(NamedTuple):
 
     @property
     def of(self) -> str:
-        """Name of the side as a prefix for other names; empty for a single flight."""
+        """Prefix of the names on the page that belong to this side; empty for a single flight."""
         return f"{self.name} " if self.name else ""
 
 

@@ -60,7 +60,7 @@ def write(path: Path, page: Page) -> Path:
     text = render(page)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", errors="backslashreplace")  # paths may be no UTF-8
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")  # a path may not be UTF-8
     except OSError as error:
         if path.is_file():
             path.unlink()  # removes the incomplete file
@@ -91,7 +91,7 @@ def table(
     row_class: int | None = None,
     empty: str = "",
 ) -> str:
-    """Return the rows as a table, or the text ``empty`` if there are none.
+    """Return an HTML table with these rows, or the text ``empty`` if there are none.
 
     Columns ``numbers`` are right-aligned; column ``row_class`` is the style of its row.
     """
@@ -99,17 +99,17 @@ def table(
 
 
 def time_bar(*, events: bool) -> str:
-    """Return the buttons that set the range of all time axes, with a hint if events have links."""
+    """Return buttons, as HTML, that set the range of all time axes; with a hint if events have links."""
     return part("bar", events)
 
 
 def time_link(t_s: float, text: str) -> str:
-    """Return a time as a link to itself in the figures."""
+    """Return a time as HTML link that moves the figures to this time."""
     return part("at_link", f"{t_s:.2f}", text)
 
 
 def repeat_box(**values: Any) -> str:
-    """Return the commands that repeat a flight; the names are those of the macro ``repeat``."""
+    """Return the commands that repeat a flight, as HTML; the arguments are those of the macro ``repeat``."""
     return part("repeat", **values)
 
 

@@ -1,4 +1,4 @@
-"""Reports of a log as self-contained HTML pages: of one flight, of two compared flights, of a fleet."""
+"""Makes the HTML report of a log: of one flight, of two compared flights, or of a fleet."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
 
 
 def _comparison(a: Side, b: Side) -> Page:
-    """Return the page of two flights."""
+    """Return the page that compares two flights."""
     from logs.report.figures import compared_panels
 
     worse = max((tables.headline(s.verdict)[1] for s in (a, b)), key=("good", "fair", "bad").index)

@@ -1,4 +1,4 @@
-"""Figures over time: barrier (paper Fig. 9a, 13a), velocities (9b-d, 13b-d), filter, errors, loop, ages."""
+"""Figures over time: barrier (paper Fig. 9a, 13a), velocities (9b-d, 13b-d), filter, errors, loop, age."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
     zero, steps, truth = zero_s(flight), flight.steps, flight.truth
     traces: list[tuple[int, go.Scatter]] = []
     shown: list[tuple[Floats, Floats]] = []
-    lowest: list[tuple[Floats, Floats, str, str]] = []  # times, h, place and symbol
+    lowest: list[tuple[Floats, Floats, str, str]] = []  # times, lowest h, place (text) and symbol
     if steps is not None:
         t, h = steps.t_s - zero, np.where(steps.both_valid, steps.h_m, np.nan)
         shown.append((t, h))

@@ -24,12 +24,12 @@ from logs.report.style import (
 from logs.verdict.types import VIOLATION_LIMIT_M
 from logs.verdict.verdict import PairSeries
 
-_DASHES = ("solid", "dash", "dot")  # line styles, if there are more pairs than colours
+_DASHES = ("solid", "dash", "dot")  # line styles that distinguish pairs of equal colour
 # ellipsoid norm at which the distance axis ends at the earliest, unless all values are smaller
 _MEASURE_SHOWN = 6.0
 _LIMITS_SHOWN = 3  # maximum number of pairs whose limit along the connecting line is drawn
 _PAIRS_SHOWN = 8  # number of pairs that are visible at first: the nearest ones
-_LISTED, _LISTED_PX = 8, 22  # pair names per line of the legend; height of a line, pixels
+_LISTED, _LISTED_PX = 8, 22  # number of pair names per line of the legend; height of a line, pixels
 
 Values = Callable[[Flight], tuple[Floats, Floats] | None]  # returns times and values of a flight
 

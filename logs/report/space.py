@@ -35,7 +35,7 @@ _SYMBOLS_3D = {"circle": "circle", "square-open": "square", "triangle-up": "diam
 
 
 class Track(NamedTuple):
-    """A path to draw: name, colour, dash, positions since the landing began (n, 3) in m."""
+    """A path to draw: name, colour, dash, and relative positions since the landing began, m, (n, 3)."""
 
     name: str
     color: str
@@ -175,7 +175,7 @@ class Path(NamedTuple):
 
 
 def paths(flight: Flight) -> list[Path]:
-    """Return the known paths of vehicle and target, true ones first."""
+    """Return the paths of vehicle and target that the log contains; true paths are first."""
     steps, truth, found = flight.steps, flight.truth, []
     if truth is not None:
         found.append(Path("vehicle", "true", truth.t_s, truth.position_enu_m))

@@ -51,7 +51,7 @@ _SPACE_PX = 640  # height of a spatial figure, pixels
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and distance of the legend below the axis, pixels
 POINTS_MAX = 4000  # maximum number of points per line; more points are not visible and make the page large
 _EVEN_S = 1e-3  # tolerance of evenly spaced times, s; within it, times are written as start and step
-_FAULT_STRIP = 0.965  # lower end of the strip that marks a fault, as a fraction of the row's height
+_FAULT_STRIP = 0.965  # lower edge of the strip that marks a fault, as a fraction of the row's height
 LABEL_SHARE = 0.05  # smallest fraction of the axis for a band with a name
 BEFORE_S, AFTER_S = 1.0, 3.0  # time shown initially before and after the landing, s
 
@@ -247,14 +247,14 @@ def value_range(first: Flight | Axis, shown: list[tuple[Floats, Floats]]) -> lis
 
 
 def low_envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Thin a curve by keeping the smallest value of each block, so that no minimum is lost."""
+    """Thin a curve: keep the smallest value of each block of samples, so that no minimum is lost."""
     step = max(1, -(-len(x) // POINTS_MAX))
     starts = np.arange(0, len(x), step)
     return x[starts], np.fmin.reduceat(y, starts) if len(x) else y
 
 
 def light(values: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Convert to four-byte floats: seven digits suffice on a screen and halve the page."""
+    """Convert numbers to four-byte floats: seven digits suffice on a screen and halve the page's size."""
     return np.asarray(values, dtype=np.float32)
 
 

@@ -1,4 +1,4 @@
-"""Tables of the report as HTML: of one flight, of two compared flights, of a fleet."""
+"""Makes the HTML tables of a report: of one flight, of two compared flights, or of a fleet."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def events_table(events: Sequence[Event], zero_s: float | None = None) -> str:
 
 
 def _at(t_s: float) -> str:
-    """Return a time since the landing began as a link into the figures."""
+    """Return a time since the start of the landing as an HTML link that moves the figures to it."""
     return time_link(t_s, number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}")
 
 
@@ -132,7 +132,7 @@ def links_table(streams: Sequence[Stream]) -> str:
 
 
 def severity(level: int) -> str:
-    """Return the name of a level, which is also the style of its row."""
+    """Return the name of an event's level, which is also the CSS class of its row."""
     return Severity(level).name.lower() if level in Severity._value2member_map_ else str(level)
 
 
@@ -207,7 +207,7 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
 
 
 def _found(side: Side, name: str, digits: int | None = None) -> str:
-    """Return one number of a flight as text."""
+    """Return one number of a flight as text for its table row."""
     _, _, usual, factor, value, _ = next(row for row in _NUMBERS if row[0] == name)
     return number(value(side), usual if digits is None else digits, factor)
 

@@ -1,4 +1,4 @@
-"""Timeline figure with lanes: phases, faults, valid and sent data, right of way, events."""
+"""Timeline figure with one lane for each kind of data: phases, faults, data, right of way, events."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _INTENT_COLORS = {
 
 
 class _Lanes:
-    """One figure of lanes, from top to bottom in the order of their first bar."""
+    """Builds a figure of lanes; lanes are from top to bottom in the order of their first bar."""
 
     def __init__(self, axis: Axis) -> None:
         self._figure, self._axis, self._names = go.Figure(), axis, dict[str, None]()

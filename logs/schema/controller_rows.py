@@ -1,4 +1,4 @@
-"""Inputs and decisions of a tick as rows of the log, and the messages between the vehicles of a fleet.
+"""Converts inputs and decisions of a tick, and the messages of a fleet, into rows of the log and back.
 
 Live flight and replay both fill the rows here. Every input number is stored and restored bit by bit, so that
 a replay makes the decisions of the flight.
@@ -89,7 +89,7 @@ def _sample(values: Iterable[Any]) -> TargetSample:
 
 
 def power_row(tick: Tick, power: Power | None, reserve: float) -> ControllerPowerRow:
-    """Return the battery and motor values received in a tick, and the estimated thrust reserve."""
+    """Return the row with battery and motor values received in a tick, and the estimated thrust reserve."""
     told = (
         (power.arrival_s, power.voltage_v, power.throttle, power.cos_tilt) if power is not None else _NO_POWER
     )
@@ -103,7 +103,7 @@ def unpack_power(data: bytes) -> Power | None:
 
 
 def step_row(tick: Tick, out: Outputs) -> ControllerStepRow:
-    """Return the decisions of a tick; missing values are NaN, since zero would be a valid value."""
+    """Return the row with the decisions of a tick; missing values are NaN, since zero is a valid value."""
     own, target, barrier, seen = out.snapshot.inputs.own, out.snapshot.target, out.barrier, out.snapshot
     nan = math.nan
     none = (nan, nan, nan)
@@ -174,7 +174,7 @@ def _neighbour(values: tuple[Any, ...]) -> Neighbour:
 
 
 class Echo(NamedTuple):
-    """Clock information about another member; the fields are those of ``FleetEcho.msg``."""
+    """Bound on another member's clock offset; the fields are those of ``FleetEcho.msg``."""
 
     id: int
     process: int

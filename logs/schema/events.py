@@ -1,4 +1,4 @@
-"""Events of ``/rosout``, ``rcl_interfaces/msg/Log``, plain texts, and the contact bits of a true state."""
+"""Packs events of ``/rosout`` (``rcl_interfaces/msg/Log``); contact bits of a true state."""
 
 from __future__ import annotations
 

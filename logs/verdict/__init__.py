@@ -1,1 +1,1 @@
-"""Judges a landing from its log."""
+"""Verdicts on flights, from their logs."""

@@ -37,11 +37,10 @@ from logs.verdict.types import (
     violated,
 )
 
-REST_SPEED_MAX_M_S = 0.10  # maximum speed at rest relative to the pad; the estimate is noisy even at rest
+REST_SPEED_MAX_M_S = 0.10  # maximum estimated speed relative to the pad at rest, m/s; estimates are noisy
 REST_HEIGHT_MAX_M = 0.05  # maximum distance of feet and pad beyond the configured gap; estimates drift
-REST_SEEN_S = (
-    0.5  # maximum time to the nearest valid state, s: at rest, states in mm repeat and count as stuck
-)
+# maximum time to the nearest valid state, s: at rest, states rounded to mm repeat and count as stuck
+REST_SEEN_S = 0.5
 _SAME_S = 1e-6  # tolerance of equal times, s; much shorter than a tick
 BEFORE_S = 0.3  # time before phase TOUCHDOWN, s: a gust may press the vehicle onto the pad before that phase
 AFTER_S = 1.0  # time after phase TOUCHDOWN, s: with the paper's rule the vehicle falls the last centimetres
@@ -55,7 +54,7 @@ BEGINS_SHARE = 0.95
 BEND_OF_NOISE = 1.65  # median size of the second difference of normal noise, in standard deviations
 FALL_S = 0.06  # time before the stop in which the last fast step is searched, s
 FIT_S = 0.05  # time before the contact that the straight line covers, s
-HEIGHT_ERROR_MAX_M = 0.05  # maximum error of both estimates together, beyond the configured gap
+HEIGHT_ERROR_MAX_M = 0.05  # maximum sum of both estimates' height errors, m, beyond the configured gap
 _NO_CONTACTS = "an estimate shows no contacts"
 
 

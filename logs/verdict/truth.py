@@ -27,7 +27,7 @@ from logs.verdict.types import (
     violated,
 )
 
-REST_SPEED_MAX_M_S = 0.05  # maximum speed at rest relative to the pad; sliding and rolling are faster
+REST_SPEED_MAX_M_S = 0.05  # maximum speed relative to the pad at rest, m/s; sliding and rolling are faster
 LAND_AWAY_SPEED_MAX_M_S = 1.0  # maximum sink rate of a landing after an abort, m/s; faster is a fall
 _SAME_S = 1e-6  # tolerance of equal times, s; much shorter than a tick
 
@@ -201,7 +201,7 @@ def _started_safe(truth: Truth, start_s: float) -> bool | None:
 
 
 def _covered(truth: Truth, start_s: float, begin: int) -> bool:
-    """Whether the true states have no gap since the landing began."""
+    """Whether the true states since the start of the landing have no gap."""
     t_s = np.concatenate(([start_s], truth.t_s[begin:]))
     return bool(np.max(np.diff(t_s)) <= GAP_MAX_S)
 

@@ -21,7 +21,7 @@ REST_TIME_S = 2.0  # time at rest after the motors stop, s
 GAP_MAX_S = 0.2  # longest time without data, s; events in a longer gap are unknown
 TRUTH = "truth"
 ESTIMATE = "estimate"
-SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # texts for ``judged_from``
+SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # texts of ``judged_from``
 BELOW_ON_PAD = (
     "h is the height above the boundary that the filter keeps. Over the pad it may be below 0 and does not "
     "count: beside the landing spot the boundary is higher than the reference point of a vehicle that stands "

@@ -130,16 +130,16 @@ class Near(Protocol):
     def other(self) -> int: ...
 
     @property
-    def distance_min_m(self) -> float: ...  # distance of the centres of mass; infinite: none yet
+    def distance_min_m(self) -> float: ...  # distance of the centres of mass, m; infinite at the start
 
     @property
-    def ellipsoid_min(self) -> float: ...  # smallest distance in the ellipsoid's measure; infinite: none yet
+    def ellipsoid_min(self) -> float: ...  # smallest distance in units of the ellipsoid; infinite at first
 
     @property
     def violations(self) -> int: ...  # number of times inside the ellipsoid
 
     @property
-    def collided_ms(self) -> int | None: ...  # first overlap of their shapes; None or negative: no overlap
+    def collided_ms(self) -> int | None: ...  # time of the first overlap; None or negative: no overlap
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +206,7 @@ def _reason(outcome: Outcome, judged: Mapping[str, Verdict], hits: Collection[st
 
 
 def judge_fleet(fleet: Fleet) -> FleetVerdict:
-    """Judge the flights of a log."""
+    """Return the verdict on a log with the flights of a fleet."""
     members = {name: judge(flight) for name, flight in fleet.flights.items()}
     return fleet_verdict(members, fleet.pairs.values(), fleet.ids, complete=pairs_known(fleet))
 
@@ -285,7 +285,7 @@ def least(values: Iterable[float | None]) -> float | None:
 
 
 class PairSeries(NamedTuple):
-    """Two members over time, from their true states; (n,) each."""
+    """Distance of two members over time, from their true states; arrays are (n,)."""
 
     name: str  # names of both members, for example cf1–cf2
     t_s: Floats  # seconds since the origin of the fleet

@@ -62,7 +62,7 @@ def blueprint(center_m: tuple[float, float, float], size_m: float, members: Sequ
 
 
 def _tabs(member: str) -> Iterator[Any]:
-    """Yield the curves of one flight."""
+    """Yield a tab with the curves of each flight."""
 
     def plot(origin: str, name: str, legend: Corner = "RightTop") -> Any:
         return _plot(of_member(origin, member), name, legend)
@@ -92,7 +92,7 @@ def _tabs(member: str) -> Iterator[Any]:
 
 
 def _fleet(members: Sequence[str]) -> Any:
-    """Return the phases of all members."""
+    """Return the view with the phases of all members."""
     phases = [of_member(PHASE, member) for member in members]
     return rrb.StateTimelineView(origin="/", contents=[f"+ {each}" for each in phases], name="Fleet")
 
@@ -111,7 +111,7 @@ def of_member(entity: str, member: str) -> str:
 
 
 class Canvas:
-    """A recording stream with its state between two parts of a flight."""
+    """A Rerun recording stream, with the state that is needed between two parts of a flight."""
 
     def __init__(
         self, stream: rr.RecordingStream, origin_ns: int, member: str = "", own_color: Color | str = OWN_COLOR

@@ -1,4 +1,4 @@
-"""Shows a flight in Rerun while it flies: the figures of ``view``, made from the received rows."""
+"""Shows a flight in Rerun during the flight: the figures of ``view``, made from the received rows."""
 
 from __future__ import annotations
 

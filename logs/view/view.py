@@ -46,7 +46,7 @@ _LEVELS: dict[int, str] = {
     Severity.ERROR: "ERROR",
     Severity.FATAL: "CRITICAL",
 }
-# Curves of the controller steps: entity, field, factor, colour.
+# curves of the controller steps: entity, field of the step, factor, colour
 _CURVES = (
     ("/safety/h/controller", "h_m", 1.0, markers.OWN_COLOR),
     ("/safety/slack", "slack_m_s", 1.0, markers.OWN_COLOR),
@@ -107,7 +107,7 @@ def open_viewer(recording: Path, *, web: bool) -> int:
 
 def viewer_program() -> str:
     """Return the path of Rerun's program."""
-    beside = Path(sys.executable).with_name("rerun")  # the program of this Python environment
+    beside = Path(sys.executable).with_name("rerun")  # path of the program in this Python environment
     program = str(beside) if beside.exists() else shutil.which("rerun")
     if program is None:
         raise FileNotFoundError(f"no program `rerun` at {beside} or in PATH; pip install rerun-sdk again")
