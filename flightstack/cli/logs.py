@@ -7,15 +7,12 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import click
 
 from flightstack.common.options import Option, takes
 from flightstack.common.text import plain, without_rerun
-
-if TYPE_CHECKING:
-    from logs.reader.reader import LogFile
 
 DONE, BROKEN = 0, 1
 LANDED, NOT_LANDED = 0, 1
@@ -31,19 +28,6 @@ def log() -> None:
 
     Exit status: 0 done, 1 the LOG is broken (its readable part was used), 2 wrong input.
     """
-
-
-@log.command()
-@_log
-@_member
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def info(log_file: Path, member: str | None, as_json: bool) -> None:
-    """Show duration, topics, metadata and attachments of a LOG, and whether it is complete."""
-    from logs import info as tools_info
-
-    found = tools_info.gather(_open(log_file, member))
-    click.echo(json.dumps(found) if as_json else plain("\n".join(tools_info.lines(found))))
-    sys.exit(DONE if found["complete"] else BROKEN)
 
 
 @log.command()
@@ -98,12 +82,6 @@ def compare(log_a: Path, log_b: Path) -> None:
     if differences and (tick := first_tick(log_a, log_b)) is not None:
         click.echo(f"the first tick that differs: {tick}")
     sys.exit(1 if differences else 0)
-
-
-def _open(path: Path, member: str | None) -> LogFile:
-    from logs.reader.reader import LogFile
-
-    return LogFile(path, member)
 
 
 @dataclass(frozen=True, kw_only=True)

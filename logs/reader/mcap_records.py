@@ -78,7 +78,6 @@ class Records:
         self._declared: dict[tuple[type, int], Any] = {}  # declarations by kind and id
         self._repeated: dict[tuple[type, int], Any] | None = None  # declarations in the summary of the file
         self._first, self._places = "", 0  # first unreadable record; number of unreadable records
-        self.broken_at = self._size  # first unreadable byte; the size of the file if there is none
 
     @property
     def problem(self) -> str:
@@ -86,9 +85,9 @@ class Records:
         more = self._places - 1
         return self._first + (f"; so in {more} more place{'s' * (more > 1)}" if more > 0 else "")
 
-    def _damaged(self, what: str, at: int, error: Exception) -> None:
+    def _damaged(self, what: str, error: Exception) -> None:
         if not self._places:
-            self._first, self.broken_at = f"{what} ({_reason(error)})", at
+            self._first = f"{what} ({_reason(error)})"
         self._places += 1
 
     def __iter__(self) -> Iterator[Any]:
@@ -107,13 +106,13 @@ class Records:
                         _check_crc(crc if kind == Opcode.DATA_END else zlib.crc32(head, crc), body)
                 except Exception as error:  # a library may raise any exception for damaged bytes
                     end = at + len(head) + length
-                    self._damaged(f"bytes {at} to {end} of {self._size} cannot be read", at, error)
+                    self._damaged(f"bytes {at} to {end} of {self._size} cannot be read", error)
                 crc = 0 if kind == Opcode.DATA_END else zlib.crc32(body, zlib.crc32(head, crc))
                 at += len(head) + length
             if self._stream.read(len(MAGIC) + 1) != MAGIC:
                 raise DamageError("the closing magic is needed there")
         except DamageError as error:
-            self._damaged(f"nothing after byte {at} of {self._size} can be read", at, error)
+            self._damaged(f"nothing after byte {at} of {self._size} can be read", error)
 
     def _head(self, head: bytes, at: int) -> tuple[int, int]:
         """Return the kind of the record at a byte of the file, and the length of its content."""
@@ -160,7 +159,7 @@ class Records:
                 else:
                     self._declare(_understood(kind, data[begin:at], _DECLARED), found)
             except Exception as error:  # a library may raise any exception for damaged bytes
-                self._damaged(f"a record at byte {place} cannot be read", place, error)
+                self._damaged(f"a record at byte {place} cannot be read", error)
         return found
 
     def _from_summary(self, channel: int, found: list[Any]) -> None:

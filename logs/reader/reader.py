@@ -150,14 +150,12 @@ class Message(NamedTuple):
 class Outline:
     """Content of a log file without its messages."""
 
-    profile: str = ""
     library: str = ""  # program that wrote the file
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: list[Attachment] = field(default_factory=list)
     # message types of this stack whose fields in the file differ from this version
     foreign: set[str] = field(default_factory=set)
     problem: str = ""  # kind, place and reason of the first unreadable record; empty: all are readable
-    broken_at: int = 0  # first unreadable byte; the size of the file if there is none
 
 
 class LogFile:
@@ -225,7 +223,7 @@ class LogFile:
                 f"{self.path} was recorded by another version of this stack: {self.made_by}. "
                 f"The fields of its {' and '.join(foreign)} messages are not those of this version, "
                 f"{version('crazyflie-flightstack')}. Read it with the version that recorded it; "
-                "`flightstack log info` and the tools of MCAP read it as it is"
+                "the tools of MCAP read it as it is"
             )
 
     @property
@@ -308,10 +306,10 @@ class LogFile:
                 elif isinstance(record, Attachment):
                     found.attachments.append(record)
                 elif isinstance(record, Header):
-                    found.profile, found.library = record.profile, record.library
+                    found.library = record.library
                 elif isinstance(record, Schema) and not same_fields(
                     record.name, record.data.decode(errors="replace")
                 ):
                     found.foreign.add(record.name)
-        found.problem, found.broken_at = records.problem, records.broken_at
+        found.problem = records.problem
         return found

@@ -21,6 +21,7 @@ from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Nodetype
 
+from logs.reader.reader import LogFile
 from logs.schema.mavlink import unpack_mavlink
 from tests.integration.runs import COMMAND, flightstack
 from tests.processes.bounded import killed, lines_of
@@ -70,7 +71,7 @@ def test_own_odometry_is_what_the_vehicle_sent(bag):
 
 def test_every_raw_frame_is_also_decoded_and_names_its_peer(log, bag):
     raw = [m for topic in ("/uas1/mavlink_source", "/uas1/mavlink_sink") for _, m in bag[topic]]
-    peers = flightstack("log", "info", "--json", log).json["metadata"]["cf1/mavlink_peers"]
+    peers = LogFile(log).metadata()["cf1/mavlink_peers"]
     assert {m.header.frame_id for m in raw} == set(peers) == {"p00"}
     assert re.fullmatch(r"127\.0\.0\.1:\d+", peers["p00"])
     decoded = {topic: len(ms) for topic, ms in bag.items() if topic.startswith("/cf1/mavlink/")}

@@ -5,9 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from flightstack.cli.main import main
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
@@ -133,4 +131,3 @@ def test_a_log_with_other_fields_names_the_version_that_recorded_it(log, monkeyp
         load_flight(log)
     with pytest.raises(ReplayError, match=told):
         replay(log)
-    assert CliRunner().invoke(main, ["log", "info", str(log)]).exit_code == 0
