@@ -137,12 +137,11 @@ def record(options: RecordOptions) -> None:
 
 @click.command()
 @click.argument("log", type=click.Path(exists=True, path_type=Path))
-@click.argument("other", type=click.Path(exists=True, path_type=Path), required=False)
 @click.option("--member", metavar="NAME", help="Take the flight of this member of a fleet, e.g. cf2.")
 @click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="HTML file; default: next to the log, report.html for flight.mcap, or comparison.html.",
+    help="HTML file; default: next to the log, report.html for flight.mcap.",
 )
 @click.option(
     "--json",
@@ -150,27 +149,21 @@ def record(options: RecordOptions) -> None:
     is_flag=True,
     help="Print the verdict as a JSON object, with the keys of `sitl --json`.",
 )
-def report(log: Path, other: Path | None, member: str | None, out: Path | None, as_json: bool) -> None:
-    """Write the report of a LOG, or a comparison with an OTHER: one self-contained HTML page.
+def report(log: Path, member: str | None, out: Path | None, as_json: bool) -> None:
+    """Write the report of a LOG: one self-contained HTML page.
 
     A fleet has one page for all members together, and one page for each member.
 
     The command prints the verdict on the LOG and the path of the page. Exit status: 0 written, 2 wrong input.
     """
-    from logs.report.report import write_comparison, write_report
+    from logs.report.report import write_report
+    from logs.verdict.verdict import fleet_result, judged
 
-    if other is None:
-        from logs.verdict.verdict import fleet_result, judged
-
-        fleet, verdict = judged(log, member)
-        values = fleet_result(fleet, verdict, write_report(fleet, verdict, out))
-        show_verdict(values, as_json=as_json)
-        if not as_json:
-            click.echo(plain(values["report"]))
-    elif as_json:
-        raise click.UsageError("--json is for the report of one LOG, not for a comparison")
-    else:
-        click.echo(plain(write_comparison(log, other, out, member)))
+    fleet, verdict = judged(log, member)
+    values = fleet_result(fleet, verdict, write_report(fleet, verdict, out))
+    show_verdict(values, as_json=as_json)
+    if not as_json:
+        click.echo(plain(values["report"]))
 
 
 @click.command()

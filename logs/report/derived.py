@@ -221,7 +221,7 @@ def missing(numbers: Sequence[int]) -> int | None:
 class Side(NamedTuple):
     """A flight as one side of a report page, with the data that the page shows."""
 
-    name: str  # name of the side: "A" or "B" in a comparison, the member in a fleet, else empty
+    name: str  # name of the member of a fleet; empty for a single flight
     flight: Flight
     verdict: Verdict
     streams: list[Stream]  # message traffic; empty for the member of a fleet
@@ -233,10 +233,10 @@ class Side(NamedTuple):
         return f"{self.name} " if self.name else ""
 
 
-def side_of(name: str, flight: Flight, verdict: Verdict) -> Side:
+def side_of(flight: Flight, verdict: Verdict) -> Side:
     """Return a flight with its traffic; its times count from the start of the landing."""
     streams = load_streams(flight.path, flight.origin_ns, flight.member)
-    return Side(name, flight, verdict, streams, -(flight.landing_start_s or 0.0))
+    return Side("", flight, verdict, streams, -(flight.landing_start_s or 0.0))
 
 
 def touch_index(flight: Flight) -> int | None:

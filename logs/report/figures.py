@@ -14,13 +14,10 @@ from logs.report.timeline import timeline
 from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
 from logs.verdict.verdict import PairSeries
 
-_ALTITUDE = "Relative altitude over horizontal distance"
-_BARRIER = "Barrier value over time"
-
 
 def panels(side: Side) -> list[Panel]:
     """Return the figures of one flight; the first is the main picture."""
-    flight, axis = side.flight, axis_of([side.flight])
+    flight, axis = side.flight, axis_of(side.flight)
     both = "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
     source = both if flight.truth is not None else "The vehicle's own estimate; the log holds no true states."
     edge = "" if flight.barrier is not None else " The log does not name the barrier; none is drawn."
@@ -34,11 +31,12 @@ def panels(side: Side) -> list[Panel]:
             timeline([side], axis, flight.events, -side.offset_s),
         ),
         Panel(
-            "altitude", _ALTITUDE, f"{source} Shaded: unsafe, h < 0.{edge}",
-            space.altitude_over_distance([side]), "Fig. 8, 11",
+            "altitude", "Relative altitude over horizontal distance",
+            f"{source} Shaded: unsafe, h < 0.{edge}",
+            space.altitude_over_distance(side), "Fig. 8, 11",
         ),
         Panel(
-            "barrier", _BARRIER,
+            "barrier", "Barrier value over time",
             f"{_barrier_source(flight)} Dotted: −5 mm, the limit of a violation outside the pad. {_MARGIN}",
             series.barrier_over_time(flight, side.verdict), "Fig. 9a, 13a",
         ),
@@ -57,30 +55,11 @@ def panels(side: Side) -> list[Panel]:
     ]  # fmt: skip
 
 
-def compared_panels(sides: Sequence[Side]) -> list[Panel]:
-    """Return the figures of two flights; the first is the main picture."""
-    axis = axis_of([side.flight for side in sides])
-    both = "A is blue, B is orange; each on the time since its own landing began."
-    best = f"{both} From true states where the log has them, else by the vehicle's estimate."
-    return [
-        Panel("altitude", _ALTITUDE, best, space.altitude_over_distance(sides)),
-        Panel("timeline", "Phases and faults", both, timeline(sides, axis)),
-        Panel("barrier", _BARRIER, best, several.series(sides, axis, several.best_h, "h [m]")),
-        Panel("sent", "Velocity sent", both, several.vectors(sides, axis, several.velocity_sent)),
-        Panel("flown", "Velocity flown", best, several.vectors(sides, axis, several.velocity_flown)),
-        Panel(
-            "error", "Error of the estimated h", f"{both} Needs true states.",
-            several.series(sides, axis, several.h_error_mm, "error of h [mm]"),
-        ),
-    ]  # fmt: skip
-
-
 def fleet_panels(
     fleet: Fleet, sides: Sequence[Side], messages: FleetMessages, pairs: Sequence[PairSeries]
 ) -> list[Panel]:
     """Return the figures of a fleet; the first is the main picture."""
     axis = fleet_axis(fleet)
-    h = several.series(sides, axis, several.best_h, "h [m]", hovermode="closest")
     return [
         Panel("room", "All paths in the room", _ROOM, space.room_3d(sides)),
         Panel(
@@ -89,7 +68,7 @@ def fleet_panels(
         ),
         Panel("plan", "Paths from above", _ROOM, space.plan(sides)),
         Panel("pairs", "Distance of each pair", _NEAR, several.distances(pairs, axis)),
-        Panel("barriers", "Barrier value of each member", _BARRIERS, h),
+        Panel("barriers", "Barrier value of each member", _BARRIERS, several.barriers(sides, axis)),
     ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Makes the HTML report of a log: of one flight, of two compared flights, or of a fleet."""
+"""Makes the HTML report of a log: of one flight, or of a fleet."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 from flightstack.config.options import repeated
 from logs.reader.fleet_messages import FleetMessages, load_messages
 from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
-from logs.reader.reader import LogFile
 from logs.report import tables
 from logs.report.derived import Side, side_of
 from logs.report.page import (
@@ -28,14 +27,13 @@ from logs.schema import FLEET, SCENARIO
 from logs.verdict.types import SOURCES, TRUTH, Outcome, Verdict
 from logs.verdict.verdict import (
     FleetVerdict,
-    judged,
     judged_apart,
     outside_envelope,
     pair_series,
     pairs_known,
 )
 
-__all__ = ["ReportError", "write_comparison", "write_page", "write_report"]
+__all__ = ["ReportError", "write_page", "write_report"]
 
 _FILES = ((ATTACHMENT, "Configuration of the onboard process"), (SCENARIO, "Scenario, whole"))
 _FAULTS = "Injected by the scenario; in the figures a red strip on top."
@@ -80,18 +78,11 @@ def _beside(log: Path, of_member: str = "") -> Path:
     return log.with_name(f"{'report' if log.name == 'flight.mcap' else log.stem}{of_member}.html")
 
 
-def write_comparison(log_a: Path, log_b: Path, out: Path | None = None, member: str | None = None) -> Path:
-    """Write the page that compares two logs, by default ``comparison.html`` beside the second one."""
-    need_libraries()
-    target = log_b.with_name("comparison.html") if out is None else out
-    return write(target, _comparison(_side("A", log_a, member), _side("B", log_b, member)))
-
-
 def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page:
     """Return the report of a flight; ``of``: page of its fleet, to which the report links."""
     from logs.report.figures import panels
 
-    side, run = side_of("", flight, verdict), flight.metadata.get("run", {})
+    side, run = side_of(flight, verdict), flight.metadata.get("run", {})
     picture, timeline, *figures = panels(side)
     title = run.get("scenario", flight.path.stem)
     if flight.label not in title:
@@ -111,7 +102,10 @@ def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page
             ],
             *figures,
             Panel("links", "Links", "Counted from the recorded traffic.", tables.links_table(side.streams)),
-            _events(side, "events", "Events", "Times since the landing began; each is a link."),
+            Panel(
+                "events", "Events", "Times since the landing began; each is a link.",
+                tables.events_table(flight.events, -side.offset_s), style=_EVENTS,
+            ),
             repeat_section(flight),
             [
                 Panel("run", "Run", "", tables.run_table(flight)),
@@ -170,50 +164,10 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
     )  # fmt: skip
 
 
-def _comparison(a: Side, b: Side) -> Page:
-    """Return the page that compares two flights."""
-    from logs.report.figures import compared_panels
-
-    worse = max((tables.headline(s.verdict)[1] for s in (a, b)), key=("good", "fair", "bad").index)
-    outcomes = " · ".join(f"{s.name} {tables.headline(s.verdict)[0]}" for s in (a, b))
-    runs = [(s, s.flight.metadata.get("run", {})) for s in (a, b)]
-    picture, *figures = compared_panels((a, b))
-    return Page(
-        " and ".join(run.get("scenario", s.flight.path.stem) for s, run in runs) + ", compared",
-        (outcomes, worse),
-        " · ".join(", ".join([f"{s.name}: {s.flight.path}", *_flown(run)]) for s, run in runs),
-        tables.key_numbers(a, b),
-        [
-            picture,
-            Panel("numbers", "Key numbers", "", tables.result_table(a, b)),
-            Panel(
-                "settings", "Different settings", "Run, versions and configuration.",
-                tables.compared_settings(a.flight, b.flight),
-            ),
-            time_bar(events=False),
-            *figures,
-            [_events(s, f"events-{s.name}", f"Events of {s.name}", "") for s in (a, b)],
-        ],
-        [f"{s.name}: {text}" for s in (a, b) for text in warnings(s.flight, s.verdict)],
-    )  # fmt: skip
-
-
-def _side(name: str, log: Path, member: str | None) -> Side:
-    _, *others = LogFile(log).members
-    flown = LogFile(log, member if others else None).single().member  # the log may have a single flight
-    fleet, verdict = judged(log, flown)
-    ((who, flight),) = fleet.flights.items()
-    return side_of(name, flight, verdict.members[who])
-
-
 def _flown(run: Mapping[str, str]) -> list[str]:
     """Return seed, filter and mode of a run, if the log contains them."""
     named = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
     return named + ([run["mode"]] if "mode" in run else [])
-
-
-def _events(side: Side, key: str, title: str, note: str) -> Panel:
-    return Panel(key, title, note, tables.events_table(side.flight.events, -side.offset_s), style=_EVENTS)
 
 
 def _configuration(

@@ -1,17 +1,16 @@
-"""Figures of several flights over time: two compared flights, or the members of a fleet."""
+"""Figures of the members of a fleet over time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
 
 from logs.reader.flight_data import Flight, Floats
 from logs.recorder.markers import COLORS, PAIR_COLORS
-from logs.report.derived import Side, estimate_errors
-from logs.report.series import AXES, sent_m_s
+from logs.report.derived import Side
 from logs.report.style import (
     BOUNDARY,
     UNSAFE,
@@ -31,8 +30,6 @@ _LIMITS_SHOWN = 3  # maximum number of pairs whose limit along the connecting li
 _PAIRS_SHOWN = 8  # number of pairs that are visible at first: the nearest ones
 _LISTED, _LISTED_PX = 8, 22  # number of pair names per line of the legend; height of a line, pixels
 
-Values = Callable[[Flight], tuple[Floats, Floats] | None]  # returns times and values of a flight
-
 
 def best_h(flight: Flight) -> tuple[Floats, Floats] | None:
     """Return h since the landing began: the true h if known, or else the controller's h."""
@@ -46,29 +43,11 @@ def best_h(flight: Flight) -> tuple[Floats, Floats] | None:
     return low_envelope(t_s[t_s >= start_s], h_m[t_s >= start_s])
 
 
-def h_error_mm(flight: Flight) -> tuple[Floats, Floats] | None:
-    found = estimate_errors(flight)
-    return None if found is None else (found.t_s, 1e3 * found.h_m)
-
-
-def velocity_sent(flight: Flight) -> tuple[Floats, Floats] | None:
-    steps = flight.steps
-    return None if steps is None or not steps.setpoint_sent.any() else (steps.t_s, sent_m_s(steps))
-
-
-def velocity_flown(flight: Flight) -> tuple[Floats, Floats] | None:
-    if flight.truth is not None:
-        return flight.truth.t_s, flight.truth.velocity_enu_m_s
-    return None if flight.steps is None else (flight.steps.t_s, flight.steps.own_velocity_enu_m_s)
-
-
-def series(
-    sides: Sequence[Side], axis: Axis, values: Values, title: str, hovermode: str = "x unified"
-) -> go.Figure | None:
-    """Draw one line per flight over time; a figure of h also has the boundary and the violation limit."""
+def barriers(sides: Sequence[Side], axis: Axis) -> go.Figure | None:
+    """Draw h of each flight over time, with the boundary and the violation limit."""
     traces, shown = [], []
     for number, side in enumerate(sides):
-        found = values(side.flight)
+        found = best_h(side.flight)
         if found is None or not np.isfinite(found[1]).any():
             continue
         t, y = found[0] + side.offset_s, np.where(np.isfinite(found[1]), found[1], np.nan)
@@ -76,28 +55,11 @@ def series(
         traces.append((1, line(t, y, side.name, COLORS[number % len(COLORS)], width=1.6)))
     if not shown:
         return None
-    y_axis = {"title_text": title, "range": value_range(axis, shown)}
-    figure = chart(axis, 360, traces, y_axis, hovermode=hovermode)
-    if values is best_h:
-        figure.add_hrect(y0=-100.0, y1=0.0, fillcolor=UNSAFE, line={"width": 0}, layer="below")
-        figure.add_hline(VIOLATION_LIMIT_M, line={"color": BOUNDARY, "width": 1, "dash": "dot"})
+    y_axis = {"title_text": "h [m]", "range": value_range(axis, shown)}
+    figure = chart(axis, 360, traces, y_axis, hovermode="closest")
+    figure.add_hrect(y0=-100.0, y1=0.0, fillcolor=UNSAFE, line={"width": 0}, layer="below")
+    figure.add_hline(VIOLATION_LIMIT_M, line={"color": BOUNDARY, "width": 1, "dash": "dot"})
     return figure
-
-
-def vectors(sides: Sequence[Side], axis: Axis, values: Values) -> go.Figure | None:
-    """Draw three components of a velocity, one line per flight."""
-    traces = []
-    for number, side in enumerate(sides):
-        found = values(side.flight)
-        if found is None:
-            continue
-        for row in (1, 2, 3):
-            look = {"width": 1.5, "legendgroup": side.name, "showlegend": row == 1}
-            t, y = found[0] + side.offset_s, found[1][:, row - 1]
-            traces.append((row, line(t, y, side.name, COLORS[number % len(COLORS)], **look)))
-    if not traces:
-        return None
-    return chart(axis, 640, traces, *({"title_text": f"{name} [m/s]"} for name in AXES), spacing=0.045)
 
 
 def distances(pairs: Sequence[PairSeries], axis: Axis) -> go.Figure | None:

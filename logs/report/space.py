@@ -112,42 +112,30 @@ def _surface(flight: Flight, distance_max_m: float) -> go.Surface:
     )  # fmt: skip
 
 
-def altitude_over_distance(sides: Sequence[Side]) -> go.Figure | None:
-    """Draw e_z over d with the boundary; of several flights, draw only the most accurate path of each."""
-    drawn = [(side, relative_tracks(side.flight)) for side in sides]
-    every = [track for _, tracks in drawn for track in tracks]
-    if not every:
+def altitude_over_distance(side: Side) -> go.Figure | None:
+    """Draw e_z over d with the boundary."""
+    flight, tracks = side.flight, relative_tracks(side.flight)
+    if not tracks:
         return None
-    figure, alone = go.Figure(), len(sides) == 1
-    far = _distance_max_m(every)
-    heights = np.concatenate([t.points_m[:, 2] for t in every])
+    figure, far = go.Figure(), _distance_max_m(tracks)
+    heights = np.concatenate([t.points_m[:, 2] for t in tracks])
     bottom, top = min(-0.05, float(np.nanmin(heights)) - 0.03), float(np.nanmax(heights))
-    d = np.linspace(0.0, far, 300)
-    for place, side in enumerate(each for each in sides if each.flight.barrier is not None):
-        b = boundary_height_m(side.flight, d)
-        top, name = max(top, float(b.max())), f"boundary h = 0{' of ' * (not alone)}{side.name}"
-        if place:
-            figure.add_trace(line(d, b, name, LIMIT, width=1.4, dash="dash"))
-            continue
-        floor = np.full_like(d, bottom - 1.0)
+    if flight.barrier is not None:
+        d = np.linspace(0.0, far, 300)
+        b = boundary_height_m(flight, d)
+        top, floor = max(top, float(b.max())), np.full_like(d, bottom - 1.0)
         figure.add_trace(line(d, floor, "", "rgba(0,0,0,0)", showlegend=False, hoverinfo="skip"))
-        figure.add_trace(
-            line(d, b, f"{name}, unsafe below", BOUNDARY, width=2.2, fill="tonexty", fillcolor=UNSAFE)
-        )
-    for number, (side, tracks) in enumerate(drawn):
-        color = COLORS[number % len(COLORS)]
-        for track in tracks if alone else tracks[-1:]:  # the last track is the most accurate one
-            distance = np.hypot(track.points_m[:, 0], track.points_m[:, 1])
-            name = f"vehicle ({track.name})" if alone else f"{side.name}, {track.name}"
-            look = {"dash": track.dash, "width": 2.4 if track.dash == "solid" else 1.6}
-            figure.add_trace(
-                line(distance, track.points_m[:, 2], name, track.color if alone else color, **look)
-            )
-        for name, e_m, symbol in _places(side.flight, tracks[-1].points_m) if tracks else ():
-            d_m, ink = float(np.hypot(e_m[0], e_m[1])), INK if alone else color
-            marker(figure, d_m, float(e_m[2]), f"{side.of}{name}", symbol, ink, showlegend=alone)
+        name = "boundary h = 0, unsafe below"
+        figure.add_trace(line(d, b, name, BOUNDARY, width=2.2, fill="tonexty", fillcolor=UNSAFE))
+    for track in tracks:
+        distance = np.hypot(track.points_m[:, 0], track.points_m[:, 1])
+        look = {"dash": track.dash, "width": 2.4 if track.dash == "solid" else 1.6}
+        name = f"vehicle ({track.name})"
+        figure.add_trace(line(distance, track.points_m[:, 2], name, track.color, **look))
+    for name, e_m, symbol in _places(flight, tracks[-1].points_m):  # the last track is the most accurate one
+        marker(figure, float(np.hypot(e_m[0], e_m[1])), float(e_m[2]), name, symbol, INK, showlegend=True)
     figure.add_vline(
-        sides[0].flight.pad_radius_m, line={"color": LIMIT, "width": 1, "dash": "dot"},
+        flight.pad_radius_m, line={"color": LIMIT, "width": 1, "dash": "dot"},
         annotation={"text": "pad radius", "font": {"size": 12, "color": LIMIT}, "yanchor": "top"},
     )  # fmt: skip
     layout(figure, 460)

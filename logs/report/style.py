@@ -7,7 +7,7 @@ has the same meaning in every figure; true and estimated values also differ by d
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -158,13 +158,10 @@ class Axis(NamedTuple):
     first: list[float]  # initial range of the axis
 
 
-def axis_of(flights: Sequence[Flight]) -> Axis:
-    """Return the axis of flights whose times count from the start of their landing."""
-    began = any(flight.landing_start_s is not None for flight in flights)
-    shown = [shown_range(flight) for flight in flights]
-    landing = [min(low for low, _ in shown), max(high for _, high in shown)]
-    ends_s = [flight.duration_s - zero_s(flight) for flight in flights]
-    whole = [min(-zero_s(flight) for flight in flights), max(ends_s)]
+def axis_of(flight: Flight) -> Axis:
+    """Return the axis of a flight whose times count from the start of its landing."""
+    began, zero = flight.landing_start_s is not None, zero_s(flight)
+    landing, whole = shown_range(flight), [-zero, flight.duration_s - zero]
     return Axis(f"time since the {'landing' if began else 'log'} began [s]", landing, whole, landing)
 
 
@@ -202,7 +199,7 @@ def chart(
     layout(figure, height_px, legend_px)
     if isinstance(of, Flight):
         add_phases(figure, of, rows=rows)
-    time_axis(figure, axis_of([of]) if isinstance(of, Flight) else of, rows, hovermode)
+    time_axis(figure, axis_of(of) if isinstance(of, Flight) else of, rows, hovermode)
     for row, axis in enumerate(axes, 1):
         figure.update_yaxes(**axis, row=row, col=1)
     return figure

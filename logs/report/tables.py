@@ -1,4 +1,4 @@
-"""Makes the HTML tables of a report: of one flight, of two compared flights, or of a fleet."""
+"""Makes the HTML tables of a report: of one flight, or of a fleet."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from flightstack.common.strict_toml import to_table
 from flightstack.core.mission.machine import parse
 from logs.reader.fleet_messages import FleetMessages, waited_s
 from logs.reader.flight_data import Event, Fleet, Flight, Floats, Steps, Timing, phase_name
@@ -212,65 +211,25 @@ def _found(side: Side, name: str, digits: int | None = None) -> str:
     return number(value(side), usual if digits is None else digits, factor)
 
 
-def key_numbers(*sides: Side) -> list[tuple[str, str, str]]:
-    """Return name, value and unit of the four key numbers of one landing, or of two."""
-    of = ", A · B" if len(sides) > 1 else ""
-    return [
-        (f"{name}{of}", " · ".join(_found(side, name) for side in sides), unit)
-        for name, unit, *_ in _NUMBERS
-        if name in _KEYS
+def key_numbers(side: Side) -> list[tuple[str, str, str]]:
+    """Return name, value and unit of the four key numbers of a landing."""
+    return [(name, _found(side, name), unit) for name, unit, *_ in _NUMBERS if name in _KEYS]
+
+
+def result_table(side: Side) -> str:
+    """Return the verdict with units."""
+    verdict = side.verdict
+    rows = [
+        ("outcome", verdict.outcome.value, "", verdict.reason),
+        ("barrier violation", YES_NO[verdict.violation], "", "h < −5 mm outside the pad, begun with h ≥ 0"),
+        ("began safe", YES_NO[verdict.started_safe], "", "h ≥ 0 when the landing began"),
     ]
-
-
-def result_table(*sides: Side) -> str:
-    """Return the verdicts with units; for two flights with the difference of each number."""
-    both = len(sides) > 1
-    words: list[tuple[str, Callable[[Side], str], str]] = [
-        ("outcome", lambda s: s.verdict.outcome.value, "" if both else sides[0].verdict.reason),
-        ("barrier violation", lambda s: YES_NO[s.verdict.violation],
-         "h < −5 mm outside the pad, begun with h ≥ 0"),
-        ("began safe", lambda s: YES_NO[s.verdict.started_safe], "h ≥ 0 when the landing began"),
-    ]  # fmt: skip
-    rows = [(name, *map(text, sides), *[""] * both, "", meaning) for name, text, meaning in words]
     for name, unit, digits, factor, value, meaning in _NUMBERS:
-        found = [None if (v := value(side)) is None else factor * v for side in sides]
-        shown = [number(v, digits) for v in found]
-        if both:
-            change = None if found[0] is None or found[-1] is None else found[-1] - found[0]
-            sign = "+" if change is not None and round(change, digits) > 0.0 else ""
-            shown.append(sign + number(change, digits))
-        if name == _VERTICAL and max(v or 0.0 for v in found) > FALL_M_S:
+        found = value(side)
+        if name == _VERTICAL and (found or 0.0) > FALL_M_S:
             meaning = f"{meaning}. {FALLS}"
-        rows.append((name, *shown, unit, meaning))
-    names = ("A", "B", "B − A") if both else ("value",)
-    return table(("result", *names, "unit", "meaning"), rows, numbers=range(1, 1 + len(names))) + part(
-        "definitions"
-    )
-
-
-def compared_settings(a: Flight, b: Flight) -> str:
-    rows: list[tuple[str, str, str]] = []
-    of_a, of_b = _all_settings(a), _all_settings(b)
-    for key in sorted(of_a.keys() | of_b.keys()):
-        left, right = of_a.get(key, "–"), of_b.get(key, "–")
-        if left != right:
-            rows.append((key, left, right))
-    return table(("setting", "A", "B"), rows, empty="The logs name no setting that differs.")
-
-
-def _all_settings(flight: Flight) -> dict[str, str]:
-    found = {f"{n}.{key}": v for n in ("run", "made") for key, v in flight.metadata.get(n, {}).items()}
-    if flight.config is not None:
-        _flatten("onboard", to_table(flight.config), found)
-    return found
-
-
-def _flatten(prefix: str, values: object, found: dict[str, str]) -> None:
-    if isinstance(values, dict):
-        for key, value in values.items():
-            _flatten(f"{prefix}.{key}", value, found)
-    else:
-        found[prefix] = str(values)
+        rows.append((name, number(found, digits, factor), unit, meaning))
+    return table(("result", "value", "unit", "meaning"), rows, numbers=(1,)) + part("definitions")
 
 
 _DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # en dash without a line break before or after it

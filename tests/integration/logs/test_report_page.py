@@ -10,7 +10,7 @@ from html.parser import HTMLParser
 import pytest
 
 from logs.reader.flight import load_fleet
-from logs.report.report import write_comparison, write_report
+from logs.report.report import write_report
 from logs.verdict.verdict import judged
 from tests.fleet_log import fly_fleet, near
 from tests.synthetic_flight import landing, write_log
@@ -148,26 +148,6 @@ def test_poor_logs_give_a_page_that_says_so(tmp_path, browse, kind):
     assert seen.body["data-figures"] == seen.body["data-figures-drawn"]
     assert "Mind when reading" in seen.text
     assert expected in seen.text
-
-
-def test_a_comparison_draws_both_flights(tmp_path, browse):
-    other = landing()
-    other.run |= {"scenario": "another", "seed": "8"}
-    other.truth = []
-    a, b = write_log(tmp_path / "a.mcap", landing()), write_log(tmp_path / "b.mcap", other, complete=False)
-    dom, console = browse(write_comparison(a, b))
-    assert errors(console) == []
-    seen = Page(dom)
-    assert int(seen.body["data-figures"]) >= 5
-    assert seen.body["data-figures"] == seen.body["data-figures-drawn"]
-    for words in (
-        "synthetic and another, compared",
-        "run.seed 7 8",
-        "B: no true states in this log",
-        "B − A",
-    ):
-        assert words in seen.text
-    assert len((tmp_path / "comparison.html").read_text(encoding="utf-8")) < SIZE_MAX
 
 
 def test_the_page_is_whole_and_names_every_number_with_its_unit(tmp_path):
