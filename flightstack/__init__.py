@@ -43,7 +43,7 @@ _HOME = {
 }
 __all__ = sorted(_HOME)
 
-# module -> pip extra of this package that installs it
+# pip extra of this package that installs a module, by module
 _EXTRAS = {
     "mujoco": "sim",
     "numba": "sim",

@@ -31,7 +31,7 @@ TIME_MIN_S = 3.0  # minimum total length of all segments, s
 EXCITATION_MIN_M_S = 0.04  # minimum standard deviation of the high-passed command, m/s
 EXPLAINED_MIN = 0.6  # minimum fraction of the velocity's variance that the model must explain
 ERROR_MAX = 0.2  # largest relative standard error of the lag
-START = (1.0, 6.0, 0.7, 0.02)  # start values: gain, rate, damping, dead time
+START = (1.0, 6.0, 0.7, 0.02)  # start values of the fit: gain, rate in 1/s, damping, dead time in s
 LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.6)
 # shortest modelled dead time, s; a shorter one is included in the lag of the second-order model
 DEAD_TIME_MIN_S = 0.12
@@ -159,7 +159,7 @@ def _covariance(jacobian: Floats, difference: Floats, block: int) -> Floats:
 NOISE_SAMPLES = 9  # number of samples in a window for the noise
 MOTION_S = 0.6  # window for velocity and acceleration, s
 SAMPLES_MIN = 100
-OFTEN = 99.0  # percentile used as the largest value, since single windows contain noise
+OFTEN = 99.0  # percentile that replaces the largest value, since single windows contain noise
 MAD_TO_SIGMA = 1.4826  # ratio of standard deviation and median absolute value of a normal distribution
 
 

@@ -13,7 +13,7 @@ from flightstack.common.pacing import Silence
 
 NS_PER_S = 1_000_000_000
 STARTUP_S = 600.0  # time-out of the start of a run's other processes, wall time, s; long for slow computers
-_SAID_S = 10.0  # time after which a wait is reported, s
+_SAID_S = 10.0  # waiting time after which a text reports the wait, s
 _PAUSE_S = 50e-6  # sleep between two polls, s; with the system's timer slack about 0.1 ms
 
 

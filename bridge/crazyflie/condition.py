@@ -29,7 +29,7 @@ _POSITION_DECKS = {
 _UP: Vec3 = (0.0, 0.0, 1.0)
 _GAP_MAX_S = Limits().gap_max_s  # time without a pose after which a problem is reported, s
 _SHARE = 0.1  # weight of a new value in the mean difference; at 10 Hz the time constant is 1 s
-_AT_REST_G = 0.1  # maximum difference of the measured length from 1 g; a larger one includes motion
+_AT_REST_G = 0.1  # maximum difference of the measured acceleration from 1 g; a larger one includes motion
 
 
 class Condition:
@@ -57,7 +57,7 @@ class Condition:
         self._leaning: Vec3 | None = None  # mean difference of up in the poses and measured up, body frame
 
     def alive(self, now_s: float) -> bool:
-        """Whether states of the Crazyflie arrive; otherwise no telemetry is sent."""
+        """Whether states of the Crazyflie arrive; without them no telemetry is sent."""
         heard = self.state is not None and now_s - self.state.at_s <= LOST_S
         return heard and self.link.protocol is not None
 
@@ -107,7 +107,7 @@ class Condition:
             self._posed_s = max(self._posed_s, passed.measured_s)
             self._pose_quaternion = passed.pose.orientation_wxyz
         elif problem is None:
-            self._posed_s = max(self._posed_s, now_s - _GAP_MAX_S)  # no pose at all would count as a gap
+            self._posed_s = max(self._posed_s, now_s - _GAP_MAX_S)  # without a problem this is no gap
 
     def pose_age_s(self, now_s: float) -> float | None:
         """Return the age of the newest external pose; None: no poses are expected."""

@@ -45,11 +45,11 @@ from bridge.crazyflie.packets import (
 )
 from bridge.crazyflie.rules import DRAG
 
-PARAMS = (  # parameters that are checked before arming
+PARAMS = (  # firmware parameters that are read for the checks before arming
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",
     *DRAG,
 )  # fmt: skip
-EVENTS_MAX = 512  # maximum number of waiting events, five seconds of packets
+EVENTS_MAX = 512  # maximum number of queued events: five seconds of packets
 BLOCK_SILENT_S = 1.0  # time without a packet after which a log block is requested again, s
 ANSWER_MAX_S = 2.0  # time without any answer after which an attempt to connect is given up, s
 UNANSWERED_S = 0.5  # time-out of the first answer in a blind landing, s: cflib requests the answer only once
@@ -258,7 +258,7 @@ class CrazyflieLink:
 
     @property
     def _flies(self) -> bool:
-        """Whether set-points continue while the connection is opened again."""
+        """Whether the vehicle flies, so that set-points continue while the connection is opened again."""
         return not self._closing.is_set() and time.monotonic() - self._flown_s < FLOWN_S
 
     @property
@@ -266,7 +266,7 @@ class CrazyflieLink:
         return self._closing.is_set() or self._broken is not None
 
     def _pass_on(self, crazyflie: Any, wait_s: float) -> Packet | None:
-        """Wait for a packet; set-points and orders are sent as soon as the link is open.
+        """Wait for a packet and send it; set-points and orders are sent as soon as the link is open.
 
         They do not wait for the set-up of the connection, so that a blind landing continues; without a link
         they are dropped.

@@ -1,4 +1,4 @@
-"""Presents a Crazyflie to MAVLink clients as a PX4 vehicle: receives messages and returns messages.
+"""Presents a Crazyflie to MAVLink clients as a PX4 vehicle: it takes messages and returns messages.
 
 Pure: no socket, no clock, no thread. Telemetry is made only from new states, so an old state is never sent as
 a new one. Without a state of the Crazyflie no heartbeat is sent, only status texts.
@@ -116,7 +116,7 @@ class Node(Server[Vehicle]):
         self._events[type(event)](event, at_s)
 
     def step(self, now_s: float) -> tuple[list[Message], list[Reply]]:
-        """Run one step; return the telemetry for all clients, and delayed acknowledgements of arming."""
+        """Advance the vehicle; return telemetry for all clients, and delayed acknowledgements of arming."""
         vehicle = self.vehicle
         vehicle.step(now_s)
         if now_s >= self._readiness_due_s and not vehicle.armed:
@@ -195,6 +195,6 @@ class Node(Server[Vehicle]):
         state = decode_state(packet.values, boot_ms, at_s - late_s)  # time of measurement
         restarts, self._restarts = self._restarts, self.clock.restarts
         self.vehicle.take_state(state, at_s, restarted=restarts != self.clock.restarts)
-        snapshot = self.snapshot(state.at_s)  # the bridge's clock is as steady as the Crazyflie's
+        snapshot = self.snapshot(state.at_s)  # the bridge's clock does not drift against the Crazyflie's
         if snapshot is not None:
             self._streamed += self.stream(snapshot)

@@ -15,14 +15,14 @@ GAIN_1_S = 1.5  # position gain, 1/s; a third of the velocity loop's gain avoids
 SPEED_XY_M_S = 0.3  # largest horizontal speed, m/s
 CLIMB_M_S = 0.4  # maximum climb rate, m/s
 DESCENT_M_S = 0.25  # descent rate, m/s
-ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # largest height error, m, and speed, m/s, at the end of a take-off
+ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # largest height error and speed at the end of a take-off
 # first part of a take-off, m, flown with constant horizontal velocity until it is clear of a moving deck
 CLEAR_M = 0.1
 CARRIED_MAX_M_S = 1.0  # largest velocity of a moving deck that the take-off follows, m/s
 # Descent rate without a position, m/s: an accelerometer bias makes the firmware's vertical velocity drift by
 # 0.05 m/s per second, until the vehicle climbs while the estimate shows a descent.
 UNPLACED_M_S = 0.4
-STOPPED_SHARE = 0.3  # fraction of the descent rate; a slower vehicle stands on something
+STOPPED_SHARE = 0.3  # fraction of the commanded descent rate; a vehicle that sinks slower stands on something
 LANDING_MIN_S = 1.0  # shortest landing after which a stop counts, s; a climb must end first
 STOPPED_TIME_S = 0.4  # time that the stop must last, s; longer than the descent takes to begin
 SINKING_M_S = -0.1  # least descent command, m/s; between this value and 0 a command may be a control error
@@ -31,7 +31,7 @@ YAW_RATE_MAX_RAD_S = 1.5  # largest yaw rate, rad/s
 
 
 def yaw_rate(wanted_rad: float, state: CrazyflieState) -> float:
-    """Return the yaw rate, counter-clockwise, that turns to a heading and then holds the heading."""
+    """Return the yaw rate, counter-clockwise, that turns the vehicle to a heading and holds this heading."""
     error_rad = wrap_angle(wanted_rad - yaw_from_quaternion(state.quaternion))
     return min(max(YAW_GAIN_1_S * error_rad, -YAW_RATE_MAX_RAD_S), YAW_RATE_MAX_RAD_S)
 

@@ -39,7 +39,7 @@ _URI = re.compile(
     r"^(radio://[0-9A-Fa-f]+/\d{1,3}/(250K|1M|2M)(/[0-9A-Fa-f]{1,10})?(\?rate_limit=\d+)?|usb://\d+"
     r"|(udp|tcp)://[^:/\s]+:\d{1,5})$"
 )
-TICK_S = 0.01  # longest sleep, s
+TICK_S = 0.01  # longest sleep of the loop, s
 POSE_TICK_S = 0.002  # longest sleep with motion capture, s; its samples cannot wake the loop
 SHUT_DOWN_MAX_S = 20.0  # time limit of the landing when the bridge ends in flight, s
 
@@ -55,7 +55,7 @@ class Loop:
     ) -> None:
         self._node, self._link, self._endpoint, self._poses, self._say = node, link, endpoint, poses, say
         self._start_s = time.monotonic()
-        self._begun: tuple[int, int] | None = None  # link and series with which the estimator was started
+        self._begun: tuple[int, int] | None = None  # link and series of poses that started the estimator
         self._tick_s = TICK_S if poses is None else POSE_TICK_S
 
     @property

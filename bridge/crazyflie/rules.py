@@ -41,10 +41,10 @@ TAKEOFF_M = 0.5  # default take-off height above home, m
 @dataclass(frozen=True, slots=True)
 class Rules:
     speed_max_m_s: float = SPEED_MAX_M_S
-    land_on_silence: bool = False  # land when set-points stop; False: the firmware's watchdog reacts
+    land_on_silence: bool = False  # whether the bridge lands if set-points stop; else the firmware acts
     mocap: bool = False  # whether poses come from an external system
     drag_1_s: Vec3 | None = None  # rotor drag for the firmware's filter, body axes; None: unchanged
-    restore: bool = False  # restore the firmware's parameters when the bridge ends
+    restore: bool = False  # whether the firmware's parameters are restored when the bridge ends
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +87,7 @@ ESTIMATOR, KALMAN = "stabilizer.estimator", "2"
 DRAG = ("kalman.dragB_x", "kalman.dragB_y", "kalman.dragB_z")  # rotor drag along the body axes, 1/s
 UNKNOWN_DRAG = "Firmware has no kalman.dragB_x: its velocity is too high in flight"
 ECHO_MAX_S = 1.0  # time without an echo after which a restored parameter counts as lost, s
-_SAME = 1e-6  # relative tolerance; the firmware's floats have 24 bits
+_SAME = 1e-6  # relative tolerance of equal parameters; the firmware's floats have 24 bits
 
 
 class Settings:

@@ -91,7 +91,7 @@ class Vehicle(Condition, Commander):
         packets, self._packets = self._packets, []
         return packets
 
-    # Events of the Crazyflie
+    # Events of the Crazyflie's link
 
     def connected(self, event: Connected, now_s: float) -> None:
         self.link = Link(event.protocol, dict(event.params), "")
@@ -249,7 +249,7 @@ class Vehicle(Condition, Commander):
     def _ended(self) -> None:
         self._moved = self.failsafe = False
         self._owner = None
-        self.mode = FlightMode.HOLD  # in OFFBOARD no other client could get control
+        self.mode = FlightMode.HOLD  # in OFFBOARD the present client would keep control
 
     # Commands of clients; each returns the reason if it refuses
 

@@ -25,9 +25,9 @@ _SENDERS_MAX = 16  # maximum number of other systems and components with a count
 
 @dataclass(slots=True)
 class LinkCounters:
-    foreign: int = 0  # frames from other systems or components
-    held_lost: int = 0  # frames received in lockstep for which no tick came
-    setpoints_refused: int = 0  # refused set-points: not finite, or sent while the vehicle takes off
+    foreign: int = 0  # number of frames from other systems or components
+    held_lost: int = 0  # number of frames received in lockstep for which no tick arrived
+    setpoints_refused: int = 0  # number of refused set-points: not finite, or sent during a take-off
     # frames of other senders, by system and component
     senders: dict[tuple[int, int], int] = field(default_factory=dict)
 
@@ -39,9 +39,9 @@ class LinkCounters:
 
 _CHUNKS_PER_CALL = 512  # maximum number of chunks in one call of receive()
 _RECEIVE_MAX_S = 0.004  # limit of the processor time of one call, s
-_UNTIMED_BYTES = 4096  # bytes read without a clock reading, which costs as much as a datagram
+_UNTIMED_BYTES = 4096  # number of bytes read without reading the clock, which takes as long as a datagram
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
-_OLD = frozenset({Refusal.STALE, Refusal.REPLAYED})  # correct signature, old timestamp
+_OLD = frozenset({Refusal.STALE, Refusal.REPLAYED})  # refusals despite a correct signature
 _ANSWER_S = 1.0  # time between two replies to frames with old timestamps, which may be replayed, s
 _SETUP_SIGNING: int = dialect.MAVLINK_MSG_ID_SETUP_SIGNING
 
@@ -215,7 +215,7 @@ class Endpoint:
         if self._heartbeat is None or self._signer is None or now_s - self._answered_s < _ANSWER_S:
             return
         self._answered_s = now_s
-        mav = self._mav  # the reply depends on wall time, so it gets no new number and no record
+        mav = self._mav  # the reply depends on wall time: it gets no new number and is not recorded
         frame = pack(self._heartbeat, mav.seq, mav.srcSystem, mav.srcComponent)
         self._transport.send((self._signer.sign(frame),), peer)
         self.counters.stale_answered += 1

@@ -30,9 +30,9 @@ class LineTooSlowError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class LinePlan:
-    state_hz: float  # rate of position, and rate of attitude
+    state_hz: float  # rate of the position messages, and of the attitude messages, Hz
     setpoint_every: int  # ticks between two set-points
-    setpoint_hz: float  # rate of set-points
+    setpoint_hz: float  # rate of set-points, Hz
     in_bytes_s: float  # data rate of telemetry from the vehicle to the companion
     out_bytes_s: float  # data rate of set-points, heartbeats and replies from the companion
     capacity_bytes_s: float | None  # capacity of the line in each direction; None: no limit

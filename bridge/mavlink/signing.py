@@ -24,7 +24,7 @@ import msgspec
 from bridge.mavlink.codec.framing import with_signed_flag
 
 KEY_BYTES = 32  # length of the secret key in MAVLink 2 signing, bytes
-_KEY_READ_MAX = 4096  # maximum number of bytes read; far more than any valid file has
+_KEY_READ_MAX = 4096  # maximum number of bytes that are read of a key file; any valid file has far fewer
 _HEX = re.compile(rb"[0-9a-fA-F]{64}")
 _HELP = "a key file holds 32 bytes or 64 hexadecimal characters; `flightstack key FILE` makes one"
 
@@ -87,7 +87,7 @@ Stream = tuple[int, int, int]  # ids of link, system and component
 
 STREAMS_MAX = 64  # maximum number of streams; only holders of the key can fill the table
 TIMESTAMP_MAX = 2**48 - 1
-_STATE_READ_MAX = 65536  # maximum number of bytes read; 64 streams need 3000
+_STATE_READ_MAX = 65536  # maximum number of bytes that are read of a state file; 64 streams need 3000
 
 
 _Byte = Annotated[int, msgspec.Meta(ge=0, le=255)]
@@ -135,14 +135,14 @@ def save_state(path: Path, state: SigningState) -> None:
 
 
 EPOCH_NS = 1_420_070_400_000_000_000  # 2015-01-01T00:00:00Z, time zero of signing
-TICK_NS = 10_000  # unit of a signing timestamp
+TICK_NS = 10_000  # unit of a signing timestamp, ns
 _S = 1_000_000_000 // TICK_NS  # ticks per second
 STALE_TICKS = 60 * _S  # maximum delay of a new stream behind the local clock (mavlink.io: one minute)
 AHEAD_TICKS = 3600 * _S  # maximum lead of a frame: ArduPilot adds a minute to its clock at each start
 _SAVE_S = 10.0  # time between two writes of the state, s
 _LINK = bytes(1)  # link id of every endpoint of this project
-_TAG = 6  # bytes of SHA-256 in a frame
-_STAMP = 12  # length from the timestamp to the end, bytes
+_TAG = 6  # number of bytes of the SHA-256 hash in a frame
+_STAMP = 12  # number of bytes from the timestamp to the end of the frame
 
 
 class Refusal(Enum):

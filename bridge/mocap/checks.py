@@ -38,9 +38,9 @@ class Limits:
     late_max_s: float = 0.1  # maximum delay relative to the fastest recent sample, s
     # time for which poses must agree after a jump of their sender's clock before one is used, s
     clock_proof_s: float = 0.3
-    gap_max_s: float = 0.2  # maximum age of the last good pose, s; the vehicle state has the same limit
-    rate_min_hz: float = 20.0  # rate below which a warning is sent, Hz; PX4 needs 30 to 50 Hz
-    rate_max_hz: float = 100.0  # largest forwarded rate, Hz
+    gap_max_s: float = 0.2  # age of the last good pose above which a problem is reported, s
+    rate_min_hz: float = 20.0  # rate of the poses below which a warning is sent, Hz; PX4 needs 30 to 50 Hz
+    rate_max_hz: float = 100.0  # largest rate at which poses are forwarded, Hz
     speed_max_m_s: float = 5.0  # maximum speed of the body, m/s; the allowances below for noise are added
     jump_m: float = 0.05
     turn_rate_max_rad_s: float = 20.0

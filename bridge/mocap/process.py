@@ -97,7 +97,7 @@ _UNKNOWN = (math.nan, *([0.0] * 20))  # unknown covariance: its first entry is N
 
 
 def _covariance(covariance: tuple[float, ...]) -> list[float]:
-    known = any(covariance)  # in ROS a covariance of zeros means unknown
+    known = any(covariance)  # in ROS a covariance of zeros is unknown
     return list(upper_triangle(ned_covariance_from_enu(covariance)) if known else _UNKNOWN)
 
 
@@ -134,8 +134,8 @@ def odometry(passed: Passed, time_us: int) -> Message:
 class PoseNeeds:
     title: str
     message: Callable[[Passed, int], Message]
-    needs_origin: bool  # the autopilot has no position until it receives SET_GPS_GLOBAL_ORIGIN
-    settings: str  # autopilot parameters to set, as text
+    needs_origin: bool  # whether the autopilot has no position until it receives SET_GPS_GLOBAL_ORIGIN
+    settings: str  # text with the autopilot parameters that the operator has to set
 
 
 POSE_NEEDS: Mapping[int, PoseNeeds] = {

@@ -16,9 +16,9 @@ from bridge.frames import Quat, world_from_body
 from bridge.ros2.codec import CDR_HEADER, Unpack, codec
 from flightstack.core.types import ZERO, Vec3
 
-NO_COVARIANCE: tuple[float, ...] = (0.0,) * 36  # ROS convention: all zeros means unknown
-_UNIT_TOLERANCE = 0.01  # tolerance of the squared norm, as in odometry.py
-_LARGEST_M = 1e9  # largest valid value, m; a larger value is damaged data
+NO_COVARIANCE: tuple[float, ...] = (0.0,) * 36  # unknown covariance: all zeros, by the convention of ROS
+_UNIT_TOLERANCE = 0.01  # tolerance of a quaternion's squared norm, as in odometry.py
+_LARGEST_M = 1e9  # largest valid coordinate, m; a larger one is damaged data
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _POSE = "geometry_msgs/msg/PoseStamped"
 _POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"

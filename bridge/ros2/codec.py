@@ -73,7 +73,7 @@ Unpack = Callable[[bytes], Any]
 class Field(NamedTuple):
     name: str
     kind: str  # "float64", "string", or the full name of a message type
-    length: int | None  # length of an array; None: a single value, 0: a sequence
+    length: int | None  # number of elements of an array; 0: a sequence; None: a single value
 
 
 def fields_of_text(text: str) -> tuple[Field, ...]:

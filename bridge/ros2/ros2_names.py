@@ -17,8 +17,8 @@ import xxhash
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import pack_attachment
 
-DOMAIN_MAX = 232  # ROS 2 documentation, "The ROS_DOMAIN_ID": limit of the DDS ports
-TOPIC_LENGTH_MAX = 247  # limit of rmw validate_full_topic_name.h
+DOMAIN_MAX = 232  # largest domain id, which the DDS ports limit (ROS 2 documentation, "The ROS_DOMAIN_ID")
+TOPIC_LENGTH_MAX = 247  # maximum length of a topic name (rmw validate_full_topic_name.h)
 NO_HASH = "TypeHashNotSupported"  # placeholder of ROS 2 Humble, which has no type hashes
 QOS_KEEP_10 = "::,10:,:,:,,"  # reliable, volatile, keep last 10; empty means rmw_zenoh's default (qos.cpp)
 _ADMIN = "@ros2_lv"
@@ -115,7 +115,7 @@ def publisher_token(node: Node, number: int, topic: str, type_name: str, type_ha
 
     No other entity of the session has the same ``number``; ``qos`` has rmw_zenoh's short form.
     """
-    topic_key(node.domain, topic, type_name, type_hash)  # raises if a part is malformed
+    topic_key(node.domain, topic, type_name, type_hash)  # raises ValueError if a part is malformed
     tail = [node.name, _mangle(topic), dds_type(type_name), type_hash, qos]
     return "/".join([*_begin(node, number, "MP"), *tail])
 

@@ -19,11 +19,11 @@ from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import TargetSample, Vec3
 
 ENCODING = "application/cdr;nav_msgs/msg/Odometry"
-# tolerance of the squared norm, as in tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
+# tolerance of a quaternion's squared norm, as in tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
 _UNIT_TOLERANCE = 0.01
 _LARGEST = 1e9  # largest valid value in m, m/s and rad/s; larger values are damaged data
 WARN_FACTOR = 1.5  # ratio of reported to configured noise above which a warning is sent
-_UNUSED_M2 = 1e3  # largest used variance; diff_drive_controller and others write 1e6 for unmeasured values
+_UNUSED_M2 = 1e3  # variance from which a value counts as unmeasured; diff_drive_controller writes 1e6
 
 
 class RawSample(NamedTuple):

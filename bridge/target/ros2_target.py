@@ -31,7 +31,7 @@ from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import ZERO, Vec3
 
 TEXTS_MAX = 32  # maximum number of different warnings per flight; the counters continue
-OFFSET_MAX_M = 5.0  # largest offset of the landing spot per axis, m; a larger offset has a wrong unit
+OFFSET_MAX_M = 5.0  # largest offset of the landing spot on an axis, m; a larger one probably has a wrong unit
 LOOK_EVERY = 100  # number of samples between two checks of frames and covariances
 CAPACITY = 1024  # maximum number of samples between two polls
 
@@ -136,9 +136,9 @@ class PoseTrack:
         self._last: Pose | None = None  # last accepted pose
         self._outliers = 0
         self._behind, self._behind_ns = 0, 0  # poses older than the newest stamp; their last stamp
-        self._unsettled = 0  # poses since the last restart
-        self.problem = ""  # reason why poses are withheld, or ""
-        self.withheld = 0  # poses that gave no odometry: unsettled, outliers, repeated or out of order
+        self._unsettled = 0  # number of poses since the last restart
+        self.problem = ""  # reason why poses give no odometry; empty: they do
+        self.withheld = 0  # number of poses without odometry: unsettled, outliers, repeated or out of order
 
     def take(self, pose: Pose) -> Odometry | None:
         """Return the odometry of a pose; None if the velocity is unknown."""
@@ -342,7 +342,7 @@ class TargetSource:
             self._texts.append(text)
 
 
-KEYS_MAX = 8  # maximum number of keys
+KEYS_MAX = 8  # maximum number of listed keys
 _CAPACITY = 64  # maximum number of samples between two polls
 # A chunk of the key contains the name: robot1/odom, 0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_...
 _LIKELY = (

@@ -26,7 +26,7 @@ Publisher = Any
 Subscriber = Any
 Sample = Any
 
-LOOPBACK = "tcp/127.0.0.1:0"  # any free port; only this machine can connect
+LOOPBACK = "tcp/127.0.0.1:0"  # endpoint on any free port; only this machine can connect
 LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # default address of a router for clients and ROS 2 nodes
 _LEASE_MS = 2000  # time without messages before a peer is disconnected, then connected again
 # a process in lockstep may pause longer without losing a message; a killed process disconnects immediately
@@ -118,7 +118,7 @@ def open_session(
     if lockstep:
         for key, value in _LOCKSTEP.items():
             config.insert_json5(key, json.dumps(value))
-    prompt = prompt and ask_for_priority()  # threads inherit the priority
+    prompt = prompt and ask_for_priority()  # threads that start now inherit the priority
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:

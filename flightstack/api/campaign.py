@@ -33,7 +33,7 @@ from sim.vehicle.declared import judged_apart, not_proven
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-_HIDDEN = ("cells",)  # columns that tables omit
+_HIDDEN = ("cells",)  # columns of campaign rows that tables omit
 _RATES = ("landed", "violations")
 
 

@@ -31,17 +31,17 @@ from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario
 
 # Rewards. The cost of a tick is small compared with the approach; else an agent learns to crash early.
-APPROACH_REWARD_1_M = 10.0  # for each metre that the distance to the landing spot decreases
+APPROACH_REWARD_1_M = 10.0  # reward for each metre by which the distance to the landing spot decreases
 STEP_REWARD = -0.001  # reward of each tick
 VIOLATION_REWARD = -0.1  # reward of each tick with a negative barrier value outside the pad
 END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}  # reward at the end, by outcome
 OTHER_END_REWARD = -5.0
-_SPEED_FAR_M = 1e3  # bound of the observations, m and m/s
+_SPEED_FAR_M = 1e3  # bound of each observed position and velocity, m and m/s
 
 ENV_ID = "flightstack/Landing-v0"
 
 
-_FILTERS = {None: "paper", "paper": "paper", "robust": "robust"}  # argument -> filter of the stack
+_FILTERS = {None: "paper", "paper": "paper", "robust": "robust"}  # filter of the stack, by argument
 
 
 class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  # gymnasium is an extra

@@ -120,7 +120,7 @@ def _part(config: FlightConfig, found: list[Check], members: list[str], more: st
 
 
 def _worst(found: Iterable[Check]) -> list[Check]:
-    """Return each check once, with its smallest distance to the limit."""
+    """Return each check once: of results with one name, the one with the smallest distance to its limit."""
     worst: dict[str, Check] = {}
     for each in found:
         if each.name not in worst or each.room < worst[each.name].room:

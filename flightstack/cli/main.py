@@ -66,7 +66,7 @@ GROUPS = {
         "key": Verb("prepare:key", "Make a MAVLink signing key."),
     },
 }
-# subcommands whose exit status is that of the flight, even if their output is lost
+# subcommands whose exit status remains that of the flight if their output is lost
 FLIES = (
     "sitl", "fly", "onboard", "world", "vehicle", "target", "record", "bridge", "px4-sim", "campaign"
 )  # fmt: skip
@@ -96,7 +96,7 @@ class Verbs(click.Group):
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command; it continues if the reader of its output ends, and no early signal is lost."""
-        if streams.guard():  # False if a test runs the command
+        if streams.guard():  # True in a process of its own, False in a test
             hangup.start()
         try:
             return super().main(*args, **kwargs)

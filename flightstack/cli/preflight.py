@@ -28,7 +28,7 @@ _STYLE = {
     Level.ACCEPTED: "magenta",
 }  # fmt: skip
 _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
-_PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # limits without a given configuration
+_PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # configuration if none is given
 
 
 @dataclass(frozen=True, kw_only=True)

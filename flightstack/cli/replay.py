@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from logs.replay.replay import PhaseChange, Result
 
 EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
-_STATUS = {"unusable": UNUSABLE, "different": DIFFERENT, "equal": EQUAL}  # ordered from worst to best
+_STATUS = {"unusable": UNUSABLE, "different": DIFFERENT, "equal": EQUAL}  # exit statuses, the worst first
 
 
 @dataclass(frozen=True, kw_only=True)

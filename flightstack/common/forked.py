@@ -20,7 +20,7 @@ from typing import IO
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PR_SET_NAME = 15
-_NAME_BYTES = 15  # maximum length of a thread's name, bytes
+_NAME_BYTES = 15  # maximum length of a thread name that Linux stores, bytes
 _LAST_STREAM = 2  # file descriptor of standard error
 
 
@@ -124,7 +124,7 @@ def forget_handlers() -> None:
 
 
 def _own_streams(output: int, errors: int) -> None:
-    """Give the child an empty input and these two outputs, and close all other files of its parent."""
+    """Give the child an empty standard input and these outputs, and close all other files of its parent."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     # if the parent had no standard streams, these descriptors may have their numbers
     for place, number in enumerate([_above(each) for each in (nothing, output, errors)]):

@@ -40,7 +40,7 @@ def called_off() -> CalledOffError | None:
 
 
 def begun() -> None:
-    """End the handling of the start: the process has its handlers. Raises CalledOffError: one was dropped."""
+    """End the handling of ``start``. Raises CalledOffError: a signal arrived whose exception was dropped."""
     if _came:
         raise _came[-1]
 
@@ -59,7 +59,7 @@ def _call_off(number: int, frame: FrameType | None) -> None:
 
 
 class Stop:
-    """Requests to end: the first signal ends in order, a second SIGTERM or SIGINT ends immediately."""
+    """Requests to end a process: the first signal in order, a second SIGTERM or SIGINT immediately."""
 
     __slots__ = ("count",)
 

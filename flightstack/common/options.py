@@ -32,7 +32,7 @@ class Option:
     name: str
     help: str = ""
     metavar: str | None = None
-    span: tuple[float | None, float | None] = (None, None)  # smallest and largest allowed number
+    span: tuple[float | None, float | None] = (None, None)  # smallest and largest allowed number, if limited
     choices: tuple[str, ...] = ()  # allowed texts; empty: any text
     path: str = "any"  # allowed kind of path: any, file or folder
     exists: bool = False  # whether the path has to exist
@@ -52,7 +52,7 @@ class Declared(NamedTuple):
     option: Option
     type: type  # type of one value
     many: bool  # whether the option may be given several times
-    number: int  # number of values each time
+    number: int  # number of values that follow the name each time
     default: Any  # default; MISSING: the option is required
 
 
@@ -81,7 +81,7 @@ def declared(cls: type) -> tuple[Declared, ...]:
 
 
 def shared(source: object, cls: type[T], **others: Any) -> T:
-    """Return an object of ``cls`` with the fields of ``source`` that it also has, and with ``others``."""
+    """Return an object of ``cls`` from the fields of ``source`` with equal names, and from ``others``."""
     both = {f.name: getattr(source, f.name) for f in fields(cls) if hasattr(source, f.name)}  # type: ignore[arg-type]
     return cls(**{**both, **others})
 

@@ -43,7 +43,7 @@ _LOOK_MAX_S = 0.1  # maximum time that is counted between two calls of ``look``,
 PRIORITY = 10
 _DAY_NS = 86_400_000_000_000
 _LOCK_WHAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of Linux's mlockall(2)
-_ZERO, _NOW, _FIRST = 0, 1, 2  # positions in the file
+_ZERO, _NOW, _FIRST = 0, 1, 2  # positions of the integers in the clock's file
 _ABSENT = -1  # value of a follower that has not started or is ignored
 _NS = 1_000_000_000
 _ROUNDING_NS = 1_000  # larger than the rounding of seconds as float, smaller than any step
@@ -66,7 +66,7 @@ class FastClock:
         return time.monotonic() * self.speed
 
     def sleep(self, seconds: float) -> None:
-        """Sleep for a number of seconds of this clock."""
+        """Sleep for this number of seconds of the clock."""
         time.sleep(seconds / self.speed)
 
     def unix_ns(self) -> int:
@@ -83,7 +83,7 @@ class Tick(NamedTuple):
     now_s: float  # time on the stack's clock
     unix_ns: int  # time on the system clock, ns since 1970
     period_s: float  # time since the last tick, wall time in lockstep; 0 for the first tick
-    lateness_s: float  # delay behind the deadline; 0 in lockstep
+    lateness_s: float  # delay of the tick after its deadline; 0 in lockstep
     overruns: int = 0  # number of missed deadlines so far
 
 
@@ -222,9 +222,9 @@ class FollowedClock:
             raise ValueError(f"{path} is not a simulator's clock: it has {size} bytes, a clock has {_SIZE}")
         self._cells, self._place, self._stopped = _opened(path), _FIRST + follower, stopped
         self._seen_ns, self._moved_s = self._cells[_NOW], time.monotonic()
-        self._ahead_s = 0.0  # lead over simulated time by past stalls of the simulator
-        self._stall_s = 0.0  # lead over simulated time by the current stall
-        self._least_s = 0.0  # end of the last sleep
+        self._ahead_s = 0.0  # sum of the time that passed during past stalls of the simulator
+        self._stall_s = 0.0  # time that has passed during the current stall of the simulator
+        self._least_s = 0.0  # time at which the last sleep ended; the clock does not fall below it
 
     def monotonic(self) -> float:
         """Return the simulated time, s."""
@@ -239,7 +239,7 @@ class FollowedClock:
         return max(self._least_s, now_ns / _NS + self._ahead_s + self._stall_s)
 
     def sleep(self, seconds: float) -> None:
-        """Sleep for a number of simulated seconds."""
+        """Sleep for this number of simulated seconds."""
         until_s = self.monotonic() + seconds
         # the simulator stops at this time, so it must count as reached despite rounding
         until_ns = int((until_s - self._ahead_s - self._stall_s) * _NS) - _ROUNDING_NS

@@ -17,7 +17,7 @@ from typing import Any
 
 # permanent errors: the reader has ended; other errors (ENOSPC) may be temporary
 _GONE = (errno.EPIPE, errno.EIO, errno.EBADF)
-_PART = select.PIPE_BUF  # number of bytes that a ready pipe accepts without blocking
+_PART = select.PIPE_BUF  # number of bytes that a pipe accepts without blocking if it is ready
 _NUMBERS = {"stdout": 1, "stderr": 2}
 
 
@@ -110,7 +110,7 @@ def _number(stream: io.TextIOBase) -> int | None:
 
 
 def _to_nothing(number: int) -> None:
-    """Redirect a descriptor to the null device, so that output of libraries and children does not fail."""
+    """Redirect a descriptor to the null device, so that libraries and children can write without an error."""
     with contextlib.suppress(OSError):
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, number)

@@ -43,7 +43,7 @@ def span(low: float, high: float) -> msgspec.Meta:
 
 
 class Files(Generic[T]):
-    """TOML files of the dataclass ``cls``, found by name in ``package``, or by path.
+    """Loader of TOML files with the keys of the dataclass ``cls``, by name in ``package`` or by path.
 
     ``kind``: name of the type in errors; ``hint``: end of the error for an unknown name.
     """

@@ -22,7 +22,7 @@ def labels(names: Sequence[str]) -> list[str]:
 
 
 def outline(shared: Mapping[str, object], key: str, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the JSON object of a fleet: shared values, and the values of each member under ``key``.
+    """Return the JSON object of a fleet: shared values, and each member's values under the key ``key``.
 
     For a single member, return the object of this member.
     """

@@ -42,7 +42,7 @@ def is_off() -> bool:
 
 
 def _fingerprint() -> str:
-    """Return a hash of every source file that compiled code can come from."""
+    """Return a hash over all source files that contain compiled functions."""
     digest, top = hashlib.sha256(), Path(__file__).parents[2]
     for path in [*sorted(HERE.glob("*.py")), *(each for one in SOURCES for each in sorted(top.glob(one)))]:
         digest.update(path.read_bytes())
@@ -91,7 +91,7 @@ def _own_folder() -> Path:
 
 
 def _take_over(shipped: Path, found: Path) -> None:
-    """Copy machine code into an empty directory in one step: other processes find all files or none."""
+    """Copy machine code into a new directory in one step, so that other processes find all files or none."""
     with contextlib.suppress(OSError):  # after an error, numba compiles the functions again
         if any(found.iterdir()):
             return

@@ -149,7 +149,7 @@ def reader_of(cls: Any) -> Callable[[Any, tuple[Any, ...]], None]:
 
 @cache
 def taker_of(cls: Any) -> Callable[[Any, dict[int, int]], tuple[Any, ...]]:
-    """Return a function that returns the elements of an object in compiled memory."""
+    """Return a function that returns the elements of an object, in the order of compiled memory."""
     parts = "".join(f"{kind.taken(f'o.{name}')}, " for name, (kind, _) in fields_of(cls).items())
     scope: dict[str, Any] = {"code": _code, "none": _none}
     exec(f"def take(o, at):\n    return ({parts})", scope)

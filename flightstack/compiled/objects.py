@@ -37,7 +37,7 @@ from flightstack.core.numeric import MARKED, RARE, STAND_INS, NotOrdinary, scope
 
 
 class Handle(NamedTuple):
-    """An object as an argument of compiled code."""
+    """Argument of compiled code that stands for an object: its type and address."""
 
     kind: Any
     address: int
@@ -115,7 +115,7 @@ else:
     def _register(made: Any, cls: type) -> None:
         for name in dir(cls):
             one = getattr(cls, name)
-            if name.startswith("__") or name in fields_of(cls):  # a property may have the name of a field
+            if name.startswith("__") or name in fields_of(cls):  # skips properties named like a field
                 continue
             if isinstance(one, property):
                 overload_attribute(made, name, strict=False)(_chooser(one.fget))

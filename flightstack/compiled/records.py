@@ -25,7 +25,7 @@ Quaternion = Annotated[F64, 4]  # components w, x, y, z
 Motors = Annotated[F64, 4]  # values of the motors M1 to M4
 Axes = Annotated[F64, 9]  # x, y and z axis of the body in the world
 
-SCALARS: dict[object, str] = {float: "f8", int: "i8", bool: "i8"}  # all have 8 bytes, so there are no gaps
+SCALARS: dict[object, str] = {float: "f8", int: "i8", bool: "i8"}  # numpy types, all of 8 bytes: no gaps
 
 
 class Record:

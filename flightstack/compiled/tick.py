@@ -139,7 +139,7 @@ class CompiledController(Controller):
         self._held = False
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
-        """Run one tick."""
+        """Run one tick, compiled if it is ordinary, else in Python."""
         out = None if command_failed else self._ordinary_tick(inputs, now_s)
         if out is None:
             out = super().step(inputs, now_s, command_failed=command_failed)

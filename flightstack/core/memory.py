@@ -20,7 +20,7 @@ class AbortWay(IntEnum):
 
     NONE = 0
     MOTORS_OFF = 1  # motors off immediately: emergency stop
-    HANDS_OFF = 2  # no commands: another client controls the vehicle, or it never flew
+    HANDS_OFF = 2  # no commands are sent: another client controls the vehicle, or it never flew
     LAND_HERE = 3  # landing by the autopilot: the position of vehicle or target is unknown
     FLY_CLEAR = 4  # climb, fly clear of the target, then land
 
@@ -57,7 +57,7 @@ class Memory:
 
 @dataclass(slots=True)
 class ClockMemory:
-    """State of a sender's clock; ``way``: arrival minus stamp, which is clock difference plus delay."""
+    """Estimate of a sender's clock; ``way`` is arrival minus stamp, that is, clock difference plus delay."""
 
     offset_s: float = inf  # minimum of arrival minus stamp, s; it rises quickly until a message reaches it
     floor_s: float = inf  # minimum of arrival minus stamp, s; it rises slowly until a message reaches it
@@ -84,7 +84,7 @@ class TrackMemory(ClockMemory):
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
     drift_smooth_m: Vec3 = ZERO  # ``drift_m`` without the noise of single samples
     distrusted: bool = False  # whether positions and velocity contradict each other
-    distrusts: int = 0  # number of contradictions of positions and velocity in this flight
+    distrusts: int = 0  # number of times in this flight that positions contradicted the velocity
     parted_m: float = 0.0  # largest distance since the contradiction began, m
     settled: bool = False  # whether the flight has started: the target's position may no longer jump
     accepted: int = 0
@@ -92,7 +92,7 @@ class TrackMemory(ClockMemory):
     refusal: str = ""  # reason why the newest sample was rejected; empty if it was accepted
 
 
-Covariance = tuple[float, float, float, float, float, float]  # p position, v velocity, a acceleration
+Covariance = tuple[float, float, float, float, float, float]  # pp, pv, pa, vv, va, aa
 
 
 @dataclass(slots=True)
@@ -182,7 +182,7 @@ class FilterMemory:
 
 @dataclass(slots=True)
 class ExchangeMemory:
-    """Values that compiled code passes to Python within a tick, and the answer; not recorded."""
+    """Values that compiled code passes to Python within a tick, and the answer; logs do not contain them."""
 
     agent: bool = False  # whether a learning agent chooses the nominal velocity
     chosen: Vec3 = ZERO  # velocity that the agent or the user's filter chooses, m/s ENU

@@ -74,7 +74,7 @@ hypot = math.hypot
 
 
 def norm(v: Vec3) -> float:
-    """Length of a vector."""
+    """Return the length of a vector."""
     return math.hypot(*v)
 
 

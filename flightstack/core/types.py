@@ -61,10 +61,10 @@ class Request(IntEnum):
     """
 
     NONE = 0
-    TAKEOFF = 1  # armed, and climbing to the take-off height under the autopilot's control
-    EXTERNAL = 2  # armed, and following the velocity set-points of this stack
-    LAND = 3  # landing by the autopilot at the current position
-    MOTORS_OFF = 4  # forced disarm
+    TAKEOFF = 1  # the vehicle is armed and climbs to the take-off height under the autopilot's control
+    EXTERNAL = 2  # the vehicle is armed and follows the velocity set-points of this stack
+    LAND = 3  # the autopilot lands the vehicle at its current position
+    MOTORS_OFF = 4  # the vehicle is disarmed by force
 
 
 class Mode(IntEnum):

@@ -221,7 +221,7 @@ class Launcher:
         child = flight.child
         self._say(flight, child.lines(0.0))
         if child.process.returncode in (0, 1):
-            if flight.name and child.process.returncode and not self._tells:  # others may need this one
+            if flight.name and child.process.returncode and not self._tells:  # it may be needed
                 self._print(f"{flight.name}  {flight.last_line}")
             return None
         problem = f"{child.name} ended in flight: {child.errors()}"

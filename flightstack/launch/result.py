@@ -114,7 +114,7 @@ _FLEET = (
 
 @dataclass(frozen=True)
 class Flown:
-    """Data of a finished run: its log and its problems."""
+    """A finished run: its log, duration, onboard processes and problem."""
 
     about: Mapping[str, object]  # scenario, seed and filter: the first keys of the JSON output
     folder: Path

@@ -89,7 +89,7 @@ def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
 
 
 def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
-    """Add the scenario's start point and fleet to a configuration that does not set them."""
+    """Return a configuration with the scenario's start point and fleet, unless it sets them itself."""
     start_offset_m = config.takeoff.start_offset_m or scenario.onboard.takeoff.start_offset_m
     takeoff = replace(config.takeoff, start_offset_m=start_offset_m)
     return replace(config, takeoff=takeoff, fleet=config.fleet or scenario.onboard.fleet)

@@ -168,7 +168,7 @@ ARDUPILOT_PARAMETERS: Mapping[str, float] = {
     "FS_GCS_ENABLE": 5,
     **dict.fromkeys(("SYSID_MYGCS", "MAV_GCS_SYSID"), 1),  # the onboard process is the ground station
     "GUID_TIMEOUT": 0.5,
-    **{"WPNAV_ACCEL_Z": 150, "WP_ACC_Z": 1.5},  # up to 4.6 in cm/s^2; from 4.7 in m/s^2
+    **{"WPNAV_ACCEL_Z": 150, "WP_ACC_Z": 1.5},  # up to release 4.6 in cm/s^2, from 4.7 on in m/s^2
 }
 
 
@@ -218,7 +218,7 @@ VEHICLES: Mapping[Flies, Vehicle] = {
 
 
 def plugged(cls: type[T], launcher: Launcher, options: RunOptions, **own: Any) -> T:
-    """Return the options of a simulator process: those of the run, and ``own`` ones of the process."""
+    """Return the options of a simulator process: the run's options, and the process's ``own`` options."""
     both = {"scenario": launcher.folder / SCENARIO, "recorder": launcher.socket, "zenoh_config": None}
     return shared(options, cls, **both, **own)
 

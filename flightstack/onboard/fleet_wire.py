@@ -95,7 +95,7 @@ class Offset(NamedTuple):
 
 
 class Least(NamedTuple):
-    """Minimum of several values, which grows with its age."""
+    """Minimum of received values; it grows with its age, because clocks drift."""
 
     value_ns: int
     at_ns: int  # time of ``value_ns`` on this process's clock
@@ -307,7 +307,7 @@ class FleetWire(NoFleet):
             return None
         if not row.claims:
             member.claim_ns, member.claim_s = None, math.nan
-        elif row.claim_ns != member.claim_ns:  # once per claim: its time must not change by a bit
+        elif row.claim_ns != member.claim_ns:  # once per claim, so that its bits do not change
             member.claim_ns = row.claim_ns
             member.claim_s = (row.claim_ns + offset.ns - self._epoch_ns) / 1e9
         stamp_s = (row.stamp_ns + offset.ns - self._epoch_ns) / 1e9

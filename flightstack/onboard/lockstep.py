@@ -41,7 +41,7 @@ SAID_S = 10.0  # waiting time after which a text reports the wait, s
 LOST_RUN_MAX_S = TARGET_SILENT_S + 15.0
 ALIVE = "sim/target/alive"  # Zenoh liveliness token of the robot's process in lockstep
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
-OVER = 1  # second value of the last message
+OVER = 1  # second value of the last message of a member
 _LENGTH = struct.Struct("<I")
 
 
@@ -76,7 +76,7 @@ class VehicleTicks:
                 return self._clock.tick(sim_ns)
             if sim_ns is not None:
                 link.endpoint.repeat(self._vehicle.reply)
-            if silence is None:  # usually the request has already arrived, and no clock is needed
+            if silence is None:  # usually the request has already arrived, and the time-out is not needed
                 silence = Silence()
             waited_s = silence.look()
             if self._stopped() or waited_s > most_s:

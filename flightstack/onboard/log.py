@@ -92,7 +92,7 @@ class OnboardLog:
         self._frames: list[tuple[Direction, bytes, bytes]] = []  # direction, frame, name of the peer
         self._peer_names = PeerNames(feed.metadata, names.record(MAVLINK_PEERS))
         self._packed_step = b""  # packed step of the last tick
-        self._asked = b""  # last TIMESYNC request that arrived
+        self._asked = b""  # newest TIMESYNC request from the vehicle
         self._sequence = self._unix_ns = 0
         self._flush_every = 10 if lockstep else 1  # ticks between flushes: fewer wake-ups of the recorder
         self._every = max(1, round(rate_hz / STATUS_HZ))

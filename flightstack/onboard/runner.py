@@ -117,7 +117,7 @@ Words = Callable[[], tuple[Neighbour, ...]]  # messages of other vehicles since 
 
 
 class Runner:
-    """Runner of ticks with the five parts."""
+    """Runs the ticks of a flight with the five parts."""
 
     def __init__(
         self,
@@ -218,7 +218,7 @@ class LinkedVehicle:
         return VehicleInputs(state.own, status, link.failed is not None, state.power)
 
     def ask(self, request: Request, now_s: float) -> None:
-        """Read the link, then request a mode without the controller."""
+        """Read the link, then request a mode from the vehicle without the controller."""
         self.link.poll(now_s)
         self.link.command(request, now_s)
         self.link.flush()

@@ -229,8 +229,8 @@ STEP_S = 3e-3  # step of the impulse responses, s; their values between two step
 DOUBLINGS = (11, 14)  # numbers of doublings: responses of 6 s, or up to 49 s; the remainder is bounded
 SLACK = 0.03  # largest fraction of a result that vehicles beside the interval's centre may cause
 FOLLOW_PIECE_MIN = 1e-4  # smallest width of an interval of lag factors
-_POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # states of ``linear``
-_TARGET, _ERROR, _OTHER = range(3)  # inputs of the loop
+_POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # state indices of ``linear``
+_TARGET, _ERROR, _OTHER = range(3)  # indices of the loop's inputs
 
 
 def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:

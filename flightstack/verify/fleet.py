@@ -29,7 +29,7 @@ from flightstack.verify.bound import Cell, Shape, Span, most
 from flightstack.verify.envelope import extremes
 from flightstack.verify.types import PROOF, Check
 
-LATE_TICKS = 1.0  # consecutive late ticks, in addition to the tick of a command
+LATE_TICKS = 1.0  # number of consecutive late ticks, in addition to the tick of a command
 
 
 def fleet_checks(config: FlightConfig) -> list[Check]:
@@ -209,11 +209,11 @@ def _landings(config: FlightConfig, fleet: Fleet, descent_s: float) -> list[Chec
 
 
 class Crowd(NamedTuple):
-    """Quantities that decide whether a common feasible velocity exists."""
+    """Quantities that decide whether all constraints have a common feasible velocity."""
 
     steepest: float  # steepest slope of the boundary outside the pad
     climb_m_s: float  # vertical speed of the pad
-    speed_m_s: float  # speed of a neighbour
+    speed_m_s: float  # speed of the fastest neighbour
     flat: float  # factor k = radius_xy / radius_z
     longest: float  # length of the longest gradient g
     growth_m_s: float  # growth rate of the ellipsoid at the largest latency

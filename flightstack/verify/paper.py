@@ -16,7 +16,7 @@ from flightstack.core.types import Vec3
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.types import PROOF, Check
 
-TICK_S = 0.05  # longest allowed tick if the vehicle's lag is shorter than it, s
+TICK_S = 0.05  # longest allowed tick, s, if the vehicle's lag is shorter
 QUICKER = 1.25  # required ratio of the position loop's gain to omega
 FASTER = 1.4  # required ratio of the vehicle's speed to the target's
 # Required ratio of the boundary height at half the pad's radius to contact.gap_m. At a ratio of 1 two of 100

@@ -27,7 +27,7 @@ from flightstack.verify.types import PROOF, Check
 
 STEP_S = 2e-3  # step of the comparison system, s
 PIECES = 20  # number of intervals into which the range of lags is divided
-AGREE = 1.6  # largest allowed ratio between the declared lag and that of the model
+AGREE = 1.6  # largest allowed ratio of declared and modelled lag, the larger divided by the smaller
 
 
 def descent_time_s(config: FlightConfig, x: Extremes) -> float:

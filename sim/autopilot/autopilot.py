@@ -38,7 +38,7 @@ _KINDS = dialect.enums["FAILURE_TYPE"]
 
 
 class Autopilot(Server[Flight]):
-    """One autopilot.
+    """Autopilot of one simulated vehicle.
 
     Call at each tick: ``telemetry``, ``handle`` for each message, ``control``, the physics.
     """
@@ -176,12 +176,12 @@ _OWN = (
     one_of("COM_OBL_RC_ACT", 4, 0, 4, 5),  # action on lost set-points: land, land, hold
     real("COM_DISARM_LAND", 2.0, 0.1, 20.0),  # time on the ground until disarming, s; PX4's default
     real("COM_DISARM_PRFLT", 10.0, 1.0, 120.0),  # time without take-off until disarming, s; PX4's default
-    fixed("COM_RC_IN_MODE", 4),  # no stick input
+    fixed("COM_RC_IN_MODE", 4),  # there is no stick input
     fixed("MAN_OVERRIDE_SPD", -1.0, REAL32),  # stick input never overrides
     fixed("COM_LOW_BAT_ACT", 0),  # a low battery causes no action
     fixed("NAV_DLL_ACT", 0),  # a lost ground station causes no action
-    real("BAT1_V_EMPTY", 3.5, 2.5, 4.0),  # V at rest, of the simulated cell
-    real("BAT1_V_CHARGED", 4.15, 3.5, 4.35),  # V at rest, of the simulated cell
+    real("BAT1_V_EMPTY", 3.5, 2.5, 4.0),  # voltage of the empty cell at rest, V
+    real("BAT1_V_CHARGED", 4.15, 3.5, 4.35),  # voltage of the full cell at rest, V
     real("BAT1_V_LOAD_DROP", 0.37, 0.0, 1.0),  # voltage drop at full throttle, V; 0.25 V in hover at 0.67
     fixed("GF_ACTION", 0),  # there is no fence
     fixed("GF_MAX_HOR_DIST", 0.0, REAL32),

@@ -18,7 +18,7 @@ HEIGHT_RANGE_M = (0.1, 20.0)  # allowed take-off height above home, m; the room 
 # Mode that COM_OBL_RC_ACT selects (PX4 failsafe.cpp). 0 is position mode: it cannot be flown without stick
 # input, so PX4 also lands.
 STREAM_LOST: Mapping[int, FlightMode] = {0: FlightMode.LAND, 4: FlightMode.LAND, 5: FlightMode.HOLD}
-_ESTIMATE_LOST_S = 0.5  # time without a valid estimate after which the vehicle lands
+_ESTIMATE_LOST_S = 0.5  # time without a valid estimate after which the vehicle lands, s
 
 
 class Flight(Commander):
@@ -100,7 +100,7 @@ class Flight(Commander):
         self.pilot.begin()
 
     def arm(self, now_s: float) -> str | None:
-        """Arm, and return the reason of a refusal. The motors idle until a mode commands thrust."""
+        """Arm the vehicle; return the reason of a refusal. The motors idle until a mode commands thrust."""
         if self.vehicle.armed:
             return None
         problems = self.problems(now_s)
@@ -141,7 +141,7 @@ class Flight(Commander):
         return None
 
     def flown(self, now_s: float, setpoint: Setpoint | None, sender: Sender) -> None:
-        """Update the state after ticks that flew set-points without ``control``; ``setpoint``: the last."""
+        """Update the state after ticks that flew set-points without ``control``; ``setpoint``: last one."""
         self._control_s = self._estimate_seen_s = now_s
         if setpoint is not None:
             self._owner, self._setpoint_s = sender, now_s
@@ -209,7 +209,7 @@ class Flight(Commander):
             self._fall_back(now_s, FlightMode.LAND, "No position estimate")
 
     def _fall_back(self, now_s: float, mode: FlightMode, text: str) -> None:
-        """Hold or land because of a failure; on the ground, or without a position, land."""
+        """Change to HOLD or LAND because of a failure; on the ground, or without a position, to LAND."""
         if self.standing or not self.positioned:
             mode = FlightMode.LAND  # this mode disarms on the ground and needs no position
         doing = "landing" if mode is FlightMode.LAND else "holding"

@@ -20,7 +20,7 @@ from sim.plant.states import Estimate
 from sim.vehicle.vehicle import VehicleSim
 
 _INTEGRAL_GAIN_1_S2 = 0.25  # gain that cancels wind and mass error in seconds; slower than the position loop
-_INTEGRAL_MAX_M_S = 0.4  # limit; more than the steady velocity error at 10 % mass error and 2 m/s of wind
+_INTEGRAL_MAX_M_S = 0.4  # limit of the integral: above the steady error at 10 % mass error and 2 m/s of wind
 _LEARN_BELOW_M_S = 0.1  # proportional velocity above which the integral is constant (anti-windup)
 _SLEW_M_S2 = 1.0  # slew limit; with K_v = 0.5 a step of 0.53 m/s would command zero thrust (27 g)
 
@@ -40,7 +40,7 @@ class PositionHold:
     """Position loop with a clamped integral and a slew limit; its output is a velocity set-point, ENU."""
 
     def __init__(self, trim_enu_m_s: Vec3) -> None:
-        self._trim_m_s = trim_enu_m_s  # set-point that holds the position at the start
+        self._trim_m_s = trim_enu_m_s  # velocity set-point that holds the position at the start
         self.point_enu_m: Vec3 = ZERO  # hold point
         self.velocity_enu_m_s: Vec3 = ZERO  # newest output set-point
         self._integral_m_s: Vec3 = trim_enu_m_s
@@ -127,7 +127,7 @@ class Pilot:
     """Computes velocity set-points for the firmware from mode, estimate and received set-point."""
 
     def __init__(self, vehicle: VehicleSim, parameters: Parameters) -> None:
-        self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last set-point to the firmware; None: none
+        self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last set-point to the firmware; None: none yet
         self._vehicle = vehicle
         self._parameters = parameters
         self._hold = PositionHold(vehicle.trim_velocity_enu_m_s)
@@ -156,7 +156,7 @@ class Pilot:
 
     @property
     def passes_on(self) -> tuple[float, float, float] | None:
-        """Speed limits (horizontal, up, down) of unchanged set-points, m/s; None: all may be changed."""
+        """Speeds (horizontal, up, down) up to which set-points pass unchanged, m/s; None: any may change."""
         known = self._version == self._parameters.version
         return self._clip if known and self._engaged and self._setpoint is not None else None
 
@@ -246,7 +246,7 @@ class Pilot:
 
     def _fly_offboard(self, estimate: Estimate, _standing: bool, dt_s: float) -> Event | None:
         setpoint = self._setpoint
-        if setpoint is None:  # the check of the stream runs first
+        if setpoint is None:  # before the first set-point; the check of the stream runs first
             return None
         if not self._engaged:
             self._yaw_rad, self._engaged = yaw_from_quaternion(estimate.quaternion), True

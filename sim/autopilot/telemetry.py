@@ -55,7 +55,7 @@ _ESTIMATOR_FLAGS = (
     | dialect.ESTIMATOR_POS_HORIZ_ABS
     | dialect.ESTIMATOR_POS_VERT_ABS
 )
-_PWM_MIN_US, _PWM_SPAN_US = 1000, 1000  # idle pulse, and span up to full speed, us; as in PX4's SITL
+_PWM_MIN_US, _PWM_SPAN_US = 1000, 1000  # idle pulse length, and range up to full speed, us; as in PX4's SITL
 
 
 def _home_position(s: Snapshot[Flight]) -> Message:

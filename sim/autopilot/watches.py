@@ -20,7 +20,7 @@ _SMOOTH_S = 1.0  # time constant of the low-pass filter
 
 @numeric
 def smoothed(before: float, measured: float, dt_s: float) -> float:
-    """Return the output of a first-order low-pass filter."""
+    """Return the new output of a first-order low-pass filter."""
     return before + (1.0 - math.exp(-dt_s / _SMOOTH_S)) * (measured - before)
 
 
@@ -91,8 +91,8 @@ class Standing:
 
     def __init__(self, vehicle: VehicleSim) -> None:
         self._vehicle = vehicle
-        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # whether the vehicle stands
-        self.since_s = 0.0  # start of the current state
+        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # whether it stands on a surface
+        self.since_s = 0.0  # time at which this state started, s
         self._contact = self.now
         self._changed_s = 0.0
 

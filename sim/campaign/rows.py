@@ -28,9 +28,9 @@ from sim.runners.landing import Landing, TeamLanding
 
 ERROR = "error"  # outcome of a landing that could not be simulated to its end
 _OUTCOMES = frozenset({ERROR, *(outcome.value for outcome in Outcome)})
-CELL_M = 0.1  # width and height of a cell of the map of h
+CELL_M = 0.1  # width and height of a cell of the map of h, m
 E_Z_LOW_M = -0.3  # lower edge of the map's lowest cells, which include all lower values
-D_CELLS, E_Z_CELLS = 30, 30  # size of the map; its last cells include all larger values
+D_CELLS, E_Z_CELLS = 30, 30  # numbers of cells of the map; the last cells include all larger values
 # columns with the duration of a phase
 _TIMED = {
     "approach_s": Phase.APPROACH, "land_s": Phase.LAND, "touchdown_s": Phase.TOUCHDOWN,
@@ -49,11 +49,11 @@ class RowsError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Stored values of one landing; ``None`` where a value does not apply or is not known."""
+    """Values of one landing in the file of rows; ``None`` if a value does not apply or is not known."""
 
     seed: int  # seed of all random draws
     outcome: str  # ``Outcome``, or "error"
-    reason: str  # reason as text
+    reason: str  # reason of the outcome
     # whether h < -5 mm outside the pad (``Verdict.violation``); None: data are missing
     violation: bool | None = None
     started_safe: bool | None = None  # whether h >= 0 at the start of the landing; None: unknown
@@ -62,10 +62,10 @@ class Row:
     h_min_d_m: float | None = None  # horizontal distance d at the tick of ``h_min_m``
     h_min_e_z_m: float | None = None  # height e_z at the tick of ``h_min_m``
     touchdown_error_m: float | None = None  # horizontal distance d at first contact
-    touchdown_speed_vertical_m_s: float | None = None  # speed relative to the pad, positive downwards
-    touchdown_speed_horizontal_m_s: float | None = None  # speed relative to the pad
+    touchdown_speed_vertical_m_s: float | None = None  # sink rate relative to the pad at first contact
+    touchdown_speed_horizontal_m_s: float | None = None  # horizontal speed relative to the pad
     time_to_land_s: float | None = None  # time from the start of the landing to first contact, if landed
-    retries: int | None = None  # number of returns to the approach
+    retries: int | None = None  # number of go-arounds, which return to the approach
     # duration of each phase, s
     approach_s: float | None = None
     land_s: float | None = None

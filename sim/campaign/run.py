@@ -69,9 +69,9 @@ OnRow = Callable[[Row], None]
 
 @dataclass(frozen=True)
 class Plan:
-    """Definition of a campaign."""
+    """Definition of a campaign: scenario and seeds."""
 
-    scenario_name: str  # name or file as given; used in printed commands
+    scenario_name: str  # name or file of the scenario, as the user gave it; printed commands contain it
     scenario: TeamScenario  # scenario, with the safety filter to fly
     runs: int  # number of landings
     first_seed: int  # first of consecutive seeds
@@ -117,7 +117,7 @@ def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None
 
 @dataclass(frozen=True)
 class Flown:
-    """Result of a call of ``fly``."""
+    """Result of ``fly``: the rows and their summary."""
 
     rows: list[Row]  # all rows of the folder, ordered by seed
     missing: int  # number of landings without a row
@@ -333,7 +333,7 @@ def _histograms(rows: Sequence[Row]) -> list[Panel]:
 
 
 def histogram(values: Sequence[float], axis: str, limit: float | None) -> go.Figure:
-    """Return the histogram of a value, with its limit as a line."""
+    """Return the histogram of a campaign value, with the limit of the value as a line."""
     import plotly.graph_objects as go
 
     from logs.report.style import BOUNDARY, TRUE, layout
@@ -350,7 +350,7 @@ def histogram(values: Sequence[float], axis: str, limit: float | None) -> go.Fig
 
 
 def h_map(wanted: Plan, rows: Sequence[Row]) -> go.Figure:
-    """Return the map of the lowest h, with the boundary."""
+    """Return the map of the lowest h over distance and height, with the boundary of the barrier."""
     import plotly.graph_objects as go
 
     from logs.report.style import BOUNDARY, layout

@@ -32,7 +32,7 @@ _VIOLATED_RANK = 2
 
 @dataclass(frozen=True)
 class Counts:
-    """Number of landings with each outcome."""
+    """Numbers of landings by outcome."""
 
     runs: int
     landed: int
@@ -105,7 +105,7 @@ def summary(
 
 
 def _of_teams(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return the values that only teams have; for single vehicles the result is empty."""
+    """Return the part of a summary that only teams have; empty for single vehicles."""
     teams = [row for row in rows if row.outcomes]
     if not teams:
         return {}
@@ -148,7 +148,7 @@ def why(row: Row) -> str:
     return f"{told}; violation {found}"
 
 
-# key, key within its object, name as text, unit, factor
+# line of a summary: key, key within that object, name, unit, factor
 _LINES: tuple[tuple[str, str, str, str, float], ...] = (
     ("runs", "", "landings flown", "", 1.0),
     ("landed", "", "landed", "", 1.0),

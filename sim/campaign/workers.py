@@ -44,9 +44,9 @@ from sim.vehicle.declared import outside
 
 _ALONE = threading.Lock()  # serialises landings: threads of a cluster's worker would only wait for each other
 _PACKAGES = ("flightstack", "bridge", "sim", "logs")
-DEATHS_MAX = 2  # number of workers that may die with one seed
+DEATHS_MAX = 2  # number of workers that may die with one seed before its row gets the outcome "error"
 STARTS_MAX = 3  # maximum number of consecutive workers that end before they are ready
-SLOWEST = 0.05  # landings slower than this fraction of real time are aborted
+SLOWEST = 0.05  # smallest ratio of simulated to wall time; a slower worker is ended
 START_S = 1800.0  # time-out of a worker's start, including compilation on a slow computer
 _LOOK_S = 1.0  # wall time between two checks of the time-outs
 _END_S = 5.0  # time-out of a worker's end, wall time

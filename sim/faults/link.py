@@ -22,7 +22,7 @@ _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # only this message has a 32-bit time in us
 _HEARTBEAT_FIELDS = ("base_mode", "custom_mode", "system_status")
 _VELOCITY_FIELDS = ("vx", "vy", "vz")
-_MODE_BITS, _STATES = 1 << 26, 9  # upper limits of random custom_mode and system_status
+_MODE_BITS, _STATES = 1 << 26, 9  # upper limits of custom_mode and system_status in a damaged heartbeat
 _U32, _U64 = 1 << 32, 1 << 64
 
 
@@ -88,7 +88,7 @@ def clock_ns(running: Running, now_ns: int) -> int:
 
 def _clock(running: Running, message: Any, now_ns: int) -> None:
     if message.get_msgId() == _TIMESYNC:
-        if message.tc1 != 0:  # a reply; only lockstep sends requests
+        if message.tc1 != 0:  # this message is a reply; only lockstep sends requests
             message.tc1 = max(1, clock_ns(running, now_ns))
         return
     boot_ms = getattr(message, "time_boot_ms", None)

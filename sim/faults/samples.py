@@ -178,7 +178,7 @@ class SampleFaults(Generic[S]):
 
 
 def turned(q: Quat, yaw_rad: float) -> Quat:
-    """Return an attitude turned about the vertical."""
+    """Return an attitude that is turned about the vertical by an angle, rad."""
     c, s = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
     w, x, y, z = q
     return (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
@@ -221,7 +221,7 @@ class EstimateFaults:
             self._reset()
 
     def sample(self, now_ns: int, estimate: Estimate) -> None:
-        """Send an estimate through the faults."""
+        """Apply the faults to a new estimate of the firmware."""
         self.due_ns += ESTIMATE_PERIOD_NS
         if self._arrived is None:
             self._arrived, self._arrived_ns = estimate, now_ns

@@ -34,7 +34,7 @@ class Running:
         return bool(self.rng.random() < self.fault.amount)
 
     def paused(self, now_ns: int) -> bool:
-        """Return whether an intermittent fault pauses now; it starts with a pause."""
+        """Return whether an intermittent fault pauses now; its first period starts with a pause."""
         since_s = (now_ns - self.start_ns) / NS
         return since_s % self.fault.period < self.fault.amount
 
@@ -122,7 +122,7 @@ class Schedule:
 
 
 class Effect(Protocol):
-    """Applies the faults of one component."""
+    """Applies the faults of one component when they start and end."""
 
     def begin(self, running: Running) -> None: ...
 

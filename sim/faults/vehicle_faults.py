@@ -202,8 +202,8 @@ class Faults(ScheduledFaults):
     def __init__(
         self, faults: Sequence[Fault], seed: int, motors: MotorFaults, battery: BatteryFaults
     ) -> None:
-        self.mocap = SampleFaults(MOCAP)  # faults of motion capture before the estimator
-        self.own_state = EstimateFaults()  # faults of the estimate before the autopilot
+        self.mocap = SampleFaults(MOCAP)  # faults of motion-capture samples before they reach the estimator
+        self.own_state = EstimateFaults()  # faults of the state estimate before it reaches the autopilot
         self.link = LinkFaults()  # faults of the MAVLink connection, applied by its owner
         effects: dict[What, Effect] = {
             What.MOTOR: motors,

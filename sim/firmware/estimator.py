@@ -49,7 +49,7 @@ def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float
     """
     t = period_s
     velocity_walk = accel_std**2 * FIRMWARE_STEP_S  # variance rate of the velocity, (m/s)^2 per s
-    accel_walk = (gravity * GYRO_RAD_S) ** 2 * FIRMWARE_STEP_S  # variance rate, (m/s^2)^2 per s
+    accel_walk = (gravity * GYRO_RAD_S) ** 2 * FIRMWARE_STEP_S  # variance rate of this error, (m/s^2)^2 per s
     f = np.array([[1.0, t, 0.5 * t * t], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
     q = velocity_walk * np.array([[t**3 / 3, t**2 / 2, 0.0], [t**2 / 2, t, 0.0], [0.0, 0.0, 0.0]])
     q += accel_walk * np.array(
@@ -96,7 +96,7 @@ def yaw_gain(period_s: float) -> float:
     """Return the stationary gain on yaw for one radian of innovation (scalar Riccati equation)."""
     q = GYRO_RAD_S**2 * FIRMWARE_STEP_S * period_s
     r = YAW_STD_RAD**2
-    p = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))  # predicted variance
+    p = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))  # predicted variance of the yaw
     return p / (p + r)
 
 
@@ -113,9 +113,9 @@ class EstimatorRecord(Record):
     kv_z: float
     kz: float  # gain on the bias, 1/s^2
     kyaw: float
-    by_pose: bool  # whether the firmware's form is used
+    by_pose: bool  # whether the estimator has the firmware's form
     body_z: bool  # whether only body z of the accelerometer is used (firmware's form in flight)
-    known_drag: Vector  # kalman.dragB_*, body axes, 1/s
+    known_drag: Vector  # rotor drag in the firmware's filter (kalman.dragB_*), body axes, 1/s
     kp_tilt: float  # gain from a pose's attitude to the position, m per rad
     kv_tilt: float  # gain from a pose's attitude to the velocity, m/s per rad
     kt_tilt: float  # gain from a pose's attitude to the tilt
@@ -294,7 +294,7 @@ class Estimator:
         _correct_tilt(self._cell, np.array(quaternion))
 
     def know_drag(self, drag_1_s: Vec3) -> None:
-        """Write the parameters ``kalman.dragB_*``."""
+        """Set the firmware's parameters ``kalman.dragB_*``: drag along the body axes, 1/s."""
         self.record.known_drag[:] = drag_1_s
 
     def estimate(self) -> Estimate:

@@ -48,7 +48,7 @@ K_W_XY = 20000.0  # counts per rad/s
 K_W_Z = 2000.0
 K_D_OMEGA_RP = 200.0  # counts per rad/s^2; firmware default, controller_mellinger.c: kd_omega_rp
 K_I_Z = 500.0  # counts per (unit of eR) s; firmware default: ki_m_z
-I_RANGE_Z = 1500.0  # firmware default: i_range_m_z
+I_RANGE_Z = 1500.0  # limit of the yaw integral; firmware default: i_range_m_z
 MOMENT_MAX = 32000.0  # limit of each moment, counts
 
 Counts = tuple[int, int, int]  # moments about body x, y, z, counts
@@ -86,7 +86,7 @@ def attitude_moments(a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy
 
 K_V_N_S_M = 0.5  # velocity gain, section V of the paper: K_v = 0.5 I
 UP_SHARE_MIN = 0.2  # smallest upward force, divided by the weight
-TAN_TILT_MAX = math.tan(math.radians(40.0))  # largest tilt; thrust carries the weight up to 49 degrees
+TAN_TILT_MAX = math.tan(math.radians(40.0))  # largest tilt is 40 degrees; thrust suffices up to 49
 
 
 @jitted
@@ -101,7 +101,7 @@ def axes_from_force(fx: float, fy: float, fz: float, cos_yaw: float, sin_yaw: fl
 
 
 class PaperRecord(Record):
-    """Constants of the loop and its attitude controller."""
+    """Constants of the paper's velocity loop and of its attitude controller."""
 
     weight: float  # nominal weight, N
     counts_per_n: float
@@ -126,7 +126,7 @@ def paper_update(
     desired = axes_from_force(fx, fy, fz, setpoint.cos_yaw, setpoint.sin_yaw)
     rates = sensed.rates
     moments = attitude_moments(p.attitude, axes, desired, rates[0], rates[1], rates[2])
-    if counts <= 0.0:  # controller_mellinger.c: no moments, reset the integrals
+    if counts <= 0.0:  # as in controller_mellinger.c, zero thrust gives no moments and resets the integrals
         paper_reset(p)
         return 0.0, (0, 0, 0)
     return counts, moments

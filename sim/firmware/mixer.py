@@ -1,4 +1,4 @@
-"""Legacy power distribution and the thrust map: counts to rotor speed commands.
+"""The firmware's legacy power distribution and thrust map: they convert counts to rotor speed commands.
 
 It follows firmware power_distribution_quadrotor.c and motors.c: the excess of a motor above full duty is
 subtracted from all four motors. In the firmware's map, counts are linear in thrust (65535 = THRUST_MAX).
@@ -68,7 +68,7 @@ class MapRecord(Record):
 
 @jitted
 def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
-    """Return the commanded speed, rpm; the battery limits it to ``rpm_max``."""
+    """Return the commanded speed of a motor, rpm; the battery limits it to ``rpm_max``."""
     if counts < m.off_below:
         return 0.0
     return min((m.b + math.sqrt(m.b * m.b + m.four_a * counts)) * m.inverse, rpm_max)
@@ -76,7 +76,7 @@ def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
 
 @jitted
 def motor_volts(m: MapRecord, counts: float) -> float:
-    """Return the commanded voltage; 0: the motor stops."""
+    """Return the commanded mean voltage of a motor, V; 0: the motor stops."""
     if counts < m.off_below:
         return 0.0
     k, share, volts = m.volt_map, counts / COUNTS_MAX, VOLTS_FIRST

@@ -44,7 +44,7 @@ class PidRecord(Record):
     dt: float  # time step, s
     limit: float  # limit of the output
     integral: float
-    previous: float  # last measurement; NaN: no measurement yet
+    previous: float  # last measured value, for the D-term; NaN before the first
 
 
 @jitted
@@ -77,7 +77,7 @@ class CascadeRecord(Record):
     x: PidRecord  # loop from position to velocity; x and y in the frame turned by yaw
     y: PidRecord
     z: PidRecord
-    vx: PidRecord  # loop from body velocity to tilt, degrees
+    vx: PidRecord  # loop from velocity in the yaw frame to tilt, degrees
     vy: PidRecord
     vz: PidRecord  # loop from velocity to thrust
     roll: PidRecord  # loop from angle to rate, degrees
@@ -113,7 +113,7 @@ def cascade_reset(c: CascadeRecord) -> None:
 
 @jitted
 def clamp(value: float, limit: float) -> float:
-    """Limit to the range -``limit`` to ``limit``."""
+    """Limit a value to the range -``limit`` to ``limit``."""
     return max(-limit, min(limit, value))
 
 

@@ -155,7 +155,7 @@ class Firmware:
         self._inbox.send(setpoint, now_ms + self._delay_ms)
 
     def arm(self, now_ms: int, battery_v: float) -> str | None:
-        """Arm. Return None if the vehicle is armed, else the reason of the rejection."""
+        """Arm the vehicle; return None, or the reason of the rejection."""
         if not self.estimator.valid:
             return "no motion-capture samples"
         if self.estimator.sensed.axes[8] < TILT_MAX_COS:

@@ -184,12 +184,12 @@ class Supervisor:
         return bool(self._allowed[0])
 
     def start_flying(self) -> None:
-        """Start in the air at time zero."""
+        """Start with an armed vehicle in the air at time zero."""
         self.record.motors_last_ms = 0
         self._enter(State.FLYING, 0)
 
     def arm(self, now_ms: int) -> str | None:
-        """Arm. Return None if the vehicle is armed, else the reason of the rejection."""
+        """Arm the vehicle; return None, or the reason of the rejection."""
         if self.motors_allowed:
             return None
         if self.state is not State.DISARMED:

@@ -34,7 +34,7 @@ class RecordingError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Definition of a group of columns."""
+    """Definition of a quantity that the columns of a recording contain."""
 
     width: int  # number of columns
     # allowed units, each with the factor to SI units (for PWM: to the duty cycle, 0 to 1)

@@ -27,8 +27,8 @@ from sim.flights.recording import QUANTITIES, Floats, Group, Recording, Recordin
 
 FAR = 6.0  # allowed factor between two quantities; any two units differ by more
 STEP_S = (0.5e-3, 0.1)  # allowed sample period, s; longer periods do not show a quadrotor's motion
-ROOM_M = 50.0  # largest extent of a flight
-CELL_V = 3.7  # typical voltage of a LiPo cell
+ROOM_M = 50.0  # largest extent of a flight, m
+CELL_V = 3.7  # typical voltage of a LiPo cell, V
 DUTY = 0.5  # typical duty cycle in flight, within a factor of 2
 TILT_MAX_DEG = 60.0  # largest median tilt of a flight
 OPPOSITE = -0.5  # correlation below which an axis has the wrong sign
@@ -37,7 +37,7 @@ MOVES = {"attitude": 0.05, "position": 0.05, "velocity": 0.05, "tilt": 0.01}
 
 
 class _Scale(NamedTuple):
-    """Ratio of a quantity's size to its expected size."""
+    """Size of a recorded quantity, divided by its expected size."""
 
     name: str
     ratio: float
@@ -73,7 +73,7 @@ def _wrong(scale: _Scale, columns: Mapping[str, Group]) -> str:
 
 
 def _scales(r: Recording) -> Iterator[_Scale]:
-    """Yield the ratio for each quantity that the flight shows."""
+    """Yield this ratio for each quantity that the flight contains."""
     moving = np.isfinite(r.duty).all(axis=1) & (r.duty.max(axis=1) > 0.0)
     span_m = max(_width(r.position_m), 1e-9)
     if span_m > ROOM_M:
@@ -101,7 +101,7 @@ def _scales(r: Recording) -> Iterator[_Scale]:
         if name == "rates":
             values, reference = band(values, r.step_s), band(reference, r.step_s)
         size, true = _width(values), _width(reference)
-        rests = size == 0.0 and name.startswith("setpoint")  # unlike a sensor, a set-point can be constant
+        rests = size == 0.0 and name.startswith("setpoint")  # set-points, but not sensors, can be constant
         if true > least and not rests:
             yield _Scale(name, size / true, f"{size / true:.3g} times the {told}")
 

@@ -21,7 +21,7 @@ from sim.flights.screening import Screened, load
 FLIGHTS = "FLIGHTSTACK_FLIGHTS"  # environment variable with the folder of recorded flights
 DELAY_S = (-0.1, 0.2)  # range of an estimate's delay; outside it the clocks differ
 SPEED_MIN_M_S = 0.3  # rms speed below which a delay has no visible effect
-SLOW_M_S = 0.1  # well below this speed the flight's mean delay is used, and the remaining error is an offset
+SLOW_M_S = 0.1  # speed below which the flight's mean delay is used, and the remaining error is an offset
 STILL_M_S = (0.16, 0.54)  # speeds s in: error along / across the velocity = fraction * (speed + s); fitted
 CUT_S = 0.3  # time cut from both ends of a piece, because there the delayed truth is outside the piece
 
@@ -99,7 +99,7 @@ def _split(r: Recording, piece: slice, mean_s: float, velocity_mean_s: float, tu
 
 
 def _delay_s(truth: Floats, estimate: Floats, pieces: list[slice], step_s: float) -> float:
-    """Return the constant delay with the best fit."""
+    """Return the constant delay of an estimate that fits best, s."""
 
     def misfit(delay_s: float) -> float:
         left = [estimate[p] - _earlier(truth, p, np.asarray(delay_s / step_s)) for p in pieces]

@@ -47,7 +47,7 @@ class NoiseRecord(Record):
 
 @jitted
 def vary(n: NoiseRecord) -> None:
-    """Advance the noise by one step; takes three numbers from the tape."""
+    """Advance the noise by one step, with three random numbers of the tape."""
     if n.on:
         for i in range(3):
             n.now[i] = n.decay[i] * n.now[i] + n.kick[i] * take(n.tape)
@@ -71,7 +71,7 @@ class CorrelatedNoise:
         for i, (axis, time) in enumerate(zip(rms, time_s, strict=True)):
             decay = math.exp(-step_s / time)  # exact discretisation
             r.decay[i], r.kick[i] = decay, axis * math.sqrt(1.0 - decay**2)
-            r.now[i] = axis * take(r.tape)  # the process is stationary from the start
+            r.now[i] = axis * take(r.tape)  # first value from the stationary distribution
 
     def top_up(self) -> None:
         """Draw numbers for at least 340 steps."""
@@ -88,7 +88,7 @@ class WindRecord(Record):
 
 @jitted
 def blow(w: WindRecord) -> None:
-    """Advance the gusts by one step; takes three numbers from their tape."""
+    """Advance the gusts by one step, with three random numbers of their tape."""
     vary(w.gust)
     if w.gust.on:
         for i in range(3):

@@ -13,7 +13,7 @@ from sim.scenarios.scenario import VEHICLE_FILES, VehicleSpec
 
 Four = tuple[float, float, float, float]
 
-STEP_S = 0.001  # time step of the physics
+STEP_S = 0.001  # time step of the physics, s
 CONTROL_STEP_S = 0.002  # period of the control loops; firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
 
 
@@ -34,7 +34,7 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class Rotor:
-    """One motor with its propeller.
+    """Parameters of a motor with its propeller.
 
     ``volt_map``: the firmware's map from mean motor voltage V to the fraction of full counts, which is the
     sum of volt_map[k] V^k. The duty cycle is V divided by the battery voltage; a low battery saturates it.

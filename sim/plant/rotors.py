@@ -49,7 +49,7 @@ class RotorRecord(Record):
     q1: float  # drag torque = (q1 + q2 rpm) rpm, N m
     q2: float
     arm: float
-    gyro: float  # angular momentum per speed, N m s / rpm
+    gyro: float  # angular momentum of a rotor divided by its speed, N m s / rpm
     reaction: float  # torque per change of speed in one step
     gain: float  # gain of the first-order lag in one step; exact for a constant command
     slow_rise: float
@@ -178,7 +178,7 @@ def speed_limit(b: BatteryRecord) -> float:
 
 
 class BatteryModel:
-    """The battery, a single cell.
+    """Battery of the vehicle, a single cell.
 
     ``hover_rpm``: rotor speed at the hover current; ``record``: record that stores the state; ``charge``:
     state of charge at the start, 0 to 1.
@@ -251,7 +251,7 @@ def thrust_increase(g: GroundRecord, height_m: float) -> float:
 def ground_effect(
     g: GroundRecord, ex: float, ey: float, ez: float, pad_height_m: float, axes: Nine, factors: F64
 ) -> None:
-    """Compute the factors on the four thrusts; a factor is 1 without a surface nearby.
+    """Compute the ground effect's factors on the four thrusts; a factor is 1 without a surface nearby.
 
     ``ex``, ``ey``, ``ez``: vehicle minus pad centre, ENU, m; ``pad_height_m``: height of the pad above the
     floor; ``axes``: body axes in the world.

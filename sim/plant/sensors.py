@@ -26,7 +26,7 @@ NS = 1_000_000_000
 NS_PER_MS = 1_000_000
 NEVER_NS = 1 << 62
 NO_NOISE = -0.0  # zero noise; adding -0.0 does not change the sign of a zero
-BLOCK = 1024  # numbers per draw; numpy's single draws take twenty times as long for each number
+BLOCK = 1024  # count of numbers in one draw; single draws of numpy take twenty times as long for each number
 
 
 def ms_from(time_ns: int) -> int:
@@ -47,14 +47,14 @@ class Normals:
         return drawn[::-1]
 
     def take(self) -> float:
-        """Return the next number."""
+        """Return the next random number."""
         if not self._left:
             self._left = self.block()[::-1].tolist()
         return self._left.pop()
 
 
 class NoiseRows:
-    """Noise of samples with several values; each value with noise uses one number of ``Normals``.
+    """Noise for samples of several values; each value with noise uses one number of ``Normals``.
 
     ``sigmas``: standard deviation of each value; ``purpose``: name of the random stream.
     """
@@ -243,7 +243,7 @@ class ImuRecord(Record):
     accel_bias: Vector
     gyro_sigma: float  # standard deviation of the white noise per measurement
     accel_sigma: float
-    gyro_gain: float  # gain of the filter
+    gyro_gain: float  # gain of the gyro's low-pass filter in one measurement
     accel_gain: float
     per_step: float  # number of measurements per second
     gravity: float

@@ -45,12 +45,12 @@ class PastRecord(Record):
     states: Annotated[F64, 6 * PAST]  # ring buffer of position (m) and velocity (m/s), ENU
     count: int  # number of states stored since the start
     rate: float  # states per second
-    late: Annotated[F64, 6]  # measured position and velocity
+    late: Annotated[F64, 6]  # measured (delayed) position and velocity
 
 
 @jitted
 def _recall(past: PastRecord, delay_s: float, first: int) -> None:
-    """Write three components of the state ``delay_s`` (>= 0) ago."""
+    """Write three components of the stored state of ``delay_s`` (>= 0) before now."""
     back = max(0.0, min(delay_s * past.rate, float(min(past.count, PAST) - 1)))
     whole = int(back)
     share = back - whole

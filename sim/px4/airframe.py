@@ -49,13 +49,13 @@ def rotor_speeds(controls: Sequence[float], armed: bool, rotor: Rotor) -> Four:
 
 # Yaw effectiveness of a Crazyflie: 20 * 0.00705 m = 0.141. PX4's coefficient 6.5 gives 0.046, below 0.05.
 THRUST_COEFFICIENT = 20.0
-_MOTOR_1 = 101  # value of PX4's output function Motor1
+_MOTOR_1 = 101  # number of PX4's output function "Motor 1"
 _NATURAL = 1.3  # product of the rate loop's natural frequency and the motor lag
 _DAMPING = 0.8
 _SLOWER = 4.0  # ratio of the rate loop's natural frequency to the attitude loop's bandwidth
 _INTEGRAL_1_S = 1.3  # ratio of I to P, as in PX4's defaults 0.2 and 0.15
 _YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths of yaw rate and yaw
-_THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # an output is a fraction of the highest thrust
+_THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # outputs are fractions of the highest thrust
 # parameters that the pre-flight check requires of every PX4 in a simulation without a radio
 SAFE_PARAMETERS: dict[str, float] = {
     "COM_RC_IN_MODE": 4,  # no stick input
@@ -64,11 +64,11 @@ SAFE_PARAMETERS: dict[str, float] = {
 }
 _SATELLITES: dict[str, float] = {
     "EKF2_GPS_P_NOISE": 0.02,  # standard deviation, m; the simulated receiver has an RTK fix
-    "EKF2_HGT_REF": 1,  # height from the receiver, because the barometer's noise is 0.1 m
+    "EKF2_HGT_REF": 1,  # the height comes from the receiver, because the barometer's noise is 0.1 m
 }
 _MOCAP: dict[str, float] = {
     "EKF2_EV_CTRL": 11,  # use horizontal and vertical position, and yaw
-    "EKF2_HGT_REF": 3,  # height from vision
+    "EKF2_HGT_REF": 3,  # the height comes from vision
     "EKF2_GPS_CTRL": 0,
     "EKF2_MAG_TYPE": 5,  # no magnetometer; the pose contains the yaw
     "SYS_HAS_GPS": 0,
@@ -112,7 +112,7 @@ def parameters(params: Params, mocap: OdometryLink | None = None) -> dict[str, f
     found["MC_YAWRATE_P"] = _YAW_1_S / yaw
     found["MC_YAW_P"] = _YAW_ATTITUDE_1_S
     found |= _THRUST | SAFE_PARAMETERS
-    found |= _SATELLITES if mocap is None else _MOCAP | {"EKF2_EV_DELAY": mocap.delay_s * 1e3}  # in ms
+    found |= _SATELLITES if mocap is None else _MOCAP | {"EKF2_EV_DELAY": mocap.delay_s * 1e3}  # delay in ms
     return {name: value if isinstance(value, int) else round(value, 5) for name, value in found.items()}
 
 

@@ -35,7 +35,7 @@ class FrameStream:
         data, counts = self._rest + data, FrameCounters()
         found: list[Message] = []
         used = at = 0
-        waiting: int | None = None  # start of a possible frame whose end has not arrived
+        waiting: int | None = None  # index of a possible frame whose end has not arrived
         while at < len(data):
             end = frame_end(data, at, len(data), counts) or version_1_end(data, at, len(data))
             if end > 0:
@@ -65,7 +65,7 @@ _ENDPOINT = re.compile(r"^([^:/\s]+):(\d{1,5})$")
 _ENDPOINT_HELP = "allowed is HOST:PORT, PORT up to 65535 (0 takes a free one), for example 127.0.0.1:4560"
 _CHUNK = 65536  # maximum bytes per read
 _SEND_MAX_S = 5.0  # maximum time for which PX4's receive buffer may be full
-SLICE_S = 0.1  # longest wait for the socket
+SLICE_S = 0.1  # longest wait for the socket, s
 
 
 class LinkClosedError(ConnectionError):

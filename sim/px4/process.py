@@ -53,7 +53,7 @@ class Px4Node:
         self.log.epoch_ns = self._clock.unix_ns()
 
     def end(self, flown_s: float) -> None:
-        """End a flight that lasted this simulated time."""
+        """Record the end of a flight that lasted this simulated time."""
         self._deck_s += flown_s
 
     def before_step(self, flight: Px4Session) -> None:

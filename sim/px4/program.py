@@ -20,8 +20,8 @@ from sim.autopilot.telemetry import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 
 INSTANCES = range(10)  # instance numbers; above 9, PX4 sends all MAVLink to one port (px4-rc.mavlink)
 BOOT_MAX_S = 90.0  # default time-out of wait_ready, wall time
-CONSOLE_MAX_S = 10.0  # time-out of one command at PX4's console
-END_MAX_S = 5.0  # time-out of PX4's orderly end
+CONSOLE_MAX_S = 10.0  # time-out of one command at PX4's console, s
+END_MAX_S = 5.0  # time-out of PX4's orderly end, s
 # latitude and longitude, degrees, altitude, m: the floor of px4-sim, origin of HIL_GPS and barometer
 ROOM_WGS84 = (ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, 0.0)
 _BOOTED = "Startup script returned successfully"
@@ -30,7 +30,7 @@ _CHECKED = "Preflight check: OK"
 _LOOK_S = 0.05  # time between two reads of the output, s
 _ASK_S = 0.2  # time between two repeated console commands, s
 _LAST_LINES = 12
-_SAME_PLACE_DEG = 1e-5  # 1 m; PX4 prints its reference with six decimals
+_SAME_PLACE_DEG = 1e-5  # tolerance of the origin, 1 m; PX4 prints its reference with six decimals
 _REFERENCE = re.compile(r"^\s*(ref_lat|ref_lon): (\S+)", re.MULTILINE)
 _ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
 # rcS multiplies these time-outs by the speed, for clients in real time; our clients run at the simulation's
@@ -151,7 +151,7 @@ class Px4Program:
             raise ValueError(f"PX4 instance {instance}: allowed are 0 to {INSTANCES.stop - 1}")
         files = find_px4(binary)
         self.folder = folder.absolute()  # working folder: parameters, PX4's log (log/), output (px4.txt)
-        self.instance = instance  # added to all port numbers
+        self.instance = instance  # instance number, which PX4 adds to all port numbers
         self.simulator_port = 4560 + instance  # TCP port of the simulator that PX4 connects to (NONE_IRIS)
         # UDP ports: destination and source of the MAVLink to a companion, and the port for ground stations
         self.onboard_port, self.onboard_local_port = 14540 + instance, 14580 + instance

@@ -137,7 +137,7 @@ class Px4Sensors:
             _within(frd_from_flu(self._imu.accel), ACCEL_MAX_M_S2),
             _within(frd_from_flu(self._imu.gyro), GYRO_MAX_RAD_S),
             self._read_slow(body) if count % SLOW_EVERY == 0 else None,
-            self._read_gps(body) if count % GPS_EVERY == GPS_EVERY - 1 else None,  # PX4's clock runs already
+            self._read_gps(body) if count % GPS_EVERY == GPS_EVERY - 1 else None,  # PX4's clock runs by then
         )
 
     def _read_slow(self, body: Body) -> Slow:

@@ -111,7 +111,7 @@ class Event(Enum):
     LOCKSTEP = "lockstep"
     ARMED = "armed"
     DISARMED = "disarmed"
-    PAUSED = "the machine paused: simulation too"  # only at the first pause in a flight
+    PAUSED = "the machine paused: simulation too"  # reported only at the first pause in a flight
 
 
 class Px4Session:
@@ -140,7 +140,7 @@ class Px4Session:
         self.lockstep = Lockstep()
         self._speed, self._silent_max_s, self._tell = speed, silent_max_s, tell
         self.steps = 0
-        self.nudges = 0  # steps without an answer
+        self.nudges = 0  # number of steps that ran without an answer
         self._armed = self._paused = False
         self._state_every_us = 0  # period of HIL_STATE_QUATERNION, us; 0: not requested
         self._state_due_us = 0

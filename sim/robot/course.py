@@ -14,11 +14,11 @@ from sim.scenarios.scenario import PathKind, TargetSpec
 # function from driven time (s), axle position (m, ENU) and heading (rad) to speed (m/s) and turn rate (rad/s)
 Course = Callable[[float, float, float, float], tuple[float, float]]
 GAIN_1_S = 2.0  # turn rate divided by the heading error to the waypoint, 1/s (assumption)
-REACHED_M = 0.05  # distance at which a waypoint counts as reached
+REACHED_M = 0.05  # distance at which a waypoint counts as reached, m
 
 
 class Waypoints:
-    """Drives to each point in order and repeats; turns on the spot if the next point is behind the robot."""
+    """Steers to each waypoint in order, repeatedly; turns on the spot if the next one is behind the robot."""
 
     def __init__(
         self, points_m: Sequence[tuple[float, float]], speed_m_s: float, turn_rate_rad_s: float

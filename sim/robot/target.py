@@ -161,7 +161,7 @@ def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) 
 
 
 class TargetModel:
-    """True motion of the target.
+    """Model of the target's true motion.
 
     ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s``, ``yaw_rate_rad_s`` and the values of ``pad``
     describe the pad centre at ``time_s``; the twist in the body frame is constant until the next step. Heave
@@ -303,7 +303,7 @@ class TargetOdometry:
 
 @jitted
 def _finish(samples: F64) -> None:
-    """Convert nanoseconds to seconds, and wrap the heading."""
+    """Convert the samples' times from nanoseconds to seconds, and wrap their headings."""
     for sample in samples:
         sample[0] /= NS
         sample[4] = wrap(sample[4])

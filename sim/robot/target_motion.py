@@ -28,7 +28,7 @@ SHAPE: Shape[Sample] = Shape(_move, lambda first, now: (now[0], *first[1:]))
 class Wheels:
     """Faults that lock the robot's wheels."""
 
-    locked = 0  # number of active faults
+    locked = 0  # number of active faults that lock the wheels
 
     def begin(self, running: Running) -> None:
         del running

@@ -42,7 +42,7 @@ from sim.runners.vehicle_node import VehicleNode
 
 TICKS = 20  # maximum number of ticks in one call; the robot is computed for this number of future ticks
 SPAN_S = 0.25  # maximum simulated time of one call, s; a longer gap would restart the set-point stream
-_SOON_S = 1e-6  # ticks within this time before a due message run in Python, s
+_SOON_S = 1e-6  # time before a due message in which ticks run in Python, s
 SPEED_MAX_M_S = 2.5  # largest set-point on each axis, m/s, that the autopilot surely does not clip
 ASKING = (Phase.APPROACH, Phase.LAND)  # phases in which an agent chooses the nominal velocity
 _BACK_OFF = 4  # maximum number of ticks in Python after a failed attempt to start a batch
@@ -111,7 +111,7 @@ class Batches:
 
     @property
     def _given(self) -> Any:
-        """First arguments of ``fly_ticks`` and ``look``."""
+        """First arguments of the compiled functions ``fly_ticks`` and ``look``."""
         return (*self._cells, self._phase_rules, *self._memory, self._plan)
 
     def warm_up(self) -> None:

@@ -160,7 +160,7 @@ class Companion:
 
 @dataclass(frozen=True)
 class Landing:
-    """Result of one vehicle's flight."""
+    """Result of the flight of one vehicle."""
 
     seed: int  # seed of all random draws
     verdict: Verdict  # verdict from true states, as for a flight log

@@ -58,7 +58,7 @@ class Inlet(Endpoint):
         self.tap = None
         self.counters = EndpointCounters()
         self.warnings = ()
-        self.other: Inlet = self  # receiving end
+        self.other: Inlet = self  # the other end, which receives sent messages
         # function that runs the other side; called when this end waits
         self.answer: Callable[[], None] | None = None
         self._ids = (system_id, component_id)
@@ -90,7 +90,7 @@ class Inlet(Endpoint):
             arrived.append(Received(message, b"", PEER))
 
     def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
-        """Pass a frame to the other end; a damaged frame is lost."""
+        """Pass a packed frame to the other end; a damaged frame is lost."""
         del peer
         for good in split_frames(frame):
             self.other._arrived.append(Received(decode(good), good, PEER))

@@ -95,7 +95,7 @@ class LockstepVehicle:
 
     @property
     def rests(self) -> bool:
-        """Whether nothing more happens; a vehicle without its companion first lands by its autopilot."""
+        """Whether the vehicle needs no more ticks; without its companion it first lands by its autopilot."""
         return self.over or not (self._answers or self.node.vehicle.armed)
 
     @property

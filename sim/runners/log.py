@@ -222,7 +222,7 @@ class VehicleNotes(VehicleLog):
         self._notes = notes
 
     def truth(self, tick: int, now_ns: int, truth: states.Truth) -> None:
-        """Record the true state."""
+        """Record the true state of the vehicle."""
         self._notes.truth(tick, now_ns, truth)
 
     def target(self, now_ns: int, payload: bytes) -> None:
@@ -234,7 +234,7 @@ class VehicleNotes(VehicleLog):
 
 
 def _seconds(times_ns: Sequence[int]) -> Floats:
-    """Return seconds since the first tick, as in a log."""
+    """Convert times in ns to seconds since the first tick, as in a log."""
     return np.asarray(np.array(times_ns, dtype=np.int64) * 1e-9, dtype=np.float64)
 
 

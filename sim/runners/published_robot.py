@@ -120,7 +120,7 @@ class PublishedRobot(Robot):
             self.log.event(self._grid.ns(tick), level, str(fault))
 
     def _put(self, tick: int, sample: Sample) -> None:
-        """Publish a sample."""
+        """Publish an odometry sample."""
         epoch_ns = self.log.epoch_ns
         time_s, x, y, z, yaw, vx, vy, vz, rate = sample
         payload = self._odom.encode(

@@ -33,7 +33,7 @@ DRIVES_TICKS = 64  # maximum number of computed future ticks; on average half of
 WorldSample = tuple[float, str, str, Vec3, Vec3, float, float]  # a target sample without its arrival time
 
 STALE_S = 0.5  # age of the newest true pose after which the deck stops
-_PULL_1_S = 5.0  # correcting velocity divided by position error; a jump would throw the vehicle off
+_PULL_1_S = 5.0  # correcting velocity divided by position error, 1/s; a jump would throw the vehicle off
 _SNAP_M = 0.3  # position error above which the deck jumps, m; timing cannot cause a larger error
 
 
@@ -181,7 +181,7 @@ class Robot(ABC):
         """Wait for the conditions of tick 0. Raises NoAnswerError: time-out."""
 
     def _keep_first(self) -> None:
-        """Store tick 0."""
+        """Store the motion of tick 0."""
         self._keep(*self._motion.first)
 
     @property
@@ -190,7 +190,7 @@ class Robot(ABC):
         return not self._driving or self._motion.faults.waits_for_landing
 
     def _drive(self, until_tick: int) -> None:
-        """Compute the robot, driving or at rest, up to a tick."""
+        """Compute the motion of the robot, driving or at rest, up to a tick."""
         motion = self._motion
         while motion.tick < until_tick:
             end, goes_at = until_tick, self._go_tick

@@ -79,7 +79,7 @@ TOPIC = "/fleet/pairs"
 NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
 _MS_PER_S = 1000.0
-_BLOCK = 256  # number of random numbers per draw
+_BLOCK = 256  # count of random numbers in one draw
 _YIELDS = 20  # number of polls without a pause; the message usually arrives during these polls
 _PAUSE_S = 50e-6  # time between later polls, s
 _MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
@@ -250,7 +250,7 @@ class Words:
 
 
 class _Way:
-    """Link from one sender to one receiver; it loses messages at random, and all from a given tick on."""
+    """Link from one sender to one receiver; it loses random messages, and from a given tick on all."""
 
     def __init__(self, seed: int, teller: int, hearer: int, loss: float, broken_tick: float) -> None:
         self._loss, self._broken_tick = loss, broken_tick

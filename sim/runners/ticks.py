@@ -37,7 +37,7 @@ class RulesRecord(Record):
     status_age_max_s: float
     ends_s: float  # time limit of the flight
     # inputs of the vehicle's autopilot
-    yaw_told_rad: float  # commanded heading as received
+    yaw_told_rad: float  # commanded heading, as the autopilot received it, rad
     cos_yaw: float
     sin_yaw: float
     speeds: Vector  # speed limits, m/s: horizontal, up, down
@@ -89,7 +89,7 @@ class WatchBook:
 
 END, BEFORE, MIDDLE = 0, 1, 2  # how a call ends: all ticks done; Python runs the next tick, or its rest
 _LARGEST = 1e6  # largest accepted value, m or m/s (bridge.mavlink.client.vehicle_state)
-_POLE = 0.999  # sine of the pitch above which Python runs the tick, near vertical
+_POLE = 0.999  # sine of the pitch above which the nose is nearly vertical, and Python runs the tick
 
 
 _frd, _euler = twin(frames.ned_frd_from_enu_flu, jitted), twin(frames.euler_from_quaternion, jitted)

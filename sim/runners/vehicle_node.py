@@ -111,7 +111,7 @@ class Wire:
         return out
 
     def late(self, now_ns: int) -> list[Received]:
-        """Return delayed messages that the autopilot receives now."""
+        """Return the delayed messages that the autopilot receives now."""
         return self._coming.due(now_ns) if self._coming.size else []
 
     def _ship(self, frame: _Frame) -> None:
@@ -146,7 +146,7 @@ class VehicleNode:
         self.wire = Wire(self.endpoint, self.vehicle.faults.link)
 
     def answer(self, received: Received, now_s: float) -> list[Message]:
-        """Pass a frame to the autopilot; return the replies to its sender."""
+        """Pass a message to the autopilot; return the replies to its sender."""
         return self.autopilot.handle(received.message, (*received.sender, received.peer), now_s)
 
     def control(self, now_s: float) -> None:

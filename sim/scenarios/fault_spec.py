@@ -206,7 +206,7 @@ class Fault:
     after: After = After.TIME
     duration_s: Annotated[float, span(0.001, 3600.0)] | None = None  # duration; None: end of the run
     motor: Annotated[int, span(1, 4)] | None = None  # number of the motor, as in the firmware
-    value: float | None = None  # unit and range depend on component and kind
+    value: float | None = None  # number of the fault; unit and range depend on component and kind
     period_s: float | None = None
     offset_m: Each[Annotated[float, span(-100.0, 100.0)]] | None = None  # offset of a wrong position, ENU
     yaw_rad: Annotated[float, span(-3.15, 3.15)] | None = None
@@ -240,7 +240,7 @@ class Fault:
 
     @property
     def of_the_robot(self) -> bool:
-        """Whether the ground robot, not the vehicle, simulates it."""
+        """Whether the process of the ground robot, not of the vehicle, simulates this fault."""
         return self.what in (What.TARGET_ODOMETRY, What.ROBOT)
 
     @property

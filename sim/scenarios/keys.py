@@ -129,7 +129,7 @@ def _at(values: dict[str, Any], path: str, default: str) -> str:
 
 
 def _single(kind: types.Type) -> types.Type:
-    """Return the type of an optional value, without None."""
+    """Return the type of a key, without None if the key is optional."""
     if isinstance(kind, types.UnionType):
         some = [each for each in kind.types if not isinstance(each, types.NoneType)]
         return some[0] if len(some) == 1 else kind

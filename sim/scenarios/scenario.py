@@ -227,7 +227,7 @@ class Scenario:
     """A scenario with all its parts."""
 
     name: str  # name of the scenario; with `base` its default is the name of the file
-    description: str  # purpose of the scenario, one sentence
+    description: str  # purpose of the scenario in one sentence
     onboard: FlightConfig
     # time limit of a flight, after which it aborts
     duration_max_s: Annotated[float, span(1.0, 3600.0)] = 120.0

@@ -42,7 +42,7 @@ KNOWN_S = 8.0  # length of the compared time from which the airframe is identifi
 
 
 class Flown(NamedTuple):
-    """Statistics of one flight."""
+    """Statistics of one flight, recorded or simulated."""
 
     horizontal_m: float  # rms of the horizontal distance between position and set-point
     vertical_m: float  # rms of the vertical distance between position and set-point
@@ -50,7 +50,7 @@ class Flown(NamedTuple):
     saturated: float  # fraction of samples with a motor at full duty
     tilt_rms_rad: float  # rms tilt of body z from the vertical
     tilt_p95_rad: float  # 95th percentile of the tilt
-    sag_v_s: float  # rate of the voltage drop
+    sag_v_s: float  # rate at which the voltage under load falls
 
     @property
     def tracking_rms_m(self) -> float:

@@ -104,7 +104,7 @@ class Criterion:
     """A limit on a statistic of simulated and recorded numbers."""
 
     part: str  # open loop, closed loop or sensing
-    text: str  # compared quantity; by default a ratio of the simulator's rms error to another rms error
+    text: str  # name of the compared quantity, usually the simulator's rms error divided by another rms error
     low: float  # smallest allowed value
     high: float  # largest allowed value
     reason: str  # reason of the limits

@@ -44,12 +44,12 @@ COMMAND_DELAY_MS = 8  # delay from a logged command to the gyro, in addition to 
 # gains of the observer; they minimise the errors after 0.5 s, with a flat minimum
 RATE_GAIN = 1.4  # correction of the rate divided by its error in a sample; above 1 due to the gyro's filter
 FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # gains of the missing angular acceleration's fast and slow part, 1/s
-FADES_S = 0.1  # correlation time of the fast part
+FADES_S = 0.1  # correlation time of the fast part, s
 ANSWER_1_S = 9.0  # angular acceleration against a body rate, divided by that rate, 1/s
 
 
 class Compared(NamedTuple):
-    """Rms errors over all starts of a flight."""
+    """Rms errors of three predictions over all starts of a flight."""
 
     model: float
     constant_velocity: float
@@ -68,7 +68,7 @@ class Horizon:
 
 @dataclass(frozen=True, slots=True)
 class OpenLoop:
-    """Result for one flight."""
+    """Errors of the predictions of one flight."""
 
     horizons: tuple[Horizon, ...]  # errors at ``HORIZONS_S``
     thrust_ratio: float  # ratio of the plant's thrust to the recorded thrust, mean over the starts

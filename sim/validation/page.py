@@ -78,7 +78,7 @@ def _left_out(summary: Summary) -> str:
 
 def _flights(summary: Summary) -> str:
     def both(sides: Summary | None, *path: str) -> str:
-        """Return recorded / simulated, in mm or ms."""
+        """Return the text "recorded / simulated" of two values, in mm or ms."""
         if not sides:
             return " / "
         values = []

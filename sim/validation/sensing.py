@@ -22,7 +22,7 @@ from sim.scenarios.scenario import StateError
 
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # edges of the speed bands around 0.2, 0.5, 0.75 and 1 m/s
 DRAWS = 6  # number of simulated estimates per flight; the model's errors differ between flights
-SLOWEST = 10.0  # fraction of the samples, the slowest ones, that determine the offset, percent
+SLOWEST = 10.0  # percentage of the samples, the slowest ones, that determine the offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def _delayed(values: Floats, samples: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Errors of one estimator."""
+    """Position and velocity errors of one estimator."""
 
     position: Error
     velocity: Error

@@ -31,13 +31,13 @@ STEP_M, FAR_M = 0.005, 10.0  # step and largest distance at which the barriers a
 
 
 class _Row(NamedTuple):
-    """A value that the configuration declares, and the scenario's value."""
+    """Comparison of a value that the configuration declares with the value of the scenario."""
 
     key: str  # key in the configuration
     declared: float
     there: str  # key in the scenario
     found: float
-    room: float  # margin; negative if the scenario exceeds the declared value
+    room: float  # remaining margin; negative if the scenario exceeds the declared value
     unit: str
 
 

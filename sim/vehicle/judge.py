@@ -28,7 +28,7 @@ NONE_MS = -1_000_000
 
 
 class JudgeRecord(Record):
-    """Barrier of the verdict, and extreme values since the last reading."""
+    """Barrier of the verdict, and extreme values of the flight since the last reading."""
 
     alpha_1_m: float
     beta_m: float

@@ -121,7 +121,7 @@ class MocapTape:
             record.measured_ms, record.arrives_ms, record.values.reshape(ROWS, VALUES),
         )  # fmt: skip
         self._measuring, self._arriving = self._cell["measuring"], self._cell["arriving"]
-        self._count = 0  # number of drawn samples
+        self._count = 0  # number of samples whose random numbers are drawn
         self._fill(0)
 
     @property
@@ -176,5 +176,5 @@ class MocapTape:
 
 
 def _ms_from(times_ns: I64) -> I64:
-    """Apply ``ms_from`` to an array."""
+    """Return times in whole milliseconds, rounded up, as ``ms_from`` does."""
     return -(-times_ns // NS_PER_MS)

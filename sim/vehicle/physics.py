@@ -90,7 +90,7 @@ class VehicleRecord(Record):
     contact: ContactRecord
     motor_share: Motors  # factor of the command: speed = share * command + held (1 and 0 without a fault)
     motor_held: Motors  # speed of a motor that a fault fixes, rpm
-    drive: Motors  # target speeds of the motors, rpm
+    drive: Motors  # target speeds of the motors after faults, rpm
     before_e: Vector  # vehicle minus pad centre at the start of the last step, m
     before_velocity: Vector
 

@@ -234,7 +234,7 @@ class VehicleSim:
         self._firmware.send(STOP, self._ms - self.sent_before_ms)
 
     def begin_judging(self) -> None:
-        """Start the judged landing: the next touch of the pad counts as the first."""
+        """Start the judged part of the flight: the next touch of the pad counts as the first touch."""
         self._physics.judge_from_here()
 
     @property

@@ -46,7 +46,7 @@ class WrenchRecord(Record):
 
 @jitted
 def gyroscopic(inertia: F64, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the angular velocity cross the angular momentum, body frame, N m."""
+    """Return the cross product of angular velocity and angular momentum, body frame, N m."""
     jx, jy, jz = inertia[0], inertia[1], inertia[2]
     return ((jz - jy) * y * z, (jx - jz) * z * x, (jy - jx) * x * y)
 

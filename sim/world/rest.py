@@ -29,7 +29,7 @@ class RestRecord(Record):
     """Number of steps at rest on the pad, and the vehicle's pose on the pad."""
 
     wait_steps: int  # ``WAIT_STEPS``; a value above the steps of a flight disables the resting state
-    steps: int  # consecutive steps at rest
+    steps: int  # number of consecutive steps at rest
     friction: float
     gravity: float  # gravitational acceleration, m/s^2
     feet_m: float  # distance of the feet from the centre of mass along body x and y
@@ -43,7 +43,7 @@ class RestRecord(Record):
 
 
 def set_up_rest(r: RestRecord, params: Params, pad_radius_m: float) -> None:
-    """Fill in the constant values."""
+    """Fill in the constant values of a record."""
     r.wait_steps, r.friction = WAIT_STEPS, params.contact.friction
     r.gravity, r.pad_radius_m = params.contact.gravity_m_s2, pad_radius_m
     r.feet_m = params.geometry.foot_offset_m

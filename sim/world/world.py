@@ -104,7 +104,7 @@ class World:
         velocity: Vec3 = (0.0, 0.0, 0.0),
         rates: Vec3 = (0.0, 0.0, 0.0),
     ) -> None:
-        """Set the vehicle's state."""
+        """Set position, velocity, attitude and rates of the vehicle."""
         self.record.rest.steps = 0
         self._set_body(*position, *velocity, *quaternion, *rates)
 

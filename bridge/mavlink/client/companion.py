@@ -20,7 +20,7 @@ from bridge.mavlink.profiles import Profile, Step, TakeoffAltitude
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Request, VehicleStatus
 
-_PERIOD_S = 1.0  # time between two tries, s
+_PERIOD_S = 1.0  # time between two tries of a request, s
 _TRIES = 60
 _E7 = 1e7  # MAVLink's integer degrees are multiples of 1e-7 degrees
 

@@ -28,7 +28,7 @@ from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Landed, OwnState, Request
 
 COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
-_HEARTBEAT_S = 1.0  # period, s; every autopilot monitors a link by heartbeats of 1 Hz
+_HEARTBEAT_S = 1.0  # period of heartbeats, s; every autopilot monitors a link by heartbeats of 1 Hz
 _HELLO_S = 0.2  # wall time between heartbeats before the first message of the vehicle, s
 _LANDED_STATE_HZ = 5.0  # requested rate of the landed state; PX4's default
 _THROTTLE_HZ = 10.0  # requested rate of VFR_HUD if the thrust reserve is estimated

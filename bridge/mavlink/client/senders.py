@@ -104,7 +104,7 @@ class Senders:
             self._known_s = now_s
             if kind is None:
                 self._count(message.get_header().seq)
-                if well:  # heartbeats may be rarer, or lost
+                if well:  # any frame counts, since heartbeats may be lost
                     self._beat_s = now_s
                 return True
             if fits and self._believed(message, now_s, well=well):
@@ -154,7 +154,7 @@ class Senders:
         return True
 
     def _count(self, number: int) -> None:
-        """Record a sequence number; a stream with many gaps, as behind a filtering router, is not checked."""
+        """Record a sequence number; streams with many gaps, as behind a filtering router, are not checked."""
         self._steady = self._steady + 1 if (number - self._sequence) % 256 <= _GAP_MAX else 0
         self._sequence = number
 

@@ -17,7 +17,7 @@ import msgspec
 
 from bridge.mavlink.codec.messages import CODES, Message
 
-_CHUNK = 50  # characters per message; a shorter chunk ends the text
+_CHUNK = 50  # number of characters of a full chunk; a shorter chunk ends the text
 _CHUNKS_MAX = 16  # maximum number of chunks of a text: 800 characters
 
 
@@ -53,7 +53,7 @@ class TextAssembler:
 
 
 def clean(text: str) -> str:
-    """Keep printable characters only: the text comes from the network and is shown in terminals and logs."""
+    """Return only printable characters, because text from the network is shown in terminals and logs."""
     return "".join(c if c.isprintable() else " " for c in text).strip()
 
 

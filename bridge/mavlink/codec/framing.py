@@ -35,12 +35,12 @@ REST_MAX = 1120
 class FrameCounters:
     """Counters of dropped bytes and frames, for the log and for diagnosis."""
 
-    garbage_bytes: int = 0  # bytes that belong to no accepted frame
-    bad_crc: int = 0  # possible frames of a known message with a wrong checksum
-    unknown_id: int = 0  # possible frames of an unknown message without confirmation
-    unknown_frames: int = 0  # frames of unknown messages: recorded raw, not checked, not decoded
-    version_1: int = 0  # valid MAVLink 1 frames; they are rejected because MAVLink 1 has no signatures
-    undecodable: int = 0  # frames with a correct checksum and an invalid payload
+    garbage_bytes: int = 0  # number of bytes that belong to no accepted frame
+    bad_crc: int = 0  # number of possible frames of a known message with a wrong checksum
+    unknown_id: int = 0  # number of possible frames of an unknown message that following bytes do not confirm
+    unknown_frames: int = 0  # number of frames of unknown messages: recorded, but not checked or decoded
+    version_1: int = 0  # number of valid MAVLink 1 frames; they are rejected: MAVLink 1 has no signatures
+    undecodable: int = 0  # number of frames with a correct checksum and an invalid payload
 
 
 class NoFrame(IntEnum):

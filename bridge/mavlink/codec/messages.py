@@ -20,7 +20,7 @@ from typing import Any
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-# MAVLink type to ``struct`` code
+# code of the module ``struct`` by MAVLink type
 CODES = {
     "char": "c", "uint8_t": "B", "int8_t": "b", "uint16_t": "H", "int16_t": "h", "uint32_t": "I",
     "int32_t": "i", "float": "f", "uint64_t": "Q", "int64_t": "q", "double": "d",

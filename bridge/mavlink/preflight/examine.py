@@ -25,9 +25,9 @@ from bridge.mavlink.transport.address import is_local, parse_url, resolve
 
 _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s
 _HEARTBEAT_S = 1.0
-_VERSION_S = 0.5  # time between two tries, s
-_VERSION_TRIES = 12  # number of tries; a busy line of 57,600 baud loses most replies
-_VERSION_TRIES_UNNEEDED = 4  # number of tries for a vehicle whose rules do not depend on the release
+_VERSION_S = 0.5  # time between two requests of the version, s
+_VERSION_TRIES = 12  # number of requests of the version; a busy line of 57,600 baud loses most replies
+_VERSION_TRIES_UNNEEDED = 4  # number of requests of the version if the rules do not depend on it
 _SAY_S = 2.0  # time between two texts about the wait, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # time between two polls, s
@@ -35,10 +35,10 @@ _READ_MAX_S = 30.0  # time limit of the check after the first message of the veh
 _COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
 _KEY_PERIOD_S, _KEY_TRIES = 0.5, 12  # time between two tries to change a signing key, s; number of tries
 
-_AT_ONCE = 5  # number of pending requests; a radio has a small buffer
-_READ_PERIOD_S = 0.4  # time between two tries, s; PX4 and ArduPilot reply within 0.05 s on a wire
+_AT_ONCE = 5  # maximum number of parameter requests without a reply; a radio has a small buffer
+_READ_PERIOD_S = 0.4  # time between two requests of a parameter, s; autopilots reply within 0.05 s on a wire
 _READ_TRIES = 5
-_READ_TRIES_LOSSY = 15  # number of tries after a lost reply: a busy line of 57,600 baud loses most replies
+_READ_TRIES_LOSSY = 15  # number of requests of a parameter after a lost reply, for a busy line
 _FLOAT = struct.Struct("<f")
 # Layout of the float field that carries an integer bytewise.
 _BYTES: Mapping[int, struct.Struct] = {
@@ -227,7 +227,7 @@ class _Check(Dialogue):
         if table is not None:
             silence = f"no AUTOPILOT_VERSION in reply to {tries} requests within {tries * _VERSION_S:g} s"
             choice = rules.choose(table, self.release, silence, accept=accept_release)
-            if profile is OWN_SITL:  # its rules do not depend on the release
+            if profile is OWN_SITL:  # the rules of this profile do not depend on the release
                 choice = Choice(table.releases[-1], None, None)
             self.choice, self.asked = choice, table.asked(profile.name, choice.release)
         names = (each.name.name for each in self.asked)

@@ -15,16 +15,16 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import ARDUPILOT, OWN_SITL, PX4
 from flightstack.common.strict_toml import Files
 
-_FILE_OF = {OWN_SITL.name: "px4", PX4.name: "px4", ARDUPILOT.name: "ardupilot"}  # others have no rules
+_FILE_OF = {OWN_SITL.name: "px4", PX4.name: "px4", ARDUPILOT.name: "ardupilot"}  # files of rules
 _SLACK = 1e-6  # relative tolerance of a parameter in single precision
 
 
 class Needs(NamedTuple):
-    horizontal_m_s: float  # largest command of the velocity box
+    horizontal_m_s: float  # largest horizontal velocity command
     vertical_m_s: float
     horizontal_m_s2: float  # largest acceleration of the commanded velocity
     vertical_m_s2: float
-    altitude_max_m: float  # height above the ground
+    altitude_max_m: float  # largest height of the flight above the ground
     system_id: int = 1  # MAVLink id of the vehicle and its companion
 
 
@@ -201,11 +201,11 @@ _TYPE = "FIRMWARE_VERSION_TYPE"
 class Finding:
     name: str
     level: Level
-    value: float | None  # value in the vehicle's unit; None: missing
+    value: float | None  # value of the parameter in the vehicle's unit; None: missing
     unit: str
     wanted: str
     why: str
-    means: str  # name of the setting, equal for all releases
+    means: str  # name of the setting, the same for all releases
     elsewhere: str  # names in other releases, with the value if it can be converted
 
     @property
@@ -228,7 +228,7 @@ def judge(
     needs: Needs,
     accepted: Collection[str],
 ) -> list[Finding]:
-    """Evaluate all parameters of the vehicle's release.
+    """Evaluate all rules for the parameters of the vehicle's release.
 
     ``values``: received values by name; ``missing``: reasons for the other names; ``accepted``: names, of any
     release, whose value the operator accepts.

@@ -1,4 +1,4 @@
-"""Flight modes of a PX4-like vehicle, the effect of clients' commands, and which client has control.
+"""Flight modes of a vehicle that behaves like PX4, the effect of commands, and which client has control.
 
 One sender of set-points has control of the vehicle, and only few commands of other senders are accepted: PX4
 follows the newest message, so a second companion or a forgotten script could take over in flight.
@@ -83,12 +83,12 @@ def read_setpoint(message: Any, yaw_rad: Callable[[], float | None]) -> Setpoint
     return Setpoint(velocity, None, 0.0)
 
 
-_CHUNK = 50  # characters of one STATUSTEXT
+_CHUNK = 50  # maximum number of characters of one STATUSTEXT
 _TEXTS_MAX = 64  # maximum number of texts between two ticks
 # time between two refusals on one topic, s; a wrong stream repeats its error 100 times a second
 _SAME_GAP_S = 1.0
-_BURST = 20  # refusals on different topics without delay; a ground station starts with a dozen requests
-_PER_S = 5.0  # rate of further refusals, 1/s
+_BURST = 20  # number of refusals on different topics sent without delay; a ground station starts with 12
+_PER_S = 5.0  # rate at which further refusals are sent, 1/s
 _TOPICS_MAX = 64
 
 
@@ -165,13 +165,13 @@ class Battery(NamedTuple):
     """Voltage and charge of a battery with one cell."""
 
     voltage_v: float
-    percent: int  # remaining charge; -1: unknown
+    percent: int  # remaining charge, percent; -1: unknown
 
 
 class Commander(ABC):
     """State and commands of one vehicle, as the server needs them."""
 
-    height_range_m: ClassVar[tuple[float, float]]  # allowed take-off height above home
+    height_range_m: ClassVar[tuple[float, float]]  # allowed range of the take-off height above home
 
     def __init__(self) -> None:
         self.mode = FlightMode.HOLD  # flight mode; also defined for a disarmed vehicle
@@ -223,7 +223,7 @@ class Commander(ABC):
 
     @abstractmethod
     def disarm(self, now_s: float, /, *, force: bool) -> str | None:
-        """Disarm; in the air only if ``force`` is set."""
+        """Disarm the vehicle; in the air only if ``force`` is set."""
 
     @abstractmethod
     def terminate(self, now_s: float, /) -> str | None:

@@ -82,7 +82,7 @@ class Entry(NamedTuple):
     run: Callable[[Command], Answer]
     right: Right  # senders that may send the command while one sender has control
     place: bool = False  # the command has a position or height, so the frame of COMMAND_INT matters
-    right_of: Callable[[Command], Right] | None = None  # used if the right depends on the parameters
+    right_of: Callable[[Command], Right] | None = None  # right as a function of the parameters
 
 
 Table = Mapping[int, Entry]
@@ -192,7 +192,7 @@ class Commands(Generic[V]):
             return Answer(UNSUPPORTED, "Arm or disarm? param1 must be 0 or 1")
         if round(arm) == 0:
             return answer(self._vehicle.disarm(command.now_s, force=force == FORCE))
-        reason = self._vehicle.arm(command.now_s)  # force skips no check, as in PX4
+        reason = self._vehicle.arm(command.now_s)  # a forced arming also passes all checks, as in PX4
         return answer(reason) if reason is not None else Answer(later=self._vehicle.arming)
 
     def _terminate(self, command: Command) -> Answer:

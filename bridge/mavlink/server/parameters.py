@@ -32,7 +32,7 @@ class Parameter:
     low: float
     high: float
     in_flight: bool = False
-    choices: tuple[int, ...] = ()  # valid values; empty: the whole range is valid
+    choices: tuple[int, ...] = ()  # only valid values; empty: all values of the range are valid
 
     @property
     def allowed(self) -> str:

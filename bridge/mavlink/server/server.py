@@ -53,7 +53,7 @@ _REFUSED_SETPOINTS = {
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: "global position",
 }
 
-Handler = Callable[[Any, Sender, float], list[Message]]  # from message, sender, time (s) to replies
+Handler = Callable[[Any, Sender, float], list[Message]]  # function: message, sender, time (s) to replies
 
 
 class Server(ABC, Generic[V]):
@@ -171,7 +171,7 @@ class Server(ABC, Generic[V]):
         return [*self._announced(snapshot, now_s), *self.streams.pass_over(snapshot, heeded)]
 
     def _calm(self, now_s: float) -> Snapshot[V] | None:
-        """Return the state of the vehicle if no change must be sent immediately; else None."""
+        """Return the vehicle's state if HEARTBEAT and SYS_STATUS need not be sent immediately; else None."""
         snapshot, texts = self.snapshot(now_s), self.vehicle.texts.waiting or self._texts_to_log
         if snapshot is None or texts or self.parameters.left_to_list:
             return None

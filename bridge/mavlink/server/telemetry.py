@@ -35,7 +35,7 @@ class EstimateLike(Protocol):
     """State of the vehicle from its on-board estimator."""
 
     @property
-    def position_enu_m(self) -> Vec3: ...  # position of the centre of mass
+    def position_enu_m(self) -> Vec3: ...  # position of the centre of mass, ENU
 
     @property
     def velocity_enu_m_s(self) -> Vec3: ...
@@ -176,7 +176,7 @@ _INTERVAL_MAX_S = 2000.0  # longest interval, s; MESSAGE_INTERVAL counts microse
 class _Stream(Generic[V]):
     message_id: int
     build: Builder[V]
-    interval_s: float  # period; infinite: off
+    interval_s: float  # period of the stream, s; infinite: off
     due_s: float
     passed_s: float = -_OFF  # time of the last sending; a message is sent at most once per tick
 
@@ -210,7 +210,7 @@ class Streams(Generic[V]):
             id_: _Stream(id_, streams[id_][0], self._default_s.get(id_, _OFF), 0.0)
             for id_ in dict.fromkeys((*EVERY_TICK, *streams))
         }
-        self._busy: list[_Stream[V]] = []  # streams sent at every tick
+        self._busy: list[_Stream[V]] = []  # streams that are sent at every tick
         self._lazy: list[_Stream[V]] = []  # streams with longer intervals
         self._lazy_due_s = 0.0  # earliest due time of these streams
         for stream in self._streams.values():
@@ -222,12 +222,12 @@ class Streams(Generic[V]):
         return message_id in self._streams
 
     def interval_us(self, message_id: int) -> int:
-        """Return the interval as in MESSAGE_INTERVAL: microseconds, -1: off."""
+        """Return the interval of a message as in MESSAGE_INTERVAL: microseconds, or -1 for off."""
         interval_s = self._streams[message_id].interval_s
         return -1 if interval_s == _OFF else round(interval_s * 1e6)
 
     def set_interval(self, message_id: int, interval_us: float, now_s: float) -> None:
-        """Set an interval: microseconds, 0 for the default, negative for off."""
+        """Set the interval of a message: microseconds, 0 for the default, negative for off."""
         interval_s = self._interval_s(message_id, interval_us)
         stream = self._streams[message_id]
         if interval_s != stream.interval_s:

@@ -18,7 +18,7 @@ from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import Chunk, EndpointCounters
 
 RETRY_S = 0.5  # time between two tries to open a lost connection, s
-_READ_BYTES = 4096  # maximum size of a read
+_READ_BYTES = 4096  # maximum number of bytes of one read
 _NOTICES_MAX = 32  # maximum number of texts that wait for ``take_notices``
 OUTGOING_MAX = 4096  # maximum number of buffered bytes of TCP; less for a serial line
 _FRAME_MAX = 280  # length of the longest frame, bytes; minimum size of every queue

@@ -30,21 +30,21 @@ class EndpointCounters(FrameCounters):
     bytes_out: int = 0  # number of sent bytes
     # datagrams that the operating system rejected, and frames that had no connection when they were due
     send_errors: int = 0
-    outgoing_full: int = 0  # serial and TCP: frames dropped because the buffer is full
-    connections_lost: int = 0  # serial and TCP: lost connections
-    peers_refused: int = 0  # heartbeats of senders without room in the peer table
-    oversize: int = 0  # datagrams longer than 4096 bytes
-    setup_signing: int = 0  # ignored attempts to set a key over the network
-    unchecked: int = 0  # signed frames, accepted without a check because there is no key
+    outgoing_full: int = 0  # number of frames dropped because the buffer of a serial line or TCP was full
+    connections_lost: int = 0  # number of lost connections of serial lines and TCP
+    peers_refused: int = 0  # number of heartbeats of senders for which the peer table had no room
+    oversize: int = 0  # number of datagrams longer than 4096 bytes
+    setup_signing: int = 0  # number of ignored attempts to set a key over the network
+    unchecked: int = 0  # number of signed frames that were accepted without a check, because there is no key
     # The next counters count only if there is a key.
-    stale_answered: int = 0  # heartbeats sent to peers whose signing clock is behind
-    unsigned: int = 0  # frames without a signature
-    bad_signature: int = 0  # frames that are forged, changed, or signed with another key
-    replayed: int = 0  # frames not later than the last frame of the same stream
-    stale: int = 0  # frames of a new stream a minute or more behind the local clock
-    ahead: int = 0  # frames more than an hour ahead of the local clock
-    reflected: int = 0  # frames with the ids of this endpoint
-    streams_refused: int = 0  # frames of a new stream without room in the table
+    stale_answered: int = 0  # number of heartbeats sent to peers whose signing clock is behind
+    unsigned: int = 0  # number of frames without a signature
+    bad_signature: int = 0  # number of frames that were forged, changed, or signed with another key
+    replayed: int = 0  # number of frames not later than the last frame of the same stream
+    stale: int = 0  # number of frames of a new stream that were a minute or more behind the local clock
+    ahead: int = 0  # number of frames more than an hour ahead of the local clock
+    reflected: int = 0  # number of frames with the ids of this endpoint
+    streams_refused: int = 0  # number of frames of a new stream for which the table had no room
 
     def add(self, name: str) -> None:
         setattr(self, name, getattr(self, name) + 1)
@@ -87,7 +87,7 @@ class DatagramTransport:
 
     def receive(self) -> Chunk | None:
         """Return one datagram; None: no datagram. An oversized one is counted and returned empty."""
-        if not self._readable.poll(0):  # costs a third of an empty recvfrom
+        if not self._readable.poll(0):  # the poll takes a third of the time of an empty recvfrom
             return None
         try:
             datagram, peer = self._socket.recvfrom(_RECEIVED_MAX + 1)

@@ -45,20 +45,20 @@ FUTURE_MAX_S = 0.05  # largest time by which a stamp may be ahead of this clock,
 FLIGHTS_OF_OTHERS = 2.0
 REPORTED_M_S = 0.005  # smallest slack that is reported, m/s
 STEADY_S = 1.0  # time without relaxed rows after which the end of the relaxation is reported, s
-HELD_BACK_M_S = 0.3  # largest horizontal speed within the reachable set of a silent vehicle, m/s
+HELD_BACK_M_S = 0.3  # largest horizontal speed of this vehicle in the reachable set of a silent one, m/s
 STAYS_S = 5.0  # time after a landing until a text reports a vehicle that still blocks a pad, s
 _INTENTS = MappingProxyType(
     {
         Phase.WAIT: Intent.WAITING,
         Phase.TAKEOFF: Intent.WAITING,
-        Phase.APPROACH: Intent.WAITING,  # LANDING after the right of way is granted
+        Phase.APPROACH: Intent.WAITING,  # changes to LANDING when the right of way is granted
         Phase.LAND: Intent.COMMITTED,
         Phase.TOUCHDOWN: Intent.COMMITTED,
         Phase.LANDED: Intent.DOWN,
         Phase.HOLD: Intent.CLEARING,
         Phase.CLIMB: Intent.CLEARING,
-        Phase.ABORT: Intent.DOWN,  # CLEARING until the vehicle has flown clear
-        Phase.LEAVE: Intent.CLEARING,  # STANDING before the take-off, DOWN in the landing beside the pad
+        Phase.ABORT: Intent.DOWN,  # changes from CLEARING to DOWN when the vehicle has flown clear
+        Phase.LEAVE: Intent.CLEARING,  # first STANDING, before the take-off; last DOWN, in the landing
     }
 )
 
@@ -92,7 +92,7 @@ def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
 
 
 class Alone:
-    """A vehicle without neighbours: it has every permission, and neither receives nor sends messages."""
+    """A vehicle without neighbours: every permission is granted, and no messages are sent or received."""
 
     memory: FleetMemory | None = None
 

@@ -1,4 +1,4 @@
-"""Two vehicles: the barrier function between them, its constraint on this vehicle, and the side-step.
+"""Barrier function between two vehicles, its constraint on this vehicle's velocity, and the side-step.
 
     h(p) = r_xy (rho - 1),   rho = sqrt((dx^2 + dy^2) / r_xy^2 + dz^2 / r_z^2)
 
@@ -40,7 +40,7 @@ class Estimate(NamedTuple):
     # position extrapolated from the stamp; if messages are late: highest possible position
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3  # reported or commanded velocity; 0 after the extrapolation ends
-    grown_m: float  # growth of both semi-axes of the ellipsoid
+    grown_m: float  # growth of both semi-axes of the ellipsoid since the message
     growth_m_s: float  # growth rate of both semi-axes
     late: bool  # whether the newest message is older than ``latency_max_s`` and does not announce DOWN
     anywhere_m: float  # ``grown_m`` plus the possible flight distance since the message
@@ -48,7 +48,7 @@ class Estimate(NamedTuple):
     sink_m_s: float = 0.0  # rate of the possible descent
 
     def beside(self, place_enu_m: Vec3) -> tuple[Vec3, Vec3]:
-        """Return a place minus the nearest possible position of the vehicle, and that position's velocity."""
+        """Return a place minus the vehicle's nearest possible position, and the velocity of that position."""
         (x, y, z), (px, py, top_m), (vx, vy, vz) = place_enu_m, self.position_enu_m, self.velocity_enu_m_s
         low_m = top_m - self.depth_m
         if z < low_m:
@@ -88,7 +88,7 @@ def jump(before: Neighbour, message: Neighbour, fleet: Fleet) -> Vec3:
     gone_s = message.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = message.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
     away = x, y, z = x - px - v[0] * gone_s, y - py - v[1] * gone_s, z - pz - v[2] * gone_s
-    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # true for most messages
+    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # most messages end here
         return ZERO
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     clocks_s = before.clock_bound_s + message.clock_bound_s

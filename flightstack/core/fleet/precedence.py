@@ -26,7 +26,7 @@ GOES = frozenset({Intent.LANDING, Intent.COMMITTED})
 
 
 class Permissions(NamedTuple):
-    """Permissions for the mission with respect to the neighbours."""
+    """Permissions of a fleet member in one tick, with regard to its neighbours."""
 
     may_begin: bool = True  # whether every member sends messages, or is down
     may_land: bool = True  # whether this vehicle has the right of way
@@ -78,7 +78,7 @@ def decide(
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
     if not memory.granted and _in_a_circle(memory, slots, now_s, fleet):
         memory.claim_s = now_s
-    if phase is not Phase.TOUCHDOWN:  # no message interrupts a touchdown
+    if phase is not Phase.TOUCHDOWN:  # a touchdown continues whatever the neighbours announce
         taken = memory.granted and any(slot.yields for _, slot in slots)
         memory.granted = (memory.granted or not blockers) and not taken
         memory.waits_since_s = min(memory.waits_since_s, now_s) if not memory.granted else math.inf
@@ -181,7 +181,7 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
 
 
 def _distance_m(pad: Pad, message: Neighbour) -> float:
-    """Return the horizontal distance of a vehicle from a pad."""
+    """Return the horizontal distance of a vehicle from a pad, m."""
     return nearest_m(pad, message.position_enu_m, message.velocity_enu_m_s, 0.0)
 
 

@@ -29,7 +29,7 @@ AGREES_M_S = 1e-6  # largest difference between the solver's result and the exac
 _ROWS = FIRM_MAX + OTHERS_MAX
 INWARD_RATE_1_S = 2.5  # ratio of allowed horizontal velocity to distance from the pad's centre, 1/s
 OUTWARD_PART = 0.5  # fraction of the landing barrier's rate that horizontal motion may use
-RELAXED_M_S = 1e-8  # added to the smallest slack, so that the feasible set is more than one point
+RELAXED_M_S = 1e-8  # addition to the smallest slack, m/s, so that the feasible set is more than one point
 
 
 class FleetResult(NamedTuple):

@@ -90,7 +90,7 @@ def _landing_distance_m(
     assert memory.target_velocity_enu_m_s is not None  # the velocity is known if the position is
     lag_s = config.velocity_loop.lag_xy_s
     (vx, vy, _), (tx, ty, _) = own.velocity_enu_m_s, memory.target_velocity_enu_m_s
-    ground_z_m = memory.ground_z_m if memory.ground_z_m < math.inf else 0.0  # 0 for a start in the air
+    ground_z_m = memory.ground_z_m if memory.ground_z_m < math.inf else 0.0  # 0 after a start in the air
     sinks_s = max(0.0, own.position_enu_m[2] - ground_z_m) / config.retreat.landing_speed_m_s
     x, y = away_m[0] + vx * lag_s, away_m[1] + vy * lag_s
     closing_m2_s, speed2_m2_s2 = x * tx + y * ty, tx * tx + ty * ty
@@ -151,7 +151,7 @@ def condition_flags(
 
 @numeric
 def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float) -> int:
-    """Return the flags of expired times and of detected contact."""
+    """Return the flags of expired time limits and of detected contact."""
     flags = 0
     if memory.started_s < math.inf:
         flags |= C.STARTED
@@ -235,7 +235,7 @@ def lasting_flags(checks: Checks, memory: Memory, status: VehicleStatus | None) 
 
 
 def _at_start(config: FlightConfig, at: Relative) -> bool:
-    """Whether the vehicle is where the landing starts, and moves with the target."""
+    """Whether the vehicle is at the start point of the landing and moves with the target."""
     takeoff, start = config.takeoff, start_point(config, at.target)
     return start is None or (
         math.dist(at.own.position_enu_m, start) < takeoff.arrival_radius_m

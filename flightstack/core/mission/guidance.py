@@ -19,12 +19,12 @@ from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
 from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
-CLIMB_OVER = 0.5  # part of the climb margin that a climb adds to the required height
-CLEAR_BELOW = 0.25  # part of the climb margin that the height may lack while the vehicle flies clear
+CLIMB_OVER = 0.5  # fraction of the climb margin that a climb adds to the required height
+CLEAR_BELOW = 0.25  # fraction of the climb margin by which the vehicle may be too low while it flies clear
 
 
 class NominalCommand(NamedTuple):
-    """Command of a phase."""
+    """Nominal command of a phase."""
 
     request: Request  # requested mode of the vehicle
     velocity: Vec3 | None = None  # nominal velocity, ENU, m/s; ``None``: no set-point

@@ -190,11 +190,11 @@ class Mission:
             memory.good_since_s = now_s
         if status is not None and status.armed:
             memory.was_armed = True
-            if status.mode is Mode.EXTERNAL:  # tested only if armed: PX4 remains in this mode after a landing
+            if status.mode is Mode.EXTERNAL:  # only of an armed vehicle: PX4 keeps this mode after a landing
                 memory.was_external = True
 
     def _stopped(self, at: Relative, now_s: float) -> bool:
-        """Whether the vehicle has stopped low over the pad for ``stopped_time_s``; heights are too noisy."""
+        """Whether the vehicle has stopped low over the pad for ``stopped_time_s``, judged by its velocity."""
         memory = self.memory
         if not self._strategy.stopped(at, memory.command):
             memory.stopped_since_s = math.inf

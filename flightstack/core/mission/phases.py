@@ -53,7 +53,7 @@ class Condition(IntEnum):
     TARGET_KNOWN = 1 << 25  # a target position was received, possibly long ago
     ON_PAD = 1 << 26  # contact with the pad was detected in phase TOUCHDOWN
     PAD_WANTED = 1 << 27  # another vehicle waits for this pad, and the landed vehicle may take off again
-    CLEAR = 1 << 28  # the vehicle has flown clear of the target and lands beside it
+    CLEAR = 1 << 28  # the vehicle has flown clear of the target, and lands beside the target
     CUT_OFF = 1 << 29  # too few fleet members send messages, and the pad is not the shortest way down
     SWINGS = 1 << 30  # the vehicle leaves the cone over the pad too often, or stays in it for too long
     NO_RESULT = 1 << 31  # the user's filter returned no velocity in the last tick

@@ -20,7 +20,7 @@ from flightstack.common.text import FILTER_FAILED
 
 FILTERS: Mapping[str, str] = MappingProxyType(
     {
-        "paper": "flightstack.core.strategies.strategy:PaperFilter",  # eq. 11 as printed
+        "paper": "flightstack.core.strategies.strategy:PaperFilter",  # eq. 11 as printed in the paper
         "robust": "flightstack.core.strategies.robust:RobustFilter",
     }
 )

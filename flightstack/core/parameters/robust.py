@@ -96,7 +96,7 @@ class OwnStateLink:
 class TargetLink:
     """Motion of the target, and delay and noise of its odometry."""
 
-    delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample on arrival
+    delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
     position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation on each axis
     velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02  # standard deviation on each axis
     jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # jerk density: 0.5 m/s^2 change a second

@@ -45,7 +45,7 @@ class ActiveBarrier(Protocol):
 
 
 def problem_of(boundary: Any, e_m: Vec3) -> str:
-    """Call a user's boundary at one position; return its error as a text, empty if there is none."""
+    """Evaluate a user's barrier at one position; return the text of an error, or an empty text."""
     name = type(boundary).__name__
     if missing := [each for each in vars(ActiveBarrier) if each[0] != "_" and not hasattr(boundary, each)]:
         return f"{name} has no {', '.join(missing)}"

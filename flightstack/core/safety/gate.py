@@ -68,7 +68,7 @@ class BarrierCheck(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Check of each set-point against the limits; only this class approves set-points."""
+    """Checks each set-point against the limits; only this class approves set-points."""
 
     omega_1_s: float
     velocity_max_m_s: Vec3

@@ -26,7 +26,7 @@ def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
     )
 
 
-EMPTY = -1.0  # multiplier if no point of the box meets the half-space
+EMPTY = -1.0  # value of the multiplier if no point of the box meets the half-space
 
 
 def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 | None:

@@ -1,4 +1,4 @@
-"""Answers of an agent, or of a user's method ``filter``, in a tick that is compiled code.
+"""Passes the answer of an agent, or of a user's method ``filter``, to a compiled tick.
 
 Compiled code cannot call Python. It computes the arguments, Python calls agent or filter, and the tick
 continues with the answer, which is stored in ``Filter.exchange``.

@@ -24,8 +24,8 @@ from flightstack.core.target.own_estimator import OwnEstimator
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import OwnState, TargetSample, Vec3
 
-COMMANDED_SHARE = 0.6  # a command above this fraction of the descent speed counts as a descent
-STOPPED_SHARE = 0.4  # a vehicle below this fraction of the descent speed counts as stopped
+COMMANDED_SHARE = 0.6  # a commanded sink rate above this fraction of the descent speed counts as a descent
+STOPPED_SHARE = 0.4  # a sink rate below this fraction of the descent speed counts as stopped
 DRIFT_SHARE = 0.6  # drift is not detected within this fraction of the corridor's radius
 BRAKING = 0.5  # fraction of the acceleration limit for braking: the velocity lags, the target may speed up
 
@@ -96,7 +96,7 @@ class RobustFilter(Filter):
         )
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
-        """Return the current target estimate. The shortest delay is a parameter: no clock measures it.
+        """Return the current target estimate; the shortest delay is a parameter, since it cannot be measured.
 
         The prediction ends at the age limit, after which the target counts as lost.
         """

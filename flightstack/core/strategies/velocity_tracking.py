@@ -122,7 +122,7 @@ def lead_of(
 
 def feedback_of(loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float) -> Feedback:
     """Return the constants of the velocity feedback; it extrapolates a velocity of age ``delay_s``."""
-    rate_1_s, push_1_s = loop.rate_xy_1_s, loop.rate_xy_1_s / (2.0 * loop.damping)  # f / d
+    rate_1_s, push_1_s = loop.rate_xy_1_s, loop.rate_xy_1_s / (2.0 * loop.damping)  # push: ratio f / d
     # the observer's gains of velocity and disturbance place both of its poles at this rate
     rate = feedback.observer_rate_1_s
     return (
@@ -187,7 +187,7 @@ class VelocityTracking:
 
     @rare
     def _forget(self, velocity_enu_m_s: Vec3) -> None:
-        """Set the queued set-points to the measured velocity, since the vehicle followed no set-points."""
+        """Set all queued set-points to the measured velocity, because the vehicle followed no set-points."""
         self.late.sent_m_s = (velocity_enu_m_s[:2],) * self.late_ticks
 
     @rare

@@ -31,7 +31,7 @@ from flightstack.core.types import OwnState, Vec3
 
 KNOWN = 4  # number of stored set-points: 30 ms at 100 Hz, and one earlier set-point
 GAP_MAX_S = 0.2  # gap between samples after which the estimator restarts, s
-VELOCITY_NOISE_M_S = 0.01  # noise of a reported velocity between samples, m/s
+VELOCITY_NOISE_M_S = 0.01  # standard deviation of a reported velocity from sample to sample, m/s
 
 PUSH_M_S2 = 0.15  # rms of f: recorded turning moments, a tilt error of 0.015 rad, gusts of 0.3 m/s
 PUSH_TIME_S = 1.0  # correlation time of f, s: between that of moments, 0.1 s, and of a tilt error

@@ -33,7 +33,7 @@ STILL_MAX_S = 0.5  # longest time for which a hovering vehicle reports equal pos
 
 @numeric
 def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3, standing_m_s: float = STANDING_M_S) -> bool:
-    """Whether a position equals the last one to the bit, although the velocity reports motion."""
+    """Whether a position equals the last one to the last bit, although the reported velocity is not zero."""
     return before == after and norm(velocity_m_s) > standing_m_s
 
 

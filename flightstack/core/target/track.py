@@ -99,7 +99,7 @@ class TargetTrack:
 
     @property
     def moves_m_s(self) -> Vec3:
-        """Velocity of the target from positions: reported velocity plus drift rate of the positions."""
+        """Velocity of the target from its positions, m/s: reported velocity plus drift of the positions."""
         memory, memory_s = self.memory, self._checks.target_drift_memory_s
         assert memory.last is not None
         x, y, z = (
@@ -202,7 +202,7 @@ class TargetTrack:
             memory.elsewhere, memory.elsewhere_since_s = sample, sample.arrival_s
             return False
         memory.elsewhere = sample
-        # longer than the age limit, so that phase HOLD starts before the proof ends
+        # time for which new samples must agree; longer than the age limit, so that HOLD starts before
         proof_s = self._checks.target_age_max_s + self._checks.recovery_time_s
         return lost and not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
 
