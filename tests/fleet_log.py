@@ -1,6 +1,6 @@
 """Flies a fleet in one process and writes its log as onboard processes and simulator would write it.
 
-``land_team`` flies; the logging code is that of the processes and of the recorder, including derived topics.
+``land`` flies; the logging code is that of the processes and of the recorder, including derived topics.
 Only the transports are missing: MAVLink frames and the bytes of the targets' samples.
 """
 
@@ -15,23 +15,24 @@ from logs.recorder.recording import McapFile, Recorder
 from logs.schema import Names, schemas
 from logs.schema.controller_rows import word_row
 from logs.schema.events import CONTROLLER, pack_log
-from sim.campaign.rows import judge_team
+from sim.campaign.rows import judge_landing
 from sim.runners import landing as team_runner
 from sim.runners.landing import Companion
 from sim.runners.log import VehicleLog
 from sim.runners.room import Room
-from sim.scenarios.team import ExchangeLink, TeamScenario, load
+from sim.scenarios.scenario import Scenario, load, text
+from sim.scenarios.tables import ExchangeLink
 from tests.unit.logs.replay.replay_helpers import NoSession
 
 
-def near() -> TeamScenario:
+def near() -> Scenario:
     """Return a team of three whose pads are so close that one vehicle lands at a time; messages are lost."""
     team = load("fleet_3")
     near = {"pad_distance_m": 1.5, "wait_distance_m": 1.6}
-    members = tuple(
-        replace(m, onboard=replace(m.onboard, fleet=replace(m.onboard.fleet, **near))) for m in team.member
+    members = (
+        replace(m, onboard=replace(m.onboard, fleet=replace(m.onboard.fleet, **near))) for m in team.members
     )
-    return replace(team, member=members, exchange=ExchangeLink(delay_s=0.05, loss=0.1))
+    return replace(Scenario.of(members), exchange=ExchangeLink(delay_s=0.05, loss=0.1))
 
 
 class MemberFeed:
@@ -127,10 +128,10 @@ class RecordedRoom(Room):
         super().__init__(members, grid, MemberFeed(self.recorder, 0))
 
 
-def fly_fleet(path: Path, team: TeamScenario, seed: int, monkeypatch):
+def fly_fleet(path: Path, team: Scenario, seed: int, monkeypatch):
     """Fly a team and write its log; return the verdict of the campaign on the flight."""
     recorder = Recorder(McapFile(path))
-    names = [f"cf{number}" for number in range(1, len(team.member) + 1)]
+    names = [f"cf{number}" for number in range(1, len(team.members) + 1)]
     first = MemberFeed(recorder, 0)
     first.metadata(
         "fleet",
@@ -138,15 +139,15 @@ def fly_fleet(path: Path, team: TeamScenario, seed: int, monkeypatch):
          "seed": str(seed), "mode": "lockstep"},
     )  # fmt: skip
     first.metadata("made", {"version": "0.1.0"})
-    first.attachment("scenario.toml", dumps(team))
+    first.attachment("scenario.toml", text(team))
     first.close()
     monkeypatch.setattr(RecordedCompanion, "recorder", recorder, raising=False)
     monkeypatch.setattr(RecordedRoom, "recorder", recorder, raising=False)
     monkeypatch.setattr(team_runner, "Companion", RecordedCompanion)
     monkeypatch.setattr(team_runner, "Room", RecordedRoom)
-    flown = team_runner.land_team(team, seed)
+    flown = team_runner.land(team, seed)
     for number in range(1, len(names) + 1):
         MemberFeed(recorder, number).close()
         recorder.gone(number, 0)
     recorder.finish()
-    return judge_team(flown)
+    return judge_landing(flown)

@@ -6,7 +6,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
@@ -25,9 +25,8 @@ from logs.report.style import layout
 from sim.campaign.rows import Row, failed_rows, row_of
 from sim.campaign.summary import kinds, summary
 from sim.campaign.workers import Workers
-from sim.runners.landing import land_team, warm_up
-from sim.scenarios.scenario import Scenario
-from sim.scenarios.team import TeamScenario, load, text
+from sim.runners.landing import land, warm_up
+from sim.scenarios.scenario import Scenario, text
 from sim.vehicle.declared import judged_apart, not_proven
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ class Campaign:
     """
 
     rows: tuple[Row, ...]
-    scenario: TeamScenario
+    scenario: Scenario
     wall_s: float
 
     @cached_property
@@ -60,7 +59,7 @@ class Campaign:
     def summary(self) -> dict[str, Any]:
         """Counts, 95 % confidence bounds of the rates, quantiles, worst seeds."""
         flown_s = sum(row.simulated_s or 0.0 for row in self.rows)
-        apart = judged_apart(self.scenario.member[0])
+        apart = judged_apart(self.scenario)
         return summary(
             self.rows, "fs.land(..., seed={seed})", wall_s=self.wall_s, flown_s=flown_s, judged_apart=apart
         )
@@ -202,18 +201,17 @@ def _shown() -> list[Any]:
     return [f for f in fields(Row) if f.name not in _HIDDEN]
 
 
-def _team(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> TeamScenario:
+def _team(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:
     """Return a checked scenario with the changes made for each vehicle."""
-    team = TeamScenario.of(name) if isinstance(name, Scenario) else load(name)
-    team = replace(team, member=tuple(scenario(each, changes, filter=filter) for each in team.member))
-    found = dict.fromkeys(problem for each in team.member for problem in problems(each.onboard))
+    team = scenario(name, changes, filter=filter)
+    found = dict.fromkeys(problem for each in team.members for problem in problems(each.onboard))
     if found:
         raise ConfigError(f"{team.name}: refused before take-off: " + "; ".join(found))
     return team
 
 
 def _flown(
-    points: Sequence[tuple[tuple[Any, ...], TeamScenario]], given: Iterable[int], workers: int | None
+    points: Sequence[tuple[tuple[Any, ...], Scenario]], given: Iterable[int], workers: int | None
 ) -> list[tuple[tuple[Any, ...], Campaign]]:
     """Fly the seeds at all points; return a campaign for each point."""
     if not isinstance(given, Iterable) or not (seeds := [whole("seeds", seed) for seed in given]):
@@ -225,9 +223,7 @@ def _flown(
     console = Terminal(stderr=True)
     if line := not_proven(first):
         console.print(line, soft_wrap=True)
-    with Bar(
-        console, f"{first.name}, filter {first.member[0].onboard.filter}", len(points) * len(seeds)
-    ) as bar:
+    with Bar(console, f"{first.name}, filter {first.onboard.filter}", len(points) * len(seeds)) as bar:
         for values, team in points:
             rows, began_s = [], time.monotonic()
             for row in _rows(team, seeds, number):
@@ -240,15 +236,15 @@ def _flown(
     return done
 
 
-def _rows(team: TeamScenario, seeds: list[int], workers: int) -> Iterable[Row]:
+def _rows(team: Scenario, seeds: list[int], workers: int) -> Iterable[Row]:
     warm_up(team)
-    classes = [] if may_fork() else [given(each.onboard.filter) for each in team.member]
+    classes = [] if may_fork() else [given(each.onboard.filter) for each in team.members]
     here, pickled = [each for each in classes if each is not None], b""
     if here and find_spec("cloudpickle") is None:
-        yield from (row_of(land_team(team, seed)) for seed in seeds)
+        yield from (row_of(land(team, seed)) for seed in seeds)
         return
     if here:
         pickled = import_module("cloudpickle").dumps(here[0])
-    longest_s = sum(each.duration_max_s for each in team.member)
+    longest_s = sum(each.duration_max_s for each in team.members)
     with Workers(text(team), min(workers, len(seeds)), longest_s, given=pickled) as processes:
         yield from processes.fly(seeds)

@@ -15,8 +15,7 @@ import numpy as np
 from greenlet import greenlet
 from gymnasium import spaces
 
-from flightstack.api.scenario import Changes, whole
-from flightstack.api.scenario import scenario as _scenario
+from flightstack.api.scenario import Changes, single, whole
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
 from flightstack.core.mission.phases import TIME_OVER
@@ -28,7 +27,6 @@ from logs.verdict.truth import judge_truth
 from logs.verdict.types import VIOLATION_LIMIT_M, Outcome, Verdict
 from sim.runners.landing import Companion, Flights, warm_up
 from sim.scenarios.scenario import Scenario
-from sim.scenarios.team import TeamScenario
 
 # Rewards. The cost of a tick is small compared with the approach; else an agent learns to crash early.
 APPROACH_REWARD_1_M = 10.0  # reward for each metre by which the distance to the landing spot decreases
@@ -82,12 +80,12 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         if filter not in _FILTERS:
             raise ConfigError(f"filter: found {filter!r}, allowed: None, 'paper', 'robust'")
         self.render_mode = render_mode
-        self.scenario = _scenario(scenario, changes, filter=_FILTERS[filter])
+        self.scenario = single(scenario, changes, _FILTERS[filter])
         self._enforces = filter is not None  # whether the barrier is enforced; False: only the limits
         most = np.array(self.scenario.onboard.limits.velocity_max_m_s)
         self.action_space = spaces.Box(-most, most, dtype=np.float64)
         self.observation_space = spaces.Box(-_SPEED_FAR_M, _SPEED_FAR_M, (13,), np.float64)
-        warm_up(TeamScenario.of(self.scenario))
+        warm_up(self.scenario)
         self._companion: Companion | None = None
         self._flight: greenlet | None = None
         self._builtin: Vec3 = ZERO
@@ -113,7 +111,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         controller.strategy.ask, controller.strategy.exchange.agent = self._ask, True
         assert isinstance(controller.program, SafetyFilter)
         controller.program.enforces = self._enforces
-        flights = Flights(TeamScenario.of(self.scenario), flown, controller=controller)
+        flights = Flights(self.scenario, flown, controller=controller)
         (self._companion,) = flights.members
         self._flight = greenlet(flights.fly)
         at = self._flight.switch()

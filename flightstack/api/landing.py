@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flightstack.api.scenario import Changes, FilterLike, scenario, whole
+from flightstack.api.scenario import Changes, FilterLike, single, whole
 from flightstack.common.pacing import Tick
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Outputs
@@ -104,7 +104,7 @@ def land(
         ConfigError: a scenario, key, value or filter is wrong, or the robot's function failed.
         RuntimeError: the simulation did not reach its end.
     """
-    flown, seed = scenario(name, changes, filter=filter), whole("seed", seed)
+    flown, seed = single(name, changes, filter), whole("seed", seed)
     rows: list[ControllerStepRow] = []
     times_ns: list[int] = []
 

@@ -18,7 +18,7 @@ from sim.scenarios.scenario import Scenario, load, one_pad
 
 Changes: TypeAlias = Mapping[str, Any]
 FilterLike: TypeAlias = str | type[Any] | None
-_SCENARIO = frozenset(field.name for field in fields(Scenario))
+_SCENARIO = frozenset(field.name for field in fields(Scenario)) - {"others"}
 _FLOWN = frozenset(field.name for field in fields(FlightConfig))
 _PAD = ("onboard", "touchdown", "pad_radius_m")
 
@@ -26,7 +26,7 @@ _PAD = ("onboard", "touchdown", "pad_radius_m")
 def scenario(
     name: str | Path | Scenario = "lab", changes: Changes | None = None, *, filter: FilterLike = None
 ) -> Scenario:
-    """Return a scenario of one vehicle, with changes of some keys.
+    """Return a scenario with changes of some keys, made for each of its vehicles.
 
     Args:
         name: name of a packaged scenario, path of a file, or scenario object.
@@ -42,7 +42,18 @@ def scenario(
         changes = {**(changes or {}), "onboard.filter": filter_name(filter)}
     if not changes:
         return made
-    table = to_table(made)
+    return Scenario.of(_changed(each, changes) for each in made.members)
+
+
+def single(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:
+    """Return a scenario of one vehicle as ``scenario`` does. Raises ConfigError: it has several vehicles."""
+    made = scenario(name, changes, filter=filter)
+    made.one(0, None)
+    return made
+
+
+def _changed(member: Scenario, changes: Changes) -> Scenario:
+    table = to_table(member)
     for key, value in changes.items():
         part = _plain(value)
         for step in reversed(_path(key)):

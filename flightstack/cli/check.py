@@ -96,21 +96,21 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
         config = replace(config, filter=name or config.filter)
         return [Part(config.filter, checks(config), ignored=ignored(config))]
     from sim.robot.target import TargetModel
-    from sim.scenarios.scenario import PathKind
-    from sim.scenarios.team import load as load_scenario
+    from sim.scenarios.scenario import load as load_scenario
+    from sim.scenarios.tables import PathKind
     from sim.vehicle.declared import crowd, declared
 
     team = load_scenario(name_or_file)
-    for each in (each for each in team.member if each.target.path is PathKind.FUNCTION):
+    for each in (each for each in team.members if each.target.path is PathKind.FUNCTION):
         TargetModel(each.target, 0).run(round(each.duration_max_s / STEP_S), STEP_S, True)
     if name is not None:
-        team = replace(team, member=tuple(each.with_filter(name) for each in team.member))
+        team = team.with_filter(name)
     shown, parts = labels(list(team.namespaces().values())), []
-    for config, numbers in _alike([each.onboard for each in team.member]):
-        found = [*checks(config), *_worst(check for n in numbers for check in declared(team.member[n]))]
+    for config, numbers in _alike([each.onboard for each in team.members]):
+        found = [*checks(config), *_worst(check for n in numbers for check in declared(team.members[n]))]
         parts.append(_part(config, found, [shown[n] for n in numbers]))
     if found := crowd(team):
-        parts.append(_part(team.member[0].onboard, found, shown, " together"))
+        parts.append(_part(team.onboard, found, shown, " together"))
     return parts
 
 

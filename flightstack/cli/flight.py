@@ -96,12 +96,12 @@ def vehicle(options: VehicleOptions) -> None:
 def _run_world(options: VehicleOptions) -> None:
     from logs.schema import member_name
     from sim.runners import world_process
-    from sim.scenarios.team import TeamScenario, load
+    from sim.scenarios.scenario import load
 
     team = load(options.scenario)
     if options.member is not None:
         single, seed = team.one(options.seed, options.member)
-        name, team = member_name(options.member), TeamScenario.of(single)
+        name, team = member_name(options.member), single
         options = replace(options, seed=seed, namespace=name, system_id=options.member)
     sys.exit(world_process.world_main(team, options))
 
@@ -119,7 +119,7 @@ def target(options: TargetOptions) -> None:
     if "numba" not in sys.modules:
         os.environ.setdefault(OFF, "1")
     from sim.runners.published_robot import target_main
-    from sim.scenarios.team import load
+    from sim.scenarios.scenario import load
 
     sys.exit(target_main(load(options.scenario), options))
 
@@ -136,7 +136,7 @@ def px4_sim(options: Px4SimOptions) -> None:
     from sim.plant import params
     from sim.px4 import process
     from sim.px4.airframe import parameter_text
-    from sim.scenarios.team import load
+    from sim.scenarios.scenario import load
 
     loaded, seed = load(options.scenario).one(options.seed, options.member)
     if options.form is not None:

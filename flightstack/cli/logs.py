@@ -43,9 +43,9 @@ def verdict(log_file: Path, member: str | None, as_json: bool) -> None:
 
     Exit status: 0 landed, 1 any other end of a flight, 2 the LOG cannot be read.
     """
-    from logs.verdict.verdict import fleet_result, judged
+    from logs.verdict.verdict import judged, result
 
-    values = fleet_result(*judged(log_file, member))
+    values = result(*judged(log_file, member))
     show_verdict(values, as_json=as_json)
     sys.exit(LANDED if values["outcome"] == "landed" else NOT_LANDED)
 
@@ -58,7 +58,7 @@ def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
     from flightstack.common.terminal import Terminal
     from flightstack.launch.result import result_table
 
-    Terminal().print(result_table(values, values["reason"]))
+    Terminal().print(result_table(values))
 
 
 @click.command()
@@ -157,10 +157,10 @@ def report(log: Path, member: str | None, out: Path | None, as_json: bool) -> No
     The command prints the verdict on the LOG and the path of the page. Exit status: 0 written, 2 wrong input.
     """
     from logs.report.report import write_report
-    from logs.verdict.verdict import fleet_result, judged
+    from logs.verdict.verdict import judged, result
 
     fleet, verdict = judged(log, member)
-    values = fleet_result(fleet, verdict, write_report(fleet, verdict, out))
+    values = result(fleet, verdict, write_report(fleet, verdict, out))
     show_verdict(values, as_json=as_json)
     if not as_json:
         click.echo(plain(values["report"]))

@@ -63,17 +63,14 @@ def new(what: str, name: str, base: str) -> None:
 @click.command()
 @click.argument("name", required=False)
 def scenarios(name: str | None) -> None:
-    """List the scenarios of the simulator, or print the one with the given NAME.
-
-    Scenarios of several vehicles are listed last.
-    """
+    """List the scenarios of the simulator, or print the one with the given NAME."""
     from flightstack.common.strict_toml import decoded
-    from sim.scenarios import team
+    from sim.scenarios import scenario
 
     if name is not None:
-        click.echo(decoded(team.path_of(name).read_bytes()), nl=False)
+        click.echo(decoded(scenario.path_of(name).read_bytes()), nl=False)
         return
-    listed = {known: team.load(known).description for known in team.names()}
+    listed = {known: scenario.load(known).description for known in scenario.names()}
     wide = max(map(len, listed)) + 2
     columns = max(shutil.get_terminal_size().columns, wide + 40)
     for known, description in listed.items():

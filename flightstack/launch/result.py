@@ -13,44 +13,70 @@ from rich.console import Console, Group
 from rich.table import Column, Table
 from rich.text import Text
 
-from flightstack.common.text import failed_code
+from flightstack.common.text import failed_code, outline
 from flightstack.launch.launcher import Followed
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogError
 from logs.report.report import ReportError, write_report
-from logs.verdict.types import BELOW_ON_PAD, FALL_M_S, FALLS, SOURCES
-from logs.verdict.verdict import Verdict, fleet_result, judge_fleet
+from logs.verdict.types import FALL_M_S, FALLS, SOURCES
+from logs.verdict.verdict import Verdict, judge_fleet, result
 
 _ABOUT = ("scenario", "seed", "config", "filter")
+# columns of the table of vehicles: heading, key, factor
+_COLUMNS = (
+    ("outcome", "outcome", 1.0),
+    ("violation", "violation", 1.0),
+    ("least h, m", "h_min_outside_pad_m", 1.0),
+    ("error, cm", "touchdown_error_m", 100.0),
+    ("down, m/s", "touchdown_speed_vertical_m_s", 1.0),
+    ("aside, m/s", "touchdown_speed_horizontal_m_s", 1.0),
+    ("time, s", "time_to_land_s", 1.0),
+)
+# values of the whole run: text, key, unit
 _ROWS = (
-    ("outcome", "outcome", ""),
-    ("violation", "violation", ""),
-    ("lowest h", "h_min_m", "m"),
-    ("lowest h outside the pad", "h_min_outside_pad_m", "m"),
-    ("touchdown error", "touchdown_error_m", "m"),
-    ("touchdown speed, vertical", "touchdown_speed_vertical_m_s", "m/s"),
-    ("touchdown speed, horizontal", "touchdown_speed_horizontal_m_s", "m/s"),
-    ("time to land", "time_to_land_s", "s"),
+    ("smallest distance", "distance_min_m", "m"),
+    ("the same in the ellipsoid's measure, in flight", "ellipsoid_min", "1"),
+    ("times inside the ellipsoid", "ellipsoid_violations", ""),
+    ("pairs that collided", "collisions", ""),
     ("real-time factor", "realtime_factor", ""),
 )
 
 
-def result_table(values: Mapping[str, Any], reason: str) -> Group:
-    """Return the values of ``logs.verdict.verdict.fleet_result`` as tables; "-" is an unknown value."""
-    if values.get("vehicles") is not None:
-        return _fleet_table(values, reason)
-    table = Table("result", Column("value", justify="right"), "unit")
-    for name, key, unit in _ROWS:
-        table.add_row(name, _shown(values.get(key)), unit)
-    lowest_m = values.get("h_min_m")
-    falls = values.get("outcome") == "landed" and (values["touchdown_speed_vertical_m_s"] or 0.0) > FALL_M_S
-    notes = [BELOW_ON_PAD] if lowest_m is not None and lowest_m < 0.0 else []
-    notes += [FALLS] if falls else []
-    source = SOURCES.get(values.get("judged_from") or "", "the onboard process's report")
+def result_table(values: Mapping[str, Any], problem: str = "") -> Group:
+    """Return the values of ``logs.verdict.verdict.result`` as a table with a line for each vehicle.
+
+    "-" is an unknown value; ``problem``: text to print after the reasons.
+    """
+    vehicles = _vehicles(values)
+    table = Table("", *(Column(name, justify="right") for name, _, _ in _COLUMNS))
+    for name, each in vehicles.items():
+        table.add_row(Text(name), *(_shown(each.get(key), factor) for _, key, factor in _COLUMNS))
+    run = [f"{name} {_shown(values[key])} {unit}".rstrip() for name, key, unit in _ROWS if key in values]
+    sources = dict.fromkeys(
+        SOURCES.get(each.get("judged_from") or "", "the onboard process's report")
+        for each in vehicles.values()
+    )
+    fell = any(
+        each["outcome"] == "landed" and (each.get("touchdown_speed_vertical_m_s") or 0.0) > FALL_M_S
+        for each in vehicles.values()
+    )
     return Group(
-        _title(values), table, Text(f"judged from {source}"), Text(reason),
-        *(Text(note, style="dim") for note in notes), *_apart([values]),
+        _title(values), table, *map(Text, run), Text(f"judged from {', '.join(sources)}"),
+        Text(_reasons(values) + problem), *([Text(FALLS, style="dim")] if fell else []),
+        *_apart(vehicles.values()),
     )  # fmt: skip
+
+
+def _vehicles(values: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+    """Return the values of each vehicle by name; a result of one vehicle has neither names nor levels."""
+    found: Mapping[str, Mapping[str, Any]] = values.get("vehicles") or {"": values}
+    return found
+
+
+def _reasons(values: Mapping[str, Any]) -> str:
+    return "\n".join(
+        f"{name}: {each['reason']}".removeprefix(": ") for name, each in _vehicles(values).items()
+    )
 
 
 def _apart(vehicles: Iterable[Mapping[str, Any]]) -> list[Text]:
@@ -64,37 +90,6 @@ def _apart(vehicles: Iterable[Mapping[str, Any]]) -> list[Text]:
     return [Text(line, style="yellow") for line in dict.fromkeys(filter(None, found))]
 
 
-_MEMBER_COLUMNS = (
-    ("outcome", "outcome", 1.0),
-    ("violation", "violation", 1.0),
-    ("least h, m", "h_min_outside_pad_m", 1.0),
-    ("error, cm", "touchdown_error_m", 100.0),
-    ("down, m/s", "touchdown_speed_vertical_m_s", 1.0),
-    ("aside, m/s", "touchdown_speed_horizontal_m_s", 1.0),
-    ("time, s", "time_to_land_s", 1.0),
-)
-_FLEET_ROWS = (
-    ("smallest distance", "distance_min_m", "m"),
-    ("the same in the ellipsoid's measure, in flight", "ellipsoid_min", "1"),
-    ("times inside the ellipsoid", "ellipsoid_violations", ""),
-    ("pairs that collided", "collisions", ""),
-    ("real-time factor", "realtime_factor", ""),
-)
-
-
-def _fleet_table(values: Mapping[str, Any], reason: str) -> Group:
-    """Return tables of a fleet with lowest h outside the pad, errors, speeds and times of each member."""
-    table = Table("vehicle", *(Column(name, justify="right") for name, _, _ in _MEMBER_COLUMNS))
-    for member, each in values["vehicles"].items():
-        table.add_row(Text(member), *(_shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))
-    fleet = Table("fleet", Column("value", justify="right"), "unit")
-    for name, key, unit in (("outcome", "outcome", ""), ("violation", "violation", ""), *_FLEET_ROWS):
-        fleet.add_row(name, _shown(values[key]), unit)
-    judged = dict.fromkeys(SOURCES.get(each["judged_from"], "") for each in values["vehicles"].values())
-    source = Text(f"judged from {', '.join(judged)}")
-    return Group(_title(values), table, fleet, source, Text(reason), *_apart(values["vehicles"].values()))
-
-
 def _title(values: Mapping[str, Any]) -> Text:
     about = (f"{name} {values[name]}" for name in _ABOUT if values.get(name) is not None)
     return Text(", ".join(about), style="italic")
@@ -106,10 +101,7 @@ def _shown(value: object, factor: float = 1.0) -> str:
 
 
 _VERDICT = tuple(field.name for field in fields(Verdict))
-_FLEET = (
-    "outcome", "violation", "vehicles", "ellipsoid_violations", "ellipsoid_min", "distance_min_m",
-    "collisions", "realtime_factor",
-)  # fmt: skip
+_RUN = ("outcome", "violation", *(key for _, key, _ in _ROWS))
 
 
 @dataclass(frozen=True)
@@ -133,8 +125,7 @@ def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool
     if as_json:
         print(json.dumps(values))
     else:
-        problem = f"; {flown.problem}" if flown.problem else ""
-        console.print(result_table(values, f"{_reasons(values)}{problem}"))
+        console.print(result_table(values, f"; {flown.problem}" if flown.problem else ""))
         console.print(Text(f"log     {values['log'] or 'none, as asked for'}"), soft_wrap=True)
         if values["report"] is not None:
             console.print(Text(f"report  {values['report']}"), soft_wrap=True)
@@ -157,15 +148,14 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
         print(f"flightstack: no result: {flown.problem or said} {error}", file=sys.stderr)
         log = None
     if log is None:
-        alone = len(flown.flights) == 1
-        code = flown.flights[0].child.process.returncode
-        return {
-            **flown.about,
-            **dict.fromkeys((*_VERDICT, "realtime_factor") if alone else _FLEET),
-            "outcome": "landed" if flown.log is None and code == 0 else None,
-            "reason": said,
+        about = {
             "log": str(flown.log) if flown.log is not None and flown.log.exists() else None,
             "report": None,
+        }
+        vehicles = {each.name: {**_of_process(each, flown.log), **about} for each in flown.flights}
+        return {
+            **flown.about,
+            **outline({**dict.fromkeys(_RUN), "reason": said, **about}, "vehicles", vehicles),
         }
     verdict, pages = judge_fleet(log), None
     if with_report:
@@ -176,9 +166,14 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
     times = [flight.steps.t_s for flight in log.flights.values() if flight.steps is not None]
     longest_s = max((float(t_s[-1] - t_s[0]) for t_s in times), default=None)
     factor = longest_s / flown.wall_s if longest_s is not None and flown.wall_s > 0.0 else None
-    return fleet_result(log, verdict, pages, flown.about, factor)
+    return result(log, verdict, pages, flown.about, factor)
 
 
-def _reasons(values: Mapping[str, Any]) -> str:
-    vehicles = values.get("vehicles") or {}
-    return "\n".join(f"{name}: {each['reason']}" for name, each in vehicles.items()) or values["reason"]
+def _of_process(flight: Followed, log: Path | None) -> dict[str, Any]:
+    """Return the values of a vehicle without a usable log: those that its onboard process reported."""
+    landed = log is None and flight.child.process.returncode == 0
+    return {
+        **dict.fromkeys((*_VERDICT, "realtime_factor")),
+        "outcome": "landed" if landed else None,
+        "reason": flight.last_line,
+    }

@@ -31,30 +31,29 @@ from flightstack.verify.certificate import problems
 from logs.schema import NO_PAD, SCENARIO, Names
 from sim.options import TargetOptions
 from sim.robot.course import try_out
-from sim.scenarios.scenario import Scenario
-from sim.scenarios.team import TeamScenario, load, path_of, text
+from sim.scenarios.scenario import Scenario, load, path_of, text
 from sim.vehicle.declared import not_proven, outside
 
 GRACE_S = 60.0  # wall time after the scenario's duration at which a run is stopped, s
 LOCKSTEP_SLOWEST = 0.05  # ratio of simulated to wall time below which a lockstep run is stopped
 
 
-def prepare(options: RunOptions) -> TeamScenario:
+def prepare(options: RunOptions) -> Scenario:
     """Return the checked scenario, with the configuration for the chosen autopilot.
 
     Raises ConfigError: the scenario must not fly.
     """
     team = load(options.scenario)
-    for each in team.member:
+    for each in team.members:
         try_out(each.target)
-    number, requested = len(team.member), options.members
+    number, requested = len(team.members), options.members
     options.check(number)
     if any(not 1 <= n <= number for n in requested) or len(requested) == number:
         raise ConfigError(
             f"--member: found {', '.join(map(str, requested))}; allowed are 1 to {number}, and one at least "
             "is simulated here"
         )
-    members = tuple(VEHICLES[options.flies].adapt(adapted(options, each)) for each in team.member)
+    members = tuple(VEHICLES[options.flies].adapt(adapted(options, each)) for each in team.members)
     for n, each in enumerate(members, 1):
         if number > 1 and each.onboard.fleet is None:
             raise ConfigError(
@@ -66,7 +65,7 @@ def prepare(options: RunOptions) -> TeamScenario:
                 "[fleet]: in lockstep all members are flown by one command: --scenario with a team's (see "
                 "`scenarios`), or fly in real time"
             )
-    return replace(team, member=members)
+    return Scenario.of(members)
 
 
 def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
@@ -114,7 +113,7 @@ def run(options: RunOptions, console: Console) -> Flown:
     Raises ConfigError: an input is wrong; LaunchError: a process did not start.
     """
     team = prepare(options)
-    name = short_name(team.member[0].onboard.filter)
+    name = short_name(team.onboard.filter)
     folder = options.out or new_folder(f"{team.name}-seed{options.seed}-{name}")
     log = log_in(folder)
     (folder / SCENARIO).write_text(text(team), encoding="utf-8")
@@ -124,7 +123,7 @@ def run(options: RunOptions, console: Console) -> Flown:
         return _fly(launcher, options, team, log)
 
 
-def _vehicles(launcher: Launcher, options: RunOptions, team: TeamScenario) -> list[_Vehicle]:
+def _vehicles(launcher: Launcher, options: RunOptions, team: Scenario) -> list[_Vehicle]:
     found, names = [], team.namespaces()
     shown = labels(list(names.values()))
     for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
@@ -136,7 +135,7 @@ def _vehicles(launcher: Launcher, options: RunOptions, team: TeamScenario) -> li
     return found
 
 
-def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path) -> Flown:
+def _fly(launcher: Launcher, options: RunOptions, team: Scenario, log: Path) -> Flown:
     """Start the processes in the order of their connections; then watch until all flights have ended."""
     vehicles = _vehicles(launcher, options, team)
     robots_at = launcher.endpoint()
@@ -189,7 +188,7 @@ def _start(
     return Followed(child, vehicle.name, (vehicle.endpoint, *options.listen), vehicle.label)
 
 
-def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles: Sequence[_Vehicle]) -> None:
+def _describe(recorder: Path, options: RunOptions, team: Scenario, vehicles: Sequence[_Vehicle]) -> None:
     """Write scenario, configuration and options of the run to the log."""
     pad = {"pad": NO_PAD} if options.flies in (Flies.PX4_SIH, Flies.ARDUPILOT) else {}
     flights = []
@@ -211,7 +210,7 @@ def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles:
     describe(recorder, *flights, fleet=_about(options, team, options.seed), attachments=files)
 
 
-def _about(options: RunOptions, scenario: Scenario | TeamScenario, seed: int) -> dict[str, str]:
+def _about(options: RunOptions, scenario: Scenario, seed: int) -> dict[str, str]:
     return {
         "scenario": scenario.name,
         "description": scenario.description,

@@ -27,8 +27,8 @@ from logs.schema import SCENARIO
 from sim.autopilot.telemetry import ORIGIN_WGS84
 from sim.options import Px4SimOptions, WorldOptions
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
-from sim.scenarios.scenario import Scenario, StartKind
-from sim.scenarios.team import TeamScenario
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.tables import StartKind
 from sim.vehicle.vehicle import compile_first
 
 T = TypeVar("T")
@@ -47,14 +47,14 @@ class Flying:
     clock: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
+def _own(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
     """Start the simulated vehicles with the simulator's autopilot, and the robots, in one process."""
-    compile_first(team.member[0])
+    compile_first(scenario)
     elsewhere = options.members
     child = launcher.start(
         "world",
         plugged(
-            WorldOptions, launcher, options, rate_hz=team.rate_hz, duration_s=others_s(team),
+            WorldOptions, launcher, options, rate_hz=scenario.rate_hz, duration_s=others_s(scenario),
             listen=(robots_at,), url="udpin:127.0.0.1:0", leave_out=tuple(elsewhere),
         ),
     )  # fmt: skip
@@ -65,7 +65,7 @@ def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
         {"vehicle_url": elsewhere[number], "signing_key": None}
         if number in elsewhere
         else {"vehicle_url": next(urls), "autopilot": autopilot}
-        for number in range(1, len(team.member) + 1)
+        for number in range(1, len(scenario.members) + 1)
     ]
     return Flying(given, child)
 
@@ -96,9 +96,8 @@ class _Px4Start:
         return {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
 
 
-def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
+def _px4(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
     """Start the simulator, then PX4 on it."""
-    scenario = team.member[0]
     compile_first(scenario)
     px4 = _Px4Start(launcher, options)
     clock: Mapping[str, Any] = {"clock": launcher.socket.with_name("clock")}
@@ -120,16 +119,16 @@ def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
     return Flying([given], simulator, {**clock, "speed": 1.0})
 
 
-def _px4_sih(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
+def _px4_sih(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
     """Start PX4 and its simulation-in-hardware of a 1 kg quadrotor."""
     del robots_at
     from sim.px4.airframe import SAFE_PARAMETERS
 
     given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
-    return Flying([{**given, "target_offset_m": _to_the_floor_m(team.member[0])}])
+    return Flying([{**given, "target_offset_m": _to_the_floor_m(scenario)}])
 
 
-def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
+def _ardupilot(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
     """Start ArduCopter's software in the loop; the onboard process waits for its heartbeat."""
     del robots_at
     number = options.instance or 0
@@ -146,7 +145,7 @@ def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, robo
     )  # fmt: skip
     launcher.children.append(child)
     url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
-    floor_m = _to_the_floor_m(team.member[0])
+    floor_m = _to_the_floor_m(scenario)
     return Flying([{"vehicle_url": url, "autopilot": ARDUPILOT.name, "target_offset_m": floor_m}])
 
 
@@ -191,7 +190,7 @@ class Vehicle(NamedTuple):
 
     # function that starts the vehicle and, if its URL depends on that, waits until it can fly; its last
     # argument is the Zenoh endpoint of the robots; it raises LaunchError if the vehicle is not ready
-    start: Callable[[Launcher, RunOptions, TeamScenario, str], Flying]
+    start: Callable[[Launcher, RunOptions, Scenario, str], Flying]
     configs: Mapping[str, str] = {}  # names of configurations by airframe; for another one: the scenario's
     # function from program path to configuration name, for all airframes
     config: Callable[[Path | None], str] | None = None
@@ -223,14 +222,14 @@ def plugged(cls: type[T], launcher: Launcher, options: RunOptions, **own: Any) -
     return shared(options, cls, **both, **own)
 
 
-def longest_s(team: TeamScenario) -> float:
+def longest_s(scenario: Scenario) -> float:
     """Return the longest time of a flight, s: the scenario's duration plus the time for an abort."""
-    return max(each.duration_max_s + each.onboard.retreat.abort_time_max_s for each in team.member)
+    return max(each.duration_max_s + each.onboard.retreat.abort_time_max_s for each in scenario.members)
 
 
-def others_s(team: TeamScenario) -> float:
+def others_s(scenario: Scenario) -> float:
     """Return the run time of the simulator's processes, s; it is longer than that of onboard processes."""
-    return longest_s(team) + 10.0
+    return longest_s(scenario) + 10.0
 
 
 def around_the_start(scenario: Scenario) -> Scenario:

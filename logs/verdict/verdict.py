@@ -1,4 +1,4 @@
-"""Verdict on a flight, and on a fleet from the verdicts of its members.
+"""Verdict on a run from the verdicts of its members; the ordinary run is a fleet of one.
 
 The judged time starts with the first controller step in phase APPROACH; the verdict uses the simulator's true
 states, not the controller's estimate:
@@ -36,6 +36,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from flightstack.common.text import labels, outline
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Bools, Fleet, Flight, Floats
 from logs.reader.reader import LogFile
@@ -45,7 +46,7 @@ from logs.verdict.estimate import judge_estimate
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import GAP_MAX_S, RADIUS_ABOVE_M, RADIUS_BESIDE_M, Outcome, Verdict
 
-__all__ = ["Outcome", "Verdict", "fleet_result", "judge", "judge_fleet", "judged", "verdict_result"]
+__all__ = ["Outcome", "Verdict", "judge", "judge_fleet", "judged", "result"]
 
 _WORST_FIRST = (Outcome.CRASHED, Outcome.TIMEOUT, Outcome.UNKNOWN, Outcome.ABORTED, Outcome.LANDED)
 
@@ -94,29 +95,6 @@ def flown_by(told: Mapping[str, Any]) -> dict[str, Any]:
         "scenario": told.get("scenario"),
         "seed": int(seed) if seed.isdigit() else None,
         "filter": told.get("filter"),
-    }
-
-
-def verdict_result(
-    flight: Flight,
-    verdict: Verdict,
-    report: Path | None = None,
-    about: Mapping[str, object] | None = None,
-    realtime_factor: float | None = None,
-) -> dict[str, Any]:
-    """Return the result of a flight for JSON, with the keys of ``flightstack sitl --json``."""
-    if about is None:
-        filter_flown = flight.config.filter if flight.config is not None else None
-        about = flown_by({"filter": filter_flown, **flight.metadata.get("run", {})})
-    return {
-        **about,
-        **verdict.to_json_dict(),
-        "outside_envelope": outside_envelope(flight),
-        "judged_apart": judged_apart(flight),
-        "records_lost": sum(records_lost(flight).values()),
-        "realtime_factor": realtime_factor,
-        "log": str(flight.path),
-        "report": str(report) if report is not None else None,
     }
 
 
@@ -176,7 +154,7 @@ def fleet_verdict(
     hits = {names[one]: names[other] for one, other in ends}
     judged = {name: _struck(each, hits.get(name)) for name, each in members.items()}
     outcome = min((each.outcome for each in judged.values()), key=_WORST_FIRST.index)
-    inside = sum(pair.violations for pair in pairs)
+    inside, complete = sum(pair.violations for pair in pairs), complete and len(pairs) > 0
     return FleetVerdict(
         outcome,
         _reason(outcome, judged, hits),
@@ -197,12 +175,15 @@ def _struck(verdict: Verdict, by: str | None) -> Verdict:
 
 
 def _reason(outcome: Outcome, judged: Mapping[str, Verdict], hits: Collection[str]) -> str:
-    if outcome is Outcome.LANDED:
+    if outcome is Outcome.LANDED and len(judged) > 1:
         return f"all {len(judged)} landed"
-    worst = {name: each for name, each in judged.items() if each.outcome is outcome}
-    return "; ".join(
-        f"{name}: {'collision' if name in hits else each.reason}" for name, each in worst.items()
-    )
+    shown = dict(zip(judged, labels(list(judged)), strict=True))
+    texts = {
+        name: "collision" if name in hits else each.reason
+        for name, each in judged.items()
+        if each.outcome is outcome
+    }
+    return "; ".join(f"{shown[name]}: {text}".removeprefix(": ") for name, text in texts.items())
 
 
 def judge_fleet(fleet: Fleet) -> FleetVerdict:
@@ -233,7 +214,7 @@ def pairs_known(fleet: Fleet) -> bool:
     return all(max(ends_ns) - pair.stamp_ns <= GAP_MAX_S * 1e9 for pair in fleet.pairs.values())
 
 
-def fleet_result(
+def result(
     fleet: Fleet,
     verdict: FleetVerdict,
     pages: Mapping[str, Path] | None = None,
@@ -242,26 +223,20 @@ def fleet_result(
 ) -> dict[str, Any]:
     """Return the result of a log for JSON, with the keys of ``flightstack sitl --json``.
 
-    ``pages``: path of each member's report, and of the main page under the key ""; ``about``: description of
-    the flight, by default from the log.
+    ``pages``: path of each member's report, and of the main page under the key ""; ``about``: first keys, if
+    they are more than those of the log.
     """
     pages = pages or {}
-    (first, only), *others = verdict.members.items()
-    if not others:
-        return verdict_result(fleet.flights[first], only, pages.get(""), about, realtime_factor)
     vehicles = {
-        name: verdict_result(fleet.flights[name], each, pages.get(name), None, realtime_factor)
+        name: _vehicle_result(fleet.flights[name], each, pages.get(name, pages.get("")), realtime_factor)
         for name, each in verdict.members.items()
     }
-    if about is None:
-        filters = dict.fromkeys(str(each["filter"]) for each in vehicles.values())
-        about = flown_by({**fleet.metadata.get(FLEET, {}), "filter": ", ".join(filters)})
-    return {
-        **about,
+    filters = ", ".join(sorted({str(each["filter"]) for each in vehicles.values()}))
+    shared = {
+        **flown_by({**fleet.metadata.get(FLEET, {}), "filter": filters}),
         "outcome": verdict.outcome.value,
         "violation": verdict.violation,
         "reason": verdict.reason,
-        "vehicles": vehicles,
         "records_lost": sum(int(n) for n in fleet.metadata.get(LOSSES, {}).values()),
         "ellipsoid_violations": verdict.ellipsoid_violations,
         "ellipsoid_min": verdict.ellipsoid_min,
@@ -270,6 +245,23 @@ def fleet_result(
         "realtime_factor": realtime_factor,
         "log": str(fleet.path),
         "report": str(pages[""]) if "" in pages else None,
+    }
+    return {**(about or {}), **outline(shared, "vehicles", vehicles)}
+
+
+def _vehicle_result(
+    flight: Flight, verdict: Verdict, page: Path | None, realtime_factor: float | None
+) -> dict[str, Any]:
+    filter_flown = flight.config.filter if flight.config is not None else None
+    return {
+        **flown_by({"filter": filter_flown, **flight.metadata.get("run", {})}),
+        **verdict.to_json_dict(),
+        "outside_envelope": outside_envelope(flight),
+        "judged_apart": judged_apart(flight),
+        "records_lost": sum(records_lost(flight).values()),
+        "realtime_factor": realtime_factor,
+        "log": str(flight.path),
+        "report": str(page) if page is not None else None,
     }
 
 

@@ -24,7 +24,7 @@ from flightstack.core.types import Phase
 from logs.schema import member_name
 from logs.verdict.types import Outcome
 from logs.verdict.verdict import FleetVerdict, any_known, fleet_verdict, least
-from sim.runners.landing import Landing, TeamLanding
+from sim.runners.landing import Landing
 
 ERROR = "error"  # outcome of a landing that could not be simulated to its end
 _OUTCOMES = frozenset({ERROR, *(outcome.value for outcome in Outcome)})
@@ -78,7 +78,7 @@ class Row:
     simulated_s: float | None = None  # duration of the run, simulated time
     wall_s: float | None = None  # wall time; the only value that the seed does not determine
     cells: str = ""  # map of h: "i j mm" for each visited cell of (d, e_z), with the lowest h in it
-    outcomes: str = ""  # outcomes of a team's members, cf1 first; empty for one vehicle, like the next fields
+    outcomes: str = ""  # outcomes of all vehicles, cf1 first; empty for one vehicle, like the next fields
     collisions: int | None = None  # number of pairs of vehicles that collided
     # number of times that two vehicles in flight entered the ellipsoid around each other
     ellipsoid_violations: int | None = None
@@ -98,8 +98,52 @@ class Row:
         return replace(self, wall_s=None)
 
 
-def vehicle_row(landing: Landing) -> Row:
-    """Return the row of a vehicle's landing."""
+def judge_landing(flown: Landing) -> FleetVerdict:
+    """Judge a run as its log is judged."""
+    names = {number: member_name(number) for number, _ in enumerate(flown.members, 1)}
+    members = {names[n]: landing.verdict for n, landing in enumerate(flown.members, 1)}
+    return fleet_verdict(members, flown.pairs, names)
+
+
+def row_of(flown: Landing) -> Row:
+    """Return the row of a run: sums of retries and phase durations, and the worst member's other values."""
+    verdict, rows = judge_landing(flown), [_vehicle_row(landing) for landing in flown.members]
+    deepest = min(rows, key=lambda row: math.inf if (h := row.h_min_outside_pad_m) is None else h)
+
+    def known(name: str) -> list[Any]:
+        return [value for row in rows if (value := getattr(row, name)) is not None]
+
+    worst = (*_TOUCHDOWN, "own_age_max_s", "target_age_max_s")
+    lowest: dict[str, Any] = {
+        name: getattr(deepest, name) for name in ("h_min_outside_pad_m", "h_min_d_m", "h_min_e_z_m")
+    }
+    largest: dict[str, Any] = {name: max(known(name), default=None) for name in worst}
+    waits_s = (each.wait_s for each in flown.members)
+    several: dict[str, Any] = {"outcomes": " ".join(verdict.outcomes), "wait_max_s": max(waits_s)}
+    landed_s = known("time_to_land_s") if verdict.outcome is Outcome.LANDED else []
+    return Row(
+        seed=flown.seed,
+        outcome=verdict.outcome.value,
+        reason=verdict.reason,
+        violation=any_known(row.violation for row in rows),
+        started_safe=_all(row.started_safe for row in rows),
+        h_min_m=least(row.h_min_m for row in rows),
+        **lowest,
+        **largest,
+        time_to_land_s=max(landed_s, default=None),
+        **{name: sum(known(name)) for name in ("retries", *_TIMED)},
+        simulated_s=max(landing.simulated_s for landing in flown.members),
+        wall_s=flown.wall_s,
+        cells=_joined(rows),
+        collisions=verdict.collisions,
+        ellipsoid_violations=verdict.ellipsoid_violations,
+        ellipsoid_min=verdict.ellipsoid_min,
+        distance_min_m=verdict.distance_min_m,
+        **(several if flown.others else {}),
+    )
+
+
+def _vehicle_row(landing: Landing) -> Row:
     verdict, seen = landing.verdict, landing.seen
     steps, truth, start_s = seen.steps, seen.truth, seen.landing_start_s
     begin = len(truth.t_s) if start_s is None else int(np.searchsorted(truth.t_s, start_s))
@@ -127,57 +171,6 @@ def vehicle_row(landing: Landing) -> Row:
         simulated_s=landing.simulated_s,
         wall_s=landing.wall_s,
         cells=_cells(truth.d_m[begin:], truth.e_m[begin:, 2], truth.h_m[begin:]),
-    )
-
-
-def judge_team(flown: TeamLanding) -> FleetVerdict:
-    """Judge a team as the log of a fleet is judged."""
-    names = {number: member_name(number) for number in range(1, len(flown.landings) + 1)}
-    members = {names[n]: landing.verdict for n, landing in enumerate(flown.landings, 1)}
-    return fleet_verdict(members, flown.pairs, names)
-
-
-def row_of(flown: TeamLanding) -> Row:
-    """Return the row of a team: sums of retries and phase durations, and the worst member's other values.
-
-    The row of a single vehicle has no team values.
-    """
-    if len(flown.landings) == 1:
-        return vehicle_row(flown.landings[0])
-    verdict = judge_team(flown)
-    rows = [vehicle_row(landing) for landing in flown.landings]
-    deepest = min(rows, key=lambda row: math.inf if (h := row.h_min_outside_pad_m) is None else h)
-
-    def known(name: str) -> list[Any]:
-        return [value for row in rows if (value := getattr(row, name)) is not None]
-
-    worst = (*_TOUCHDOWN, "own_age_max_s", "target_age_max_s")
-    lowest: dict[str, Any] = {
-        name: getattr(deepest, name) for name in ("h_min_outside_pad_m", "h_min_d_m", "h_min_e_z_m")
-    }
-    largest: dict[str, Any] = {name: max(known(name), default=None) for name in worst}
-    return Row(
-        seed=flown.seed,
-        outcome=verdict.outcome.value,
-        reason=verdict.reason,
-        violation=any_known(row.violation for row in rows),
-        started_safe=_all(row.started_safe for row in rows),
-        h_min_m=least(row.h_min_m for row in rows),
-        **lowest,
-        **largest,
-        time_to_land_s=max(known("time_to_land_s"), default=None)
-        if verdict.outcome is Outcome.LANDED
-        else None,
-        **{name: sum(known(name)) for name in ("retries", *_TIMED)},
-        simulated_s=flown.simulated_s,
-        wall_s=flown.wall_s,
-        cells=_joined(rows),
-        outcomes=" ".join(verdict.outcomes),
-        collisions=verdict.collisions,
-        ellipsoid_violations=verdict.ellipsoid_violations,
-        ellipsoid_min=verdict.ellipsoid_min,
-        distance_min_m=verdict.distance_min_m,
-        wait_max_s=max(flown.waits_s, default=None),
     )
 
 

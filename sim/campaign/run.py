@@ -48,8 +48,7 @@ from sim.campaign.summary import apart, lines, repeat_command, summary
 from sim.campaign.workers import Cluster, Workers, code_fingerprint
 from sim.robot.course import try_out
 from sim.runners.landing import warm_up
-from sim.scenarios.scenario import Scenario
-from sim.scenarios.team import TeamScenario, load, text
+from sim.scenarios.scenario import Scenario, load, text
 from sim.vehicle.declared import judged_apart
 
 if TYPE_CHECKING:
@@ -72,7 +71,7 @@ class Plan:
     """Definition of a campaign: scenario and seeds."""
 
     scenario_name: str  # name or file of the scenario, as the user gave it; printed commands contain it
-    scenario: TeamScenario  # scenario, with the safety filter to fly
+    scenario: Scenario  # scenario, with the safety filter to fly
     runs: int  # number of landings
     first_seed: int  # first of consecutive seeds
 
@@ -87,29 +86,24 @@ class Plan:
         return repeat_command(self.scenario_name, self.filter_name)
 
     @property
-    def first(self) -> Scenario:
-        """Scenario of the first, or only, vehicle."""
-        return self.scenario.member[0]
-
-    @property
     def filter_name(self) -> str:
         """Name of the safety filter; in a team, of the first vehicle."""
-        return self.first.onboard.filter
+        return self.scenario.onboard.filter
 
     @property
     def duration_max_s(self) -> float:
         """Longest simulated time of a landing, s; for a team the sum over its vehicles."""
-        return sum(each.duration_max_s for each in self.scenario.member)
+        return sum(each.duration_max_s for each in self.scenario.members)
 
 
 def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None) -> Plan:
     """Load and check a scenario. Raises ConfigError: a check rejects it."""
     scenario = load(scenario_name)
-    for member in scenario.member:
+    for member in scenario.members:
         try_out(member.target)
     if filter_name is not None:
         scenario = scenario.with_filter(filter_name)
-    found = dict.fromkeys(problem for each in scenario.member for problem in problems(each.onboard))
+    found = dict.fromkeys(problem for each in scenario.members for problem in problems(each.onboard))
     if found:
         raise ConfigError(f"{scenario_name}: refused before take-off: " + "; ".join(found))
     return Plan(scenario_name, scenario, runs, first_seed)
@@ -193,7 +187,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
                 wanted.command,
                 wall_s=time.monotonic() - began_s,
                 flown_s=flown_s,
-                judged_apart=judged_apart(wanted.first),
+                judged_apart=judged_apart(wanted.scenario),
             )
             (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
         return Flown(rows, wanted.runs - len(rows), told)
@@ -370,7 +364,7 @@ def h_map(wanted: Plan, rows: Sequence[Row]) -> go.Figure:
         460,
     )  # fmt: skip
     at = np.linspace(0.0, D_CELLS * CELL_M, 200)
-    height = list(map(wanted.first.judged_by.height, at))
+    height = list(map(wanted.scenario.judged_by.height, at))
     figure.add_scatter(
         x=at, y=height, mode="lines", line={"color": BOUNDARY, "width": 2}, name="boundary h = 0"
     )

@@ -38,8 +38,8 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import pip_install
 from flightstack.core.parameters.filters import failed_in, give
 from sim.campaign.rows import Row, error_row, row_of
-from sim.runners.landing import land_team, warm_up
-from sim.scenarios.team import TeamScenario, from_text
+from sim.runners.landing import land, warm_up
+from sim.scenarios.scenario import Scenario, from_text
 from sim.vehicle.declared import outside
 
 _ALONE = threading.Lock()  # serialises landings: threads of a cluster's worker would only wait for each other
@@ -53,7 +53,7 @@ _END_S = 5.0  # time-out of a worker's end, wall time
 
 
 @lru_cache(maxsize=4)
-def loaded(scenario_toml: str) -> TeamScenario:
+def loaded(scenario_toml: str) -> Scenario:
     """Return the scenario of a text, with all code compiled."""
     scenario = from_text(scenario_toml)
     warm_up(scenario)
@@ -61,7 +61,7 @@ def loaded(scenario_toml: str) -> TeamScenario:
 
 
 @lru_cache(maxsize=4)
-def prepared(scenario_toml: str) -> TeamScenario:
+def prepared(scenario_toml: str) -> Scenario:
     """Return the scenario of a text; compile all code and exclude present objects from garbage collection."""
     scenario = loaded(scenario_toml)
     quiet_garbage_collector()
@@ -73,11 +73,11 @@ def fly_seed(scenario_toml: str, seed: int) -> Row:
     with _ALONE:
         scenario = prepared(scenario_toml)
         try:
-            return replace(row_of(land_team(scenario, seed)), outside_envelope=outside(scenario.member))
+            return replace(row_of(land(scenario, seed)), outside_envelope=outside(scenario.members))
         except ConfigError as error:
             return error_row(seed, str(error))
         except Exception as error:
-            own = next(filter(None, (failed_in(each.onboard.filter, error) for each in scenario.member)), "")
+            own = next(filter(None, (failed_in(each.onboard.filter, error) for each in scenario.members)), "")
             return error_row(seed, own or f"{type(error).__name__}: {error}")
         finally:
             gc.collect()  # collect between landings, never during a landing

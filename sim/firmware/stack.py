@@ -24,7 +24,7 @@ from sim.firmware.setpoint import STOP, Inbox, InboxRecord, Setpoint, SetpointRe
 from sim.firmware.supervisor import Supervisor, SupervisorRecord, flies, supervise
 from sim.plant.params import CONTROL_STEP_S, Params
 from sim.plant.rotors import Four
-from sim.scenarios.scenario import VehicleSpec, VelocityLoop
+from sim.scenarios.tables import VehicleSpec, VelocityLoop
 
 BATTERY_MIN_V = 3.2  # platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE
 TILT_MAX_COS = 0.5  # cosine of the largest tilt for arming, 60 degrees

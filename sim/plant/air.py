@@ -32,7 +32,7 @@ from sim.plant.params import Body, Geometry, Rotor, WindShape
 from sim.plant.rotors import POSITION_X, POSITION_Y
 from sim.plant.sensors import Tape, TapeRecord, take
 from sim.plant.states import Nine
-from sim.scenarios.scenario import Wind
+from sim.scenarios.tables import Wind
 
 
 class NoiseRecord(Record):

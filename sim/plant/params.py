@@ -9,7 +9,7 @@ from typing import Annotated
 from flightstack.common.strict_toml import ConfigError, from_table, span
 from flightstack.core.types import Vec3
 from sim.chance import stream
-from sim.scenarios.scenario import VEHICLE_FILES, VehicleSpec
+from sim.scenarios.tables import VEHICLE_FILES, VehicleSpec
 
 Four = tuple[float, float, float, float]
 

@@ -20,7 +20,7 @@ from flightstack.core.types import Vec3
 from sim.chance import stream
 from sim.plant.params import Imu as ImuParams
 from sim.plant.states import Nine
-from sim.scenarios.scenario import OdometryLink
+from sim.scenarios.tables import OdometryLink
 
 NS = 1_000_000_000
 NS_PER_MS = 1_000_000

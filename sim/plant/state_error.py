@@ -15,7 +15,7 @@ import numpy as np
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Cell, Record
 from sim.chance import stream
-from sim.scenarios.scenario import StateError
+from sim.scenarios.tables import StateError
 
 if TYPE_CHECKING:
     from sim.flights.tape import Piece, Tape

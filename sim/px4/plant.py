@@ -17,7 +17,8 @@ from flightstack.core.types import Vec3
 from sim.plant.params import Params
 from sim.plant.rotors import speed_limit
 from sim.plant.states import Truth
-from sim.scenarios.scenario import Scenario, StartKind
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.tables import StartKind
 from sim.vehicle.physics import (
     CONTROL_EVERY_MS,
     Physics,

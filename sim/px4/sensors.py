@@ -26,7 +26,7 @@ from sim.plant.params import Params
 from sim.plant.sensors import Imu, MeasurementChannel, NoiseRows
 from sim.plant.states import rotation_axes
 from sim.px4.plant import Body
-from sim.scenarios.scenario import OdometryLink
+from sim.scenarios.tables import OdometryLink
 
 STEP_MS = 4  # time between two IMU readings, ms
 SLOW_EVERY = 5  # number of IMU readings per reading of magnetometer and barometer: 50 Hz

@@ -9,7 +9,7 @@ from typing import Any
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import ROBOT_FAILED, one_line
 from flightstack.core.parameters.filters import file_of, referred
-from sim.scenarios.scenario import PathKind, TargetSpec
+from sim.scenarios.tables import PathKind, TargetSpec
 
 # function from driven time (s), axle position (m, ENU) and heading (rad) to speed (m/s) and turn rate (rad/s)
 Course = Callable[[float, float, float, float], tuple[float, float]]

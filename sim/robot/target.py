@@ -21,7 +21,7 @@ from sim.plant.params import load
 from sim.plant.sensors import BLOCK, NS, MeasurementChannel
 from sim.plant.state_error import DELAY, TURN, WIDTH, PastRecord, mismeasured, state_errors
 from sim.robot.course import course
-from sim.scenarios.scenario import PathKind, StateError, TargetLink, TargetSpec
+from sim.scenarios.tables import PathKind, StateError, TargetLink, TargetSpec
 
 DRIVE_LAG_S = 0.1  # first-order lag of the drive, s; not documented by ROBOTIS, assumed 0.05 to 0.15 s
 

@@ -1,4 +1,4 @@
-"""Seeded landings in one process without sockets, recorded and judged: ``land`` and ``land_team``.
+"""Seeded landings in one process without sockets, recorded and judged.
 
 The code is the same as with separate processes: the vehicle's lockstep loop with its autopilot and faults,
 the robot, the companion's link and its runner of ticks. Only the messages are passed directly, with the
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
@@ -42,7 +42,6 @@ from sim.runners.robot import DirectTarget
 from sim.runners.room import Pair, Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario, load
-from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import VehicleSim
 
 OnStep = Callable[[Tick, Outputs], None]
@@ -160,48 +159,44 @@ class Companion:
 
 @dataclass(frozen=True)
 class Landing:
-    """Result of the flight of one vehicle."""
+    """Result of a vehicle's flight, and of the ``others`` that flew in the same room."""
 
     seed: int  # seed of all random draws
-    verdict: Verdict  # verdict from true states, as for a flight log
+    verdict: Verdict  # verdict from true states, with the collisions until the end of the flight
     seen: Seen  # recorded data from which the verdict was computed
     simulated_s: float  # duration of the flight, simulated time
-    wall_s: float  # duration of the flight, wall time; in a team, of the whole team
+    wall_s: float  # duration of the run, wall time
     retries: int  # number of restarts of the landing
+    wait_s: float  # longest wait for the right of way
+    pairs: tuple[Pair, ...] = ()  # all pairs of vehicles, (1, 2) first
+    others: tuple[Landing, ...] = ()  # flights of cf2, cf3 and so on
 
-
-@dataclass(frozen=True)
-class TeamLanding:
-    """Result of a team's flight."""
-
-    seed: int  # seed of the team
-    landings: tuple[Landing, ...]  # flights, cf1 first; a verdict counts collisions until its flight ended
-    pairs: tuple[Pair, ...]  # all pairs of members, (1, 2) first
-    waits_s: tuple[float, ...]  # longest time that each member waited for its right of way
-    simulated_s: float  # time until the last flight ended
-    wall_s: float
+    @property
+    def members(self) -> tuple[Landing, ...]:
+        """Flights of all vehicles, cf1 first."""
+        return (self, *self.others)
 
 
 class Flights:
-    """All flights of a scenario in this process; arguments as for ``land_team``.
+    """All flights of a scenario in this process; arguments as for ``land``.
 
     ``controller``: controller to fly instead of the scenario's, for a single vehicle.
     """
 
     def __init__(
-        self, team: TeamScenario, seed: int, exchange: Exchange | None = None, on_step: OnStep | None = None,
+        self, scenario: Scenario, seed: int, exchange: Exchange | None = None, on_step: OnStep | None = None,
         controller: Controller | None = None,
     ) -> None:  # fmt: skip
-        robot = team.target_seed(seed)
+        robot = scenario.target_seed(seed)
         self.members = [
             Companion(each, own, on_step, system_id=n, target_seed=robot, controller=controller)
-            for n, (each, own) in enumerate(team.singles(seed), 1)
+            for n, (each, own) in enumerate(scenario.singles(seed), 1)
         ]
         # longest wait of each member for its right of way, and its present wait, ticks
         self.waits, self._waiting = [0] * len(self.members), [0] * len(self.members)
-        self._words = exchange or Words(team, seed)
+        self._words = exchange or Words(scenario, seed)
         feed = Feed.connect(None, "vehicle", lossless=False)
-        self.room = Room([member.node for member in self.members], TickGrid(team.rate_hz), feed)
+        self.room = Room([member.node for member in self.members], TickGrid(scenario.rate_hz), feed)
         first, *others = self.members
         self.batches = None if others else first.batches()
 
@@ -221,58 +216,49 @@ class Flights:
         return self._words(tick, outputs)
 
 
-def land(scenario: Scenario, seed: int, *, on_step: OnStep | None = None) -> Landing:
-    """Fly one landing and judge it.
+def land(
+    scenario: Scenario, seed: int, *, exchange: Exchange | None = None, on_step: OnStep | None = None
+) -> Landing:
+    """Fly the landings of all vehicles of a scenario and judge each of them.
+
+    A member that no other member approaches flies exactly as it does alone with its own scenario and seed
+    (``Scenario.singles``).
 
     Args:
         scenario: the whole scenario; its ``onboard`` part configures the flown controller.
         seed: seed of all random draws.
-        on_step: called after every controller step.
+        exchange: computes the messages between companions from the outputs of all controllers (None after the
+        end of a flight); None: the controllers' messages, with the scenario's delay and loss.
+        on_step: called after every controller step of each vehicle.
 
     Raises:
+        ValueError: two vehicles overlap at the start.
         RuntimeError: the simulation did not end.
     """
-    return land_team(TeamScenario.of(scenario), seed, on_step=on_step).landings[0]
-
-
-def land_team(
-    team: TeamScenario, seed: int, *, exchange: Exchange | None = None, on_step: OnStep | None = None
-) -> TeamLanding:
-    """Fly the landings of a team and judge each of them.
-
-    A member that no other member approaches flies exactly as ``land`` does with its own scenario and seed
-    (``TeamScenario.singles``).
-
-    ``exchange``: computes the messages between companions from the outputs of all controllers (None after the
-    end of a flight); None: the controllers' messages, with the scenario's delay and loss; ``on_step``: called
-    after every controller step of a vehicle that is alone. Raises ValueError: two vehicles overlap at the
-    start; RuntimeError: the simulation did not end.
-    """
     began_s = time.perf_counter()
-    flights = Flights(team, seed, exchange, on_step)
+    flights = Flights(scenario, seed, exchange, on_step)
     flights.fly()
     seen = [member.seen() for member in flights.members]
     judged = [judge_truth(each, each.truth) for each in seen]
     wall_s = time.perf_counter() - began_s
-    landings = tuple(
+    first, *others = (
         Landing(
-            member.seed, verdict, each, float(each.steps.t_s[-1]), wall_s, member.controller.memory.retries
+            member.seed, verdict, each, float(each.steps.t_s[-1]), wall_s, member.controller.memory.retries,
+            ticks / scenario.rate_hz,
         )
-        for member, each, verdict in zip(flights.members, seen, judged, strict=True)
-    )
-    simulated_s = max(landing.simulated_s for landing in landings)
-    waits_s = tuple(ticks / team.rate_hz for ticks in flights.waits)
-    return TeamLanding(seed, landings, flights.room.found(), waits_s, simulated_s, wall_s)
+        for member, each, verdict, ticks in zip(flights.members, seen, judged, flights.waits, strict=True)
+    )  # fmt: skip
+    return replace(first, pairs=flights.room.found(), others=tuple(others))
 
 
-def warm_up(team: TeamScenario) -> None:
+def warm_up(scenario: Scenario) -> None:
     """Compile all code of a flight, or load it from the cache, before the first flight starts."""
-    warm_up_room(team)
+    warm_up_room(scenario)
     with telling("the loop of a campaign, about 20 s"):
-        batches = Flights(team, 0).batches
+        batches = Flights(scenario, 0).batches
         if batches is not None:
             batches.warm_up()
 
 
 if __name__ == "__main__":  # compiles in advance, so that no campaign has to wait
-    warm_up(TeamScenario.of(load("lab")))
+    warm_up(load("lab"))

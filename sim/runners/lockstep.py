@@ -8,7 +8,7 @@ faults affect all messages except this handshake.
 
 All requests are sent before the first answer is awaited, so the companions compute in parallel. Fleet
 messages of tick k arrive with tick k + 1 at the earliest, with the delay and loss of the team's exchange,
-independent of wall time. Each member flies exactly as in ``land_team`` with the same seed.
+independent of wall time. Each member flies exactly as in ``land`` with the same seed.
 """
 
 from __future__ import annotations

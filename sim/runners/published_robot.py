@@ -50,7 +50,6 @@ from sim.robot.target import Sample
 from sim.runners.log import EventLog
 from sim.runners.robot import DeckState, Robot, deck_rows, truth_key
 from sim.scenarios.scenario import Scenario
-from sim.scenarios.team import TeamScenario
 
 NODE = "flightstack_target"  # name of the ROS 2 node
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
@@ -249,7 +248,7 @@ class RealTimeRobot(PublishedRobot):
 
 
 def robots_of(
-    team: TeamScenario,
+    team: Scenario,
     options: TargetOptions | WorldOptions,
     feed: Feed,
     make: Callable[[Scenario, int, str, EventLog], R],
@@ -275,7 +274,7 @@ def robots_of(
     return robots
 
 
-def target_main(team: TeamScenario, options: TargetOptions) -> int:
+def target_main(team: Scenario, options: TargetOptions) -> int:
     """Run the robots until SIGTERM, SIGINT or ``duration_s``; print ``ready`` when they can be reached.
 
     Returns the exit status.
@@ -283,14 +282,14 @@ def target_main(team: TeamScenario, options: TargetOptions) -> int:
     return run_process("target", partial(_drive, team, options))
 
 
-def _drive(team: TeamScenario, options: TargetOptions, stop: Stop, stack: ExitStack) -> None:
+def _drive(team: Scenario, options: TargetOptions, stop: Stop, stack: ExitStack) -> None:
     clock = chosen_clock(options.speed, options.clock, Follower.TARGET, lambda: stop.is_set)
     grid = TickGrid(options.rate_hz)
     session = zenoh_link.open_session(
         options.listen, options.connect, config_file=options.zenoh_config, prompt=True
     )
     stack.callback(session.close)
-    feed = Feed.connect(options.recorder, "target", lossless=False, vehicles=len(team.member))
+    feed = Feed.connect(options.recorder, "target", lossless=False, vehicles=len(team.members))
     stack.callback(feed.close)
     make = partial(RealTimeRobot, grid, session, stop)
     robots = list(robots_of(team, options, feed, make, stack).values())

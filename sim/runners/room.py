@@ -34,7 +34,7 @@ from sim.clock import NS_PER_S, STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.plant.air import JET, feel, set_jet
 from sim.plant.states import rotation_axes
 from sim.runners.vehicle_node import VehicleNode
-from sim.scenarios.team import TeamScenario
+from sim.scenarios.scenario import Scenario
 from sim.vehicle.judge import Shape, Team, overlapping
 from sim.vehicle.physics import Physics, VehicleRecord
 from sim.vehicle.vehicle import VehicleSim
@@ -200,19 +200,19 @@ class Room:
 
 
 class Words:
-    """Transmits fleet messages with the delay and loss of ``TeamScenario.exchange``.
+    """Transmits fleet messages with the delay and loss of ``Scenario.exchange``.
 
     A message sent at tick k arrives at tick k + 1 at the earliest. Its loss depends only on the seed, the
     sender and the receiver, so it does not change when members are added.
     """
 
-    def __init__(self, team: TeamScenario, seed: int) -> None:
+    def __init__(self, team: Scenario, seed: int) -> None:
         link, rate_hz = team.exchange, team.rate_hz
         silent, apart = frozenset(link.silent), frozenset(link.apart)
         broken_tick = math.ceil(link.broken_from_s * rate_hz - 1e-9)
         self._grid = TickGrid(rate_hz)
         self._ticks = max(1, math.ceil(link.delay_s * rate_hz - 1e-9))
-        numbers = range(1, len(team.member) + 1)
+        numbers = range(1, len(team.members) + 1)
         self._ways: list[list[_Way]] = []
         for hearer in numbers:
             broken = {n for n in numbers if n in silent or (n in apart) != (hearer in apart)}
@@ -272,10 +272,10 @@ class _Way:
         return self._drawn.pop()
 
 
-def warm_up_room(team: TeamScenario) -> None:
+def warm_up_room(team: Scenario) -> None:
     """Compile the code of the room, or load it from the cache."""
-    warm_up_vehicle(team.member[0])
-    two = [VehicleSim(each, 0).physics for each in team.member[:2]]
+    warm_up_vehicle(team)
+    two = [VehicleSim(each, 0).physics for each in team.members[:2]]
     Air(two).blow()
     overlapping([Shape.of(each.params) for each in two], np.zeros((len(two), 3)))
 

@@ -32,13 +32,13 @@ from sim.runners.real_time import RealTimeVehicle, RealTimeWorld
 from sim.runners.robot import RealTimeDeck
 from sim.runners.room import MemberWords, Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
-from sim.scenarios.team import TeamScenario
+from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
 
 _PAUSE_S = 0.1  # wall time between two checks for signals when all flights are over
 
 
-def world_main(team: TeamScenario, options: VehicleOptions) -> int:
+def world_main(team: Scenario, options: VehicleOptions) -> int:
     """Run the vehicles until SIGTERM, SIGINT or ``duration_s``; print ``ready URL ...``, cf1's first.
 
     It also prints ``armed`` and ``disarmed`` on each change, with the vehicle's name.
@@ -53,7 +53,7 @@ def world_main(team: TeamScenario, options: VehicleOptions) -> int:
     return run_process(verb, partial(_fly, team, options))
 
 
-def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
+def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
     lockstep, grid, here = options.lockstep, TickGrid(options.rate_hz), _here(team, options)
     ids = {number: options.system_id + number - 1 for number in here}
     endpoints = [_opened(options, number, ids[number], stack) for number in here]
@@ -105,13 +105,13 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
     RealTimeWorld(vehicles, list(robots.values()), room, grid, stop).run(ticks)
 
 
-def _here(team: TeamScenario, options: VehicleOptions) -> list[int]:
+def _here(team: Scenario, options: VehicleOptions) -> list[int]:
     """Return the numbers of the vehicles that this process simulates."""
     if options.leave_out and options.lockstep:
         raise ValueError(
             "--leave-out is for real time: a vehicle from elsewhere does not wait for the others"
         )
-    number = len(team.member)
+    number = len(team.members)
     if unknown := [n for n in options.leave_out if n > number]:
         raise ValueError(f"--leave-out: found {unknown[0]}; allowed are 1 to {number}")
     here = [n for n in range(1, number + 1) if n not in options.leave_out]
@@ -138,7 +138,7 @@ def _opened(options: VehicleOptions, number: int, system_id: int, stack: ExitSta
     return endpoint, f"{kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}"
 
 
-def _session(team: TeamScenario, options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
+def _session(team: Scenario, options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
     """Open the Zenoh session of robots and onboard processes; return None if no endpoint is configured."""
     with_robots = isinstance(options, WorldOptions)
     if not (options.connect or options.listen or options.zenoh_config is not None):

@@ -19,11 +19,13 @@ from typing import Any, NamedTuple
 from msgspec import inspect as types
 
 from flightstack.common.strict_toml import ConfigError, allowed, stem, to_table, type_info
-from sim.scenarios.scenario import FILES, Scenario
+from sim.scenarios.scenario import Scenario, load
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "scenario_keys.md"
-_ABOUT = ("name", "description")  # keys of the scenario itself
-_TABLES = {"Fault": "see [faults](faults.md)"}  # arrays of tables with their own pages
+_NOT_LISTED = ("name", "description", "fault", "member")  # keys that a new file does not list
+_MEMBERS = "keys of one vehicle, see [teams](../how_to/campaign.md#teams)"
+_TABLES = {"Fault": "see [faults](faults.md)", "Scenario": _MEMBERS}  # arrays of tables on their own pages
+_IN_FILES = {"others": "member"}  # keys of files, by field
 
 
 class Key(NamedTuple):
@@ -49,8 +51,9 @@ def keys(cls: type[Any] = Scenario, table: str = "") -> Iterator[Key]:
         what, unit = stem(each.name)
         if isinstance(kind, types.VarTupleType) and isinstance(kind.item_type, types.DataclassType):
             meaning = _TABLES.get(kind.item_type.cls.__name__, meaning)
-        text = _range(kind, each.name)
-        yield Key(table, each.name, _written(unit), _default(each), text, meaning or what.replace("_", " "))
+        name = _IN_FILES.get(each.name, each.name)
+        text = _range(kind, name)
+        yield Key(table, name, _written(unit), _default(each), text, meaning or what.replace("_", " "))
     for inner, name in below:
         yield from keys(inner, name)
 
@@ -95,7 +98,7 @@ def commented(name: str, base: str = "lab") -> str:
     """
     if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
         raise ConfigError(f"scenario {name!r}: letters, digits and _ are allowed, a letter first")
-    values = to_table(FILES.load(base))
+    values = to_table(load(base))
     lines = [
         f"# Fly it: flightstack sitl --scenario {name}.toml --lockstep",
         "# Prove it: flightstack check FILE; many seeds: flightstack campaign FILE --runs 100",
@@ -107,7 +110,7 @@ def commented(name: str, base: str = "lab") -> str:
     ]  # fmt: skip
     table = ""
     for key in keys():
-        if key.name in (*_ABOUT, "fault") or key.table.startswith("onboard") or key.table.count(".") > 1:
+        if key.name in _NOT_LISTED or key.table.startswith("onboard") or key.table.count(".") > 1:
             continue
         if key.table != table:
             table = key.table

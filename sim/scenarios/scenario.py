@@ -1,230 +1,66 @@
 """A scenario: everything that determines a simulated run, except the seed.
 
-``sim/scenarios`` has one TOML file for each scenario. A scenario is loaded by name or path; unknown keys are
-rejected. ``spread`` values are half-widths of uniform distributions, drawn from the seed. Units are s and m,
-frames ENU.
+A run is a list of vehicles in one room, each with its robot, or all with one robot; the ordinary list has one
+vehicle. ``sim/scenarios`` has one TOML file for each scenario. The tables of a file apply to all vehicles, a
+table ``[[member]]`` to one vehicle: every key can be set for all or for one. A file without ``[[member]]``
+has one vehicle. A scenario is loaded by name or path; unknown keys are rejected.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from enum import Enum
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
-from flightstack.common.strict_toml import ConfigError, Files, over, span
+from flightstack import config as configurations
+from flightstack.common.strict_toml import (
+    ConfigError,
+    Files,
+    dumps,
+    from_table,
+    over,
+    parse_toml,
+    read_toml,
+    span,
+    to_table,
+)
+from flightstack.common.text import labels
+from flightstack.core.fleet.assignment import assign
 from flightstack.core.parameters.filters import look_here
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
+from logs.schema import member_name
+from sim.chance import member as seed_of
+from sim.chance import stream
 from sim.scenarios.fault_spec import Fault
+from sim.scenarios.places import apart_m, line, pad_m, start_m
+from sim.scenarios.tables import (
+    MEMBERS_MAX,
+    Assignment,
+    ExchangeLink,
+    Judge,
+    Start,
+    StartKind,
+    StateError,
+    TargetLink,
+    TargetSpec,
+    VehicleSpec,
+    Wind,
+)
 
-BELOW_PAD_MIN_M = 0.03  # smallest height of the pad's top above the floor, m: pad plate and robot below it
-Share = Annotated[float, span(0.0, 1.0)]
-Drag = Annotated[float, span(0.0, 10.0)]
-VEHICLE_FILES = Files(dict, "sim.plant", "vehicle.airframe")  # files that ``sim.plant.params`` reads
-
-
-class StartKind(Enum):
-    """State of the vehicle at the start."""
-
-    GROUND = "ground"  # the vehicle stands on the floor, disarmed
-    HOVER = "hover"  # the vehicle hovers at start.offset_m, armed and trimmed for the wind
-
-
-class PathKind(Enum):
-    """Path of the target."""
-
-    STILL = "still"
-    STRAIGHT = "straight"
-    CIRCLE = "circle"  # constant speed and turn rate
-    STOP_AND_GO = "stop_and_go"
-    REVERSING = "reversing"
-    FIGURE_OF_EIGHT = "figure_of_eight"  # a circle to the left, then a circle to the right
-    WAYPOINTS = "waypoints"  # waypoints_m in order, repeated
-    FUNCTION = "function"  # a function MODULE:NAME
-
-
-class VelocityLoop(Enum):
-    """On-board velocity loop of the vehicle."""
-
-    PAPER = "paper"  # eq. 8 with K1, K2 in the Mellinger attitude controller
-    PID = "pid"  # velocity loop of the Crazyflie firmware (position_controller_pid.c)
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Start position of the vehicle. ``offset_m`` is relative to the landing spot at time zero, ENU."""
-
-    kind: StartKind = StartKind.GROUND  # `ground`: on the floor, disarmed; `hover`: in the air, armed
-    ground_position_m: tuple[float, float] = (0.0, 0.0)  # start position for kind = ground
-    # position relative to the landing spot for kind = hover; none: drawn from distance_m, h_m and any bearing
-    offset_m: Vec3 | None = None
-    distance_m: tuple[float, float] = (0.3, 2.5)  # drawn horizontal distance from the landing spot
-    h_m: tuple[float, float] = (0.03, 1.2)  # drawn barrier value at the start
-
-
-@dataclass(frozen=True, slots=True)
-class TargetSpec:
-    """The ground robot: a TurtleBot3 Burger with a pad, on a path."""
-
-    path: PathKind = PathKind.STILL  # path of the robot
-    speed_m_s: Annotated[float, span(0.0, 3.0)] = 0.0  # speed on the path
-    turn_rate_rad_s: Annotated[float, span(-3.0, 3.0)] = 0.0  # turn rate on the path
-    waypoints_m: tuple[tuple[float, float], ...] = ()  # waypoints for path = waypoints: east and north
-    # for path = function: MODULE:NAME, imported from the working folder; it returns speed and turn rate
-    function: str = ""
-    # whether speed (in [0, speed_m_s]) and turn rate (in +-turn_rate_rad_s) are drawn from the seed
-    random_speed: bool = False
-    position_m: tuple[float, float] = (0.0, 0.0)  # position of the axle at time zero
-    heading_rad: float = 0.0  # heading at time zero, from east to north
-    random_heading: bool = False  # whether the heading is drawn from the seed
-    wait_for_landing: bool = True  # the robot does not move until the landing starts
-    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # time between changes of stop_and_go, reversing
-    acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # largest acceleration of the wheels
-    speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # largest speed (OpenCR: wheels at 61 rpm)
-    turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # largest turn rate (OpenCR)
-    heave_amplitude_m: Annotated[float, span(0.0, 0.5)] = 0.0  # amplitude of the pad's heave
-    heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0  # frequency of the heave
-    pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # height of the pad's top (LDS: 0.192 m)
-    pad_radius_m: Annotated[float, span(0.05, 2.0)] = 0.10  # radius of the pad
-    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # pad behind the axle; body: 0.032
-
-    def __post_init__(self) -> None:
-        turns = self.path in (PathKind.FIGURE_OF_EIGHT, PathKind.WAYPOINTS)
-        if turns and not (self.speed_m_s and self.turn_rate_rad_s):
-            raise ConfigError(
-                f"path: found {self.path.value!r}, which needs speed_m_s and turn_rate_rad_s above 0"
-            )
-        if self.path is PathKind.WAYPOINTS and len(self.waypoints_m) < 2:
-            raise ConfigError(
-                f"waypoints_m: found {len(self.waypoints_m)}, at least 2 are needed: [[0, 0], [1, 0]]"
-            )
-        if self.path is PathKind.FUNCTION and ":" not in self.function:
-            raise ConfigError(f"function: found {self.function!r}, MODULE:NAME of a function is needed")
-        most_m = self.pad_height_m - BELOW_PAD_MIN_M
-        if self.heave_amplitude_m > most_m:
-            raise ConfigError(
-                f"heave_amplitude_m: found {self.heave_amplitude_m:g}; with pad_height_m "
-                f"{self.pad_height_m:g} at most {most_m:.4g}, so that {BELOW_PAD_MIN_M:g} m are left below"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class OdometryLink:
-    """Transmission of measurements: rate, noise, delay, loss."""
-
-    rate_hz: Annotated[float, span(1.0, 500.0)] = 100.0  # samples per second
-    position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation on each axis
-    velocity_noise_m_s: Annotated[float, span(0.0, 0.5)] = 0.0  # standard deviation on each axis
-    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation of the yaw
-    delay_s: Annotated[float, span(0.0, 0.5)] = 0.0  # time from measurement to arrival
-    loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability that a sample is lost
-    dropout_every_s: Annotated[float, span(0.0, 600.0)] = 0.0  # mean time between drop-outs; 0: none
-    dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0  # upper limit of a drop-out's random length
-
-
-@dataclass(frozen=True, slots=True)
-class StateError:
-    """Error of a measured state, as in recorded flights: a varying delay, and correlated errors.
-
-    Defaults: fitted to 43 flights of a Crazyflie 2.1 in a Vicon room (NanoBench, arXiv 2603.09908), see
-    docs/how_it_works/own_state.md. Values are standard deviations unless stated otherwise.
-    """
-
-    tape: str | None = None  # folder of recorded flights; their error replaces the model below
-    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position, mean of all flights
-    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread of the mean delay between flights
-    delay_shared: bool = False  # vehicle and target have the same mean delay, or tapes of the same flight
-    delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # fast variation of the delay, median flight
-    delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # time constant T in (1 + t/T) exp(-t/T)
-    # spread of the fast variation's logarithm between flights
-    delay_fast_varies: Annotated[float, span(0.0, 2.0)] = 0.0
-    delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.011  # slow variation of the delay in flight
-    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4  # correlation time of the slow variation
-    # spread of the slow variation's logarithm between flights
-    delay_slow_varies: Annotated[float, span(0.0, 2.0)] = 0.7
-    velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position minus delay of velocity
-    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # spread of the lead between flights
-    position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # position error on each axis
-    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # error on horizontal axes, at any speed
-    velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # error on the vertical axis
-    # velocity error as fraction of the speed, constant in a flight
-    velocity_scale: Annotated[float, span(0.0, 1.0)] = 0.056
-    # varying velocity error along the horizontal velocity, as fraction of the speed
-    velocity_along: Annotated[float, span(0.0, 1.0)] = 0.064
-    # varying velocity error across the horizontal velocity, as fraction of the speed
-    velocity_across: Annotated[float, span(0.0, 1.0)] = 0.016
-    tilt_rad: Annotated[float, span(0.0, 0.2)] = 0.015  # misalignment about body x and y, fixed in a flight
-    yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0013  # misalignment about body z, fixed in a flight
-    tilt_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0055  # varying error about body x and y
-    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0006  # varying error about body z
-    # correlation time T in exp(-t/T) of all errors except the delay
-    error_time_s: Annotated[float, span(0.01, 10.0)] = 0.23
-
-
-@dataclass(frozen=True, slots=True)
-class TargetLink(OdometryLink):
-    """Odometry of the target; with ``error`` it has the errors of recorded motion capture."""
-
-    error: StateError | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleSpec:
-    """The simulated vehicle: file of parameters, velocity loop, random spreads, and motion capture.
-
-    With ``own`` the on-board estimate has the errors of recorded flights; ``mocap`` gives only its rate and
-    losses. With ``known_drag_1_s`` the estimator has the firmware's form in flight: it uses only body z of
-    the accelerometer, and these values of ``kalman.dragB_*``.
-    """
-
-    airframe: str = "crazyflie20"  # name of a file in sim/plant, or path of a file
-    velocity_loop: VelocityLoop = VelocityLoop.PAPER  # loop: `paper` (eq. 8) or `pid` (firmware)
-    mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the relative random mass error
-    # half-width of the relative random error of the motors' time constant
-    motor_lag_spread: Annotated[float, span(0.0, 0.9)] = 0.0
-    thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the relative random thrust error
-    # half-width of each motor's relative random thrust error around their mean
-    motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0
-    battery_charge: tuple[Share, Share] = (1.0, 1.0)  # range of the random state of charge at the start
-    # smallest thrust-to-weight ratio of the weakest motor at the start; a lower one raises the charge
-    hover_reserve: Annotated[float, span(0.0, 1.5)] = 0.0
-    slow_motors: bool = False  # slow motor lag: 0.136 s up, 0.108 s down instead of 0.07 s
-    ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0  # factor on the measured ground effect
-    # motion capture of the on-board estimator
-    mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
-    own: StateError | None = None
-    known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # estimator: drag per mass, body axes
-    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # one-way delay, Crazyradio: 2 to 7 ms
-
-    def __post_init__(self) -> None:
-        VEHICLE_FILES.path_of(self.airframe)
-        low, high = self.battery_charge
-        if low > high:
-            raise ConfigError(f"battery_charge: found [{low:g}, {high:g}], the lower share comes first")
-
-
-@dataclass(frozen=True, slots=True)
-class Wind:
-    """Mean wind and gusts."""
-
-    mean_m_s: Annotated[float, span(0.0, 10.0)] = 0.0  # speed of the mean wind
-    gust_rms_m_s: Annotated[float, span(0.0, 5.0)] = 0.0  # standard deviation of the gusts on each axis
-    direction_rad: float | None = None  # direction to which the wind blows, from east to north; none: drawn
-
-
-@dataclass(frozen=True, slots=True)
-class Judge:
-    """Barrier of the verdict, if it differs from the flown one; each result then names both."""
-
-    alpha_1_m: Annotated[float, span(0.05, 20.0)]  # shape parameter, as onboard.barrier.alpha_1_m
-    beta_m: Annotated[float, span(0.05, 20.0)]  # shape parameter, as onboard.barrier.beta_m
+_OF_THE_RUN = ("name", "description", "exchange", "assignment", "one_target")  # keys that no member has
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A scenario with all its parts."""
+    """A vehicle with its robot, and the ``others`` that fly in the same room.
+
+    Vehicle n, counted from 1, has the name cf<n> and system id n.
+    """
 
     name: str  # name of the scenario; with `base` its default is the name of the file
     description: str  # purpose of the scenario in one sentence
@@ -238,6 +74,11 @@ class Scenario:
     wind: Wind = field(default_factory=Wind)
     judge: Judge | None = None  # barrier of the verdict; None: the flown barrier
     fault: tuple[Fault, ...] = ()  # [[fault]], in any order
+    exchange: ExchangeLink = field(default_factory=ExchangeLink)
+    # `fixed`: a vehicle lands on the robot of its table; `start`: the nearest robots, see ``load``
+    assignment: Assignment = Assignment.FIXED
+    one_target: bool = False  # all vehicles land on one robot: its copies have one seed, so they move alike
+    others: tuple[Scenario, ...] = ()  # vehicles cf2, cf3 and so on
 
     def __post_init__(self) -> None:
         if self.target.speed_m_s > self.target.speed_max_m_s + 1e-9:
@@ -258,6 +99,58 @@ class Scenario:
                 f"target.pad_radius_m: found {target.pad_radius_m:g}, and onboard.touchdown.pad_radius_m: "
                 f"found {declared_m:g}; there is one pad: give target.pad_radius_m alone"
             )
+        self._check_members()
+
+    def _check_members(self) -> None:
+        """Check the members against each other. Raises ConfigError: names the key and the allowed value."""
+        members = (self, *self.others)
+        if len(members) > MEMBERS_MAX:
+            raise ConfigError(f"member: found {len(members)}, allowed: 1 to {MEMBERS_MAX} tables [[member]]")
+        rates = {each.onboard.loop.rate_hz for each in members}
+        if len(rates) > 1:
+            found = ", ".join(f"{rate:g}" for rate in sorted(rates))
+            raise ConfigError(
+                f"member: onboard.loop.rate_hz: found {found}; all members have the same ticks, so give the "
+                "rate once, in [onboard.loop]"
+            )
+        for number, each in enumerate(self.others if self.one_target else (), 2):
+            for key in ("target", "odometry"):
+                if getattr(each, key) != getattr(self, key):
+                    raise ConfigError(
+                        f"member {number}: {key}: found another one than the first member's; with one_target "
+                        f"all have the same robot: give it once, in [{key}]"
+                    )
+        if self.one_target and any(fault.of_the_robot for fault in self.fault):
+            raise ConfigError("fault: found one of the robot; with one_target the robot has none")
+        if self.one_target and self.target.wait_for_landing:
+            raise ConfigError(
+                "target.wait_for_landing: found true; with one_target the robot drives at once: set it false"
+            )
+
+    @staticmethod
+    def of(members: Iterable[Scenario]) -> Scenario:
+        """Return the scenario of these vehicles; the keys of the run are those of the first one."""
+        first, *others = members
+        return replace(first, others=tuple(others))
+
+    @property
+    def members(self) -> tuple[Scenario, ...]:
+        """Scenarios of all vehicles, each without the others."""
+        return (replace(self, others=()), *self.others)
+
+    def namespaces(self, first: str = "cf1") -> dict[int, str]:
+        """Return the namespaces of the vehicles by number; ``first``: namespace of the first vehicle."""
+        return {1: first} | {number: member_name(number) for number, _ in enumerate(self.others, 2)}
+
+    @property
+    def rate_hz(self) -> int:
+        """Number of ticks per second, equal for all members."""
+        return self.onboard.loop.rate_hz
+
+    @property
+    def exchanges(self) -> bool:
+        """Whether the vehicles send messages to each other."""
+        return any(each.onboard.fleet is not None for each in (self, *self.others))
 
     @property
     def judged_by(self) -> Barrier:
@@ -267,11 +160,57 @@ class Scenario:
         return Barrier(self.judge.alpha_1_m, self.judge.beta_m)
 
     def with_filter(self, name: str) -> Scenario:
-        """Return this scenario with the safety filter ``name``.
+        """Return this scenario with the safety filter ``name`` for all members.
 
         Raises ConfigError: no such filter, or the filter rejects the configuration.
         """
-        return replace(self, onboard=replace(self.onboard, filter=name))
+        return Scenario.of(replace(each, onboard=replace(each.onboard, filter=name)) for each in self.members)
+
+    def starts_enu_m(self) -> list[Vec3]:
+        """Return the start positions of members that start in the air at a given position, ENU, m."""
+        found = []
+        for start, target in ((each.start, each.target) for each in self.members):
+            drawn = target.random_heading and target.pad_behind_axle_m
+            if start.kind is StartKind.HOVER and start.offset_m is not None and not drawn:
+                found.append(start_m(start, pad_m(target, ""), ""))
+        return found
+
+    def pads_apart_m(self) -> float:
+        """Return the smallest possible distance of two pads, m; 0 if their paths may meet."""
+        lines = [line(each.target) for each in self.members]
+        return min((apart_m(*two) for two in combinations(lines, 2)), default=math.inf)
+
+    def target_seed(self, seed: int) -> int | None:
+        """Return the seed of the common robot, the first member's; None: each robot has its own seed."""
+        return seed_of(seed, 1) if self.one_target else None
+
+    def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
+        """Yield scenario and seed of each member; alone, it flies as with these if no other comes near.
+
+        A room has one mean wind; its direction is drawn from the seed of the run if a member gives none.
+        Gusts differ for each member. The first member has the seed of the run.
+        """
+        drawn_rad = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
+        shown = labels(list(self.namespaces().values()))
+        for number, (each, label) in enumerate(zip(self.members, shown, strict=True), 1):
+            wind = each.wind
+            if wind.direction_rad is None:
+                wind = replace(wind, direction_rad=drawn_rad)
+            named = replace(each, name=f"{self.name}.{label}", description="") if label else each
+            yield replace(named, wind=wind), seed_of(seed, number)
+
+    def one(self, seed: int, number: int | None) -> tuple[Scenario, int]:
+        """Return scenario and seed of one vehicle.
+
+        ``seed``: seed of the run; ``number``: number of the vehicle; None: the only vehicle.
+        Raises ConfigError, with found and allowed value.
+        """
+        members = list(self.singles(seed))
+        chosen = members if number is None else members[number - 1 : number]
+        if len(chosen) != 1:
+            what = "one vehicle is needed" if number is None else f"found member {number}"
+            raise ConfigError(f"{self.name}: {what}; the scenario has members 1 to {len(members)}")
+        return chosen[0]
 
 
 def one_pad(table: dict[str, Any]) -> dict[str, Any]:
@@ -283,18 +222,14 @@ def one_pad(table: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Files(Files[Scenario]):
-    def table(self, path: Path) -> dict[str, Any]:
-        """Parse a file as ``Files.table`` does, and copy the pad's radius to the configuration."""
-        return one_pad(super().table(path))
-
     def over_base(self, path: Path, table: dict[str, Any], above: tuple[Path, ...] = ()) -> dict[str, Any]:
         """Merge as ``Files.over_base`` does; without ``name`` the result has the file's name."""
         own = {"name": path.stem} if "base" in table and "name" not in table else {}
         return {**super().over_base(path, table, above), **own}
 
 
-FILES = _Files(Scenario, "sim.scenarios", "scenario")
-names, path_of = FILES.names, FILES.path_of
+_FILES = _Files(Scenario, "sim.scenarios", "scenario")
+names, path_of = _FILES.names, _FILES.path_of
 
 
 def load(name_or_file: str | Path) -> Scenario:
@@ -303,11 +238,117 @@ def load(name_or_file: str | Path) -> Scenario:
     Raises:
         ConfigError: with file, key, what was found and what is allowed.
     """
-    return in_place(FILES.load(name_or_file), path_of(name_or_file).parent)
+    path = path_of(name_or_file)
+    table = read_toml(path)
+    try:
+        found = _assigned(_built(path, table))
+        return Scenario.of(_in_place(each, path.parent) for each in found.members)
+    except ConfigError as error:
+        text = str(error)
+        raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 
 
-def in_place(scenario: Scenario, beside: Path) -> Scenario:
-    """Return this scenario with an imported filter and the full paths of its error tapes.
+def from_text(toml: str) -> Scenario:
+    """Return the scenario of a text without a base.
+
+    Raises ConfigError, with key, found and allowed value.
+    """
+    return _built(Path(), parse_toml(toml.encode()))
+
+
+def text(scenario: Scenario) -> str:
+    """Return a scenario as the text of a complete file, without a base."""
+    about = {key: to_table(getattr(scenario, key)) for key in _OF_THE_RUN}
+    tables = [to_table(each) for each in scenario.members]
+    shared, own = _in_common(
+        [{k: v for k, v in each.items() if k not in (*about, "others")} for each in tables]
+    )
+    usual = {"exchange": to_table(ExchangeLink()), "assignment": Assignment.FIXED.value, "one_target": False}
+    kept = {key: value for key, value in about.items() if value != usual.get(key)}
+    return dumps(kept | shared | ({"member": own} if own != [{}] else {}))
+
+
+def _in_common(tables: list[dict[str, Any]]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return the keys that have the same value in all tables, and the remaining keys of each table."""
+    shared: dict[str, Any] = {}
+    own: list[dict[str, Any]] = [{} for _ in tables]
+    for key in dict.fromkeys(key for table in tables for key in table):
+        values = [table.get(key) for table in tables]
+        if len({repr(value) for value in values}) == 1:
+            shared[key] = values[0]
+        elif all(isinstance(value, dict) for value in values):
+            shared[key], below = _in_common([table[key] for table in tables])
+            for each, rest in zip(own, below, strict=True):
+                each |= {key: rest} if rest else {}
+        else:
+            for each, table in zip(own, tables, strict=True):
+                each |= {key: table[key]} if key in table else {}
+    return shared, own
+
+
+def _built(path: Path, table: dict[str, Any]) -> Scenario:
+    """Build the scenario of a parsed file; ``path``: place of the file, where its base may be."""
+    shared = _FILES.over_base(path, table)
+    where = "member {}: " if "member" in shared else ""
+    members = shared.pop("member", [{}])
+    if not isinstance(members, list) or not members or not all(isinstance(each, dict) for each in members):
+        raise ConfigError(f"member: found {members!r}, allowed: tables [[member]], one for each vehicle")
+    if "others" in shared:
+        raise ConfigError("others: unknown key; give a table [[member]] for each vehicle")
+    found = []
+    for number, own in enumerate(members, 1):
+        for key in (*_OF_THE_RUN, "base", "others"):
+            if key in own:
+                raise ConfigError(
+                    f"member {number}: {key}: found {own[key]!r}; only the run has it, remove it"
+                )
+        whole = one_pad(over(_configured(path, shared, own, number), own))
+        try:
+            found.append(from_table(Scenario, whole))
+        except ConfigError as error:
+            raise ConfigError(f"{where.format(number)}{error}") from None
+    return Scenario.of(found)
+
+
+def _configured(path: Path, shared: dict[str, Any], own: dict[str, Any], number: int) -> dict[str, Any]:
+    """Return the shared tables for a member; its ``config`` replaces the shared onboard configuration.
+
+    The shared values of [fleet], the tick rate and the start of landings remain.
+    """
+    if "config" not in own:
+        return shared
+    onboard = shared.get("onboard", {})
+    kept = {key: onboard[key] for key in ("fleet", "loop") if key in onboard}
+    if "start_offset_m" in (takeoff := onboard.get("takeoff", {})):
+        kept["takeoff"] = {"start_offset_m": takeoff["start_offset_m"]}
+    file = configurations.FILES.named(path, f"member {number}: config", own.pop("config"))
+    return {**shared, "onboard": over(configurations.FILES.table(file), kept)}
+
+
+def _assigned(scenario: Scenario) -> Scenario:
+    """Return this scenario with assigned robots, and with ``assignment`` FIXED.
+
+    Each vehicle keeps its start and gets the robot and odometry tables of the assigned member.
+
+    Raises ConfigError: a start or a pad has no known position, because it is drawn from the seed.
+    """
+    if scenario.assignment is Assignment.FIXED:
+        return scenario
+    given = scenario.members
+    pads = [pad_m(each.target, f"member {n}") for n, each in enumerate(given, 1)]
+    starts = [start_m(each.start, pads[n], f"member {n + 1}") for n, each in enumerate(given)]
+    members = []
+    for n, k in enumerate(assign(starts, pads)):
+        start, robot, (x, y, z), (px, py, pz) = given[n].start, given[k], starts[n], pads[k]
+        if start.kind is StartKind.HOVER and k != n:
+            start = replace(start, offset_m=(x - px, y - py, z - pz))
+        one = replace(given[n], start=start, target=robot.target, odometry=robot.odometry)
+        members.append(replace(one, assignment=Assignment.FIXED))
+    return Scenario.of(members)
+
+
+def _in_place(scenario: Scenario, beside: Path) -> Scenario:
+    """Return a vehicle's scenario with an imported filter and the full paths of its error tapes.
 
     ``scenario``: as read; ``beside``: folder of its file, where tapes may be.
     """

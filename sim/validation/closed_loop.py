@@ -23,15 +23,8 @@ from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeo
 from sim.flights.recording import Floats, Recording
 from sim.flights.screening import Mask, Screened
 from sim.plant.params import STEP_S, Params, Plant
-from sim.scenarios.scenario import (
-    Scenario,
-    Start,
-    StartKind,
-    StateError,
-    TargetSpec,
-    VehicleSpec,
-    VelocityLoop,
-)
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.tables import Start, StartKind, StateError, TargetSpec, VehicleSpec, VelocityLoop
 from sim.vehicle.vehicle import VehicleSim
 
 SETTLE_S = 0.2  # time on the floor before the first set-point, s

@@ -18,7 +18,7 @@ from sim.flights.recording import Floats
 from sim.flights.screening import Screened
 from sim.flights.tape import DELAY_S
 from sim.plant.state_error import PastRecord, mismeasured_path, state_errors
-from sim.scenarios.scenario import StateError
+from sim.scenarios.tables import StateError
 
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # edges of the speed bands around 0.2, 0.5, 0.75 and 1 m/s
 DRAWS = 6  # number of simulated estimates per flight; the model's errors differ between flights

@@ -17,8 +17,8 @@ from flightstack.verify.robust import HELD_M
 from flightstack.verify.types import Check, Need
 from logs.verdict.verdict import two_barriers
 from sim.plant.params import load
-from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
-from sim.scenarios.team import TeamScenario
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.tables import PathKind, StartKind, TargetSpec
 from sim.vehicle.judge import Shape
 
 DELAY_M_S = 0.02  # allowed difference of a declared delay, s; smaller than the errors from noise
@@ -72,11 +72,11 @@ def judged_apart(scenario: Scenario) -> str:
     return "; ".join(filter(None, (apart, own_boundary(scenario.onboard.filter))))
 
 
-def not_proven(team: TeamScenario) -> str:
+def not_proven(team: Scenario) -> str:
     """Return one line that names the checks not proven for these scenarios; empty if all are proven."""
     found = dict.fromkeys(
         check.name
-        for each in team.member
+        for each in team.members
         for check in (*checks(each.onboard), *declared(each))
         if not check.proven
     )
@@ -245,10 +245,10 @@ def _acceleration_m_s2(target: TargetSpec) -> float:
     return max(math.hypot(brakes_m_s2, turns_m_s2), heaves_m_s2)
 
 
-def crowd(team: TeamScenario) -> list[Check]:
+def crowd(team: Scenario) -> list[Check]:
     """Return the checks of all vehicles together; none without neighbours."""
-    shapes = [Shape.of(load(each.vehicle.airframe)) for each in team.member]
+    shapes = [Shape.of(load(each.vehicle.airframe)) for each in team.members]
     radius_m = 2.0 * max(shape.radius_m for shape in shapes)
     up_m = max(shape.top_m for shape in shapes) - min(shape.bottom_m for shape in shapes)
-    configs = [each.onboard for each in team.member]
+    configs = [each.onboard for each in team.members]
     return team_checks(configs, team.starts_enu_m(), (radius_m, 0.0, up_m), team.pads_apart_m())

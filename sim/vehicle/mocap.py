@@ -20,7 +20,7 @@ from sim.firmware.estimator import EstimatorRecord, correct, correct_tilt, repla
 from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
 from sim.plant.state_error import TURN, WIDTH, PastRecord, mismeasure, state_errors
 from sim.plant.states import rotation_axes
-from sim.scenarios.scenario import OdometryLink, StateError
+from sim.scenarios.tables import OdometryLink, StateError
 from sim.world.bodies import BodyRecord
 
 ROWS = 512  # number of samples; at most 250 are in transit (500 Hz, 0.5 s)

@@ -21,7 +21,8 @@ from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
 from sim.plant.sensors import NS_PER_MS, Imu, ms_from
 from sim.plant.states import Estimate, Truth, quaternion_from_axes, rotation_axes
 from sim.scenarios.fault_spec import Fault, Kind, What
-from sim.scenarios.scenario import Scenario, StartKind
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.tables import StartKind
 from sim.vehicle.mocap import MocapTape
 from sim.vehicle.physics import Physics, fly
 

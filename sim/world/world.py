@@ -16,7 +16,7 @@ from flightstack.compiled.records import Cell, cell, new, reader, writer
 from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
 from sim.plant.params import STEP_S, Params
-from sim.scenarios.scenario import TargetSpec
+from sim.scenarios.tables import TargetSpec
 from sim.world.bodies import arc_of_step
 from sim.world.rest import set_up_rest
 from sim.world.step import PAD_CONTACTS, ReachRecord, WorldRecord, physics_step, tumbled

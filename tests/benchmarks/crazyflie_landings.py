@@ -26,7 +26,8 @@ from flightstack import config
 from flightstack.common.processes import ended
 from flightstack.common.strict_toml import dumps, to_table
 from sim.chance import stream
-from sim.scenarios.scenario import PathKind, Scenario, Start, StartKind, load
+from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.tables import PathKind, Start, StartKind
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.server import Server
 from tests.crazyflie_firmware.sim_plant import SimPlant

@@ -12,10 +12,9 @@ import sys
 from dataclasses import replace
 from functools import cache, partial
 
-from sim.campaign.rows import Row, vehicle_row
+from sim.campaign.rows import Row, row_of
 from sim.runners.landing import land, warm_up
 from sim.scenarios.scenario import Scenario, load
-from sim.scenarios.team import TeamScenario
 
 NAMES = [
     f"{tier}_{kind}" for tier in ("lab", "room", "field", "storm", "deck") for kind in ("robust", "paper")
@@ -27,14 +26,14 @@ def scenario(name: str) -> Scenario:
     """Return the tier with its filter, with all code compiled."""
     tier, _, kind = name.rpartition("_")
     found = load(tier).with_filter(kind)
-    warm_up(TeamScenario.of(found))
+    warm_up(found)
     return found
 
 
 def both(name: str, seed: int) -> tuple[Row, Row]:
     """Return the two rows of one landing, flown in batches and tick by tick, without wall times."""
     flown = (land(scenario(name), seed), land(scenario(name), seed, on_step=lambda _tick, _out: None))
-    one, other = (replace(vehicle_row(each), wall_s=0.0) for each in flown)
+    one, other = (replace(row_of(each), wall_s=0.0) for each in flown)
     return one, other
 
 

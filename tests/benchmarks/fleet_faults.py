@@ -12,10 +12,11 @@ from dataclasses import dataclass, field, replace
 
 from logs.verdict.types import Outcome
 from logs.verdict.verdict import FleetVerdict
-from sim.campaign.rows import judge_team
+from sim.campaign.rows import judge_landing
 from sim.chance import stream
-from sim.runners.landing import land_team, warm_up
-from sim.scenarios.team import ExchangeLink, TeamScenario, load
+from sim.runners.landing import land, warm_up
+from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.tables import ExchangeLink
 from tests.fault_grid.fleet import Way, broken
 
 TEAM = "fleet_3"
@@ -64,13 +65,13 @@ class Counts:
             self.others_violated += number != who and member.violation is not False
 
 
-def failing(whole: TeamScenario, kind: str, seed: int) -> tuple[TeamScenario, int]:
+def failing(whole: Scenario, kind: str, seed: int) -> tuple[Scenario, int]:
     """Return the team of a seed, and the number of the failed member; 0: no member failed."""
     way = KINDS[kind]
     if way is None:
         return replace(whole, exchange=LATE), 0
     chance = stream(seed, "broken")
-    who = int(chance.integers(1, len(whole.member) + 1))
+    who = int(chance.integers(1, len(whole.members) + 1))
     at_s = round(float(chance.uniform(FROM_S, UNTIL_S)), 2)
     return broken(whole, way, who, at_s), who
 
@@ -107,6 +108,6 @@ def main() -> None:
         found = Counts()
         for seed in range(asked.first, asked.first + asked.runs):
             team, who = failing(whole, kind, seed)
-            found.add(judge_team(land_team(team, seed)), who)
+            found.add(judge_landing(land(team, seed)), who)
             gc.collect()
         print(line(kind, found), flush=True)

@@ -23,7 +23,8 @@ from logs.reader.flight_data import Truth
 from logs.report.style import BOUNDARY, GRID, INK, TARGET, TRUE
 from sim.plant.params import load as load_plant
 from sim.runners.landing import Landing, land
-from sim.scenarios.scenario import Scenario, StartKind, load
+from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.tables import StartKind
 
 FILE = Path(__file__).parents[2] / "docs" / "figures" / "landing.svg"
 FILM = FILE.with_suffix(".gif")

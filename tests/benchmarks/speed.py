@@ -43,8 +43,8 @@ from logs.schema.controller_rows import TickInputs, pack_controller_input
 from logs.schema.mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import codec
-from sim.runners.landing import land_team, warm_up
-from sim.scenarios.team import TeamScenario, load
+from sim.runners.landing import land, warm_up
+from sim.scenarios.scenario import Scenario, load
 from tests.integration.runs import flightstack
 from tests.synthetic_flight import landing
 
@@ -258,9 +258,9 @@ def paper_runs() -> None:
             print(paper_row(scenario, seeds, filter_name), flush=True)
 
 
-def flown_s(scenario: TeamScenario, seed: int) -> float:
+def flown_s(scenario: Scenario, seed: int) -> float:
     """Fly a landing or a team; return the simulated time of all its vehicles."""
-    return sum(each.simulated_s for each in land_team(scenario, seed).landings)
+    return sum(each.simulated_s for each in land(scenario, seed).members)
 
 
 def campaign_speed(scenario_name: str = "lab") -> None:

@@ -9,11 +9,12 @@ from enum import StrEnum
 from flightstack.core.controller import Outputs
 from flightstack.core.types import Neighbour
 from logs.verdict.verdict import FleetVerdict
-from sim.campaign.rows import judge_team
-from sim.runners.landing import Exchange, land_team
+from sim.campaign.rows import judge_landing
+from sim.runners.landing import Exchange, land
 from sim.runners.room import Words
 from sim.scenarios.fault_spec import Fault, Kind, What
-from sim.scenarios.team import ExchangeLink, TeamScenario, load
+from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.tables import ExchangeLink
 
 WHO, LIE_M = 2, 0.5
 MOMENTS_S = {"crossing": 1.5, "approach to land": 3.6, "touchdown": 4.3}
@@ -49,10 +50,10 @@ def fly(way: Way, at_s: float, seed: int) -> FleetVerdict:
     team, exchange = broken(load("fleet_3"), way, WHO, at_s), None
     if way is Way.LIES:
         exchange = _lying(Words(team, seed), round(at_s * team.rate_hz))
-    return judge_team(land_team(team, seed, exchange=exchange))
+    return judge_landing(land(team, seed, exchange=exchange))
 
 
-def broken(team: TeamScenario, way: Way, who: int, at_s: float) -> TeamScenario:
+def broken(team: Scenario, way: Way, who: int, at_s: float) -> Scenario:
     """Return the team in which one member fails permanently."""
     if way is Way.LIES:
         return team
@@ -67,10 +68,10 @@ def broken(team: TeamScenario, way: Way, who: int, at_s: float) -> TeamScenario:
     return _with_fault(team, who, Fault(What.LINK_IN, Kind.OFF, start_s=at_s))
 
 
-def _with_fault(team: TeamScenario, who: int, fault: Fault) -> TeamScenario:
-    members = list(team.member)
+def _with_fault(team: Scenario, who: int, fault: Fault) -> Scenario:
+    members = list(team.members)
     members[who - 1] = replace(members[who - 1], fault=(fault,))
-    return replace(team, member=tuple(members))
+    return Scenario.of(members)
 
 
 SEED = 1

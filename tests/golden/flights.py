@@ -12,7 +12,7 @@ from flightstack.common.strict_toml import dumps, parse_toml
 from logs.reader.reader import ROSOUT, LogFile
 from logs.schema import FLEET, Names
 from logs.schema.schemas import schema_text
-from sim.scenarios.team import load, text
+from sim.scenarios.scenario import load, text
 
 TOPICS = (
     "controller/input", "controller/step", "controller/state", "controller/power", "controller/neighbours",

@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 
 import flightstack as fs
-from sim.campaign.rows import vehicle_row
-from sim.runners.landing import Landing, TeamLanding, land, land_team
-from sim.scenarios import team as teams
+from sim.campaign.rows import row_of
+from sim.runners.landing import Landing, land
 from sim.scenarios.fault_spec import TABLE, After, Fault, Kind, What
-from sim.scenarios.scenario import Scenario, names
+from sim.scenarios.scenario import Scenario, load, names
 
 FILE = Path(__file__).with_name("landings.json")
 TIERS = ("lab", "room", "field", "storm", "deck")
@@ -72,7 +71,7 @@ def faulty(what: What, kind: Kind) -> Scenario:
 
 def of_one(landing: Landing) -> dict[str, Any]:
     """Return the campaign row of a landing, the means of its true states, and its texts."""
-    row, truth = vehicle_row(landing), landing.seen.truth
+    row, truth = row_of(landing), landing.seen.truth
     means = {name: rounded(np.abs(np.asarray(getattr(truth, name), float)).mean(axis=0)) for name in COLUMNS}
     found = {name: getattr(row, name) for name in row.__slots__ if name not in OMITTED}
     known = {name: value for name, value in found.items() if value not in (None, "")}
@@ -83,12 +82,13 @@ def rounded(values: Any) -> Any:
     return [float(f"{each:.8g}") for each in np.atleast_1d(values)]
 
 
-def of_team(flown: TeamLanding) -> dict[str, Any]:
+def of_several(flown: Landing) -> dict[str, Any]:
     pairs = [[pair.distance_min_m, pair.ellipsoid_min] for pair in flown.pairs]
+    alone = [replace(each, pairs=(), others=()) for each in flown.members]
     return {
-        "members": [of_one(each) for each in flown.landings],
+        "members": [of_one(each) for each in alone],
         "pairs": pairs,
-        "waits_s": list(flown.waits_s),
+        "waits_s": [each.wait_s for each in flown.members],
     }
 
 
@@ -96,7 +96,7 @@ def _cases() -> dict[str, Callable[[], dict[str, Any]]]:
     def one(make: Callable[[], Scenario], seed: int = 1) -> Callable[[], dict[str, Any]]:
         return lambda: of_one(land(make(), seed))
 
-    cases = {name: one(lambda name=name: fs.scenario(name)) for name in names()}
+    cases = {name: one(lambda name=name: fs.scenario(name)) for name in names() if not load(name).others}
     for tier in TIERS:
         for kind in ("robust", "paper"):
             for seed in (2, 3):
@@ -107,7 +107,7 @@ def _cases() -> dict[str, Callable[[], dict[str, Any]]]:
     for what, kinds in TABLE.items():
         for kind in kinds:
             cases[f"{what.value}, {kind.value}"] = one(lambda what=what, kind=kind: faulty(what, kind))
-    return cases | {"fleet_3": lambda: of_team(land_team(teams.load("fleet_3"), 1))}
+    return cases | {"fleet_3": lambda: of_several(land(load("fleet_3"), 1))}
 
 
 CASES = _cases()

@@ -134,7 +134,7 @@ def test_a_sweep_judges_by_the_barrier_that_flew():
     sweep = fs.sweep("lab", grid, seeds=[3], filter="paper", workers=1)
     assert sweep.table["barrier.alpha_1_m"].tolist() == [1.0, 1.3]
     for (alpha_1_m, _), campaign in sweep.points:
-        (member,) = campaign.scenario.member
+        (member,) = campaign.scenario.members
         assert member.judged_by.alpha_1_m == member.onboard.barrier.build().alpha_1_m == alpha_1_m
     assert [point["landed"] for point in sweep.rates()] == [1.0, 1.0]
     assert list(fs.frame(sweep.rates())["landed"]) == [1.0, 1.0]

@@ -15,7 +15,8 @@ from flightstack.config import path_of
 from flightstack.launch.run_options import Flies
 from flightstack.launch.vehicles import VEHICLES
 from logs.reader.flight import load_flight
-from sim.scenarios.scenario import PathKind, load
+from sim.scenarios.scenario import load
+from sim.scenarios.tables import PathKind
 from tests.integration.flights.test_sitl import KEYS
 from tests.integration.runs import WALL_MAX_S, called, flightstack
 from tests.integration.sim_processes import ROOT, verb

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.campaign.rows import read_rows, vehicle_row
+from sim.campaign.rows import read_rows, row_of
 from sim.campaign.run import plan
 from sim.campaign.summary import count
 from sim.runners.landing import land
@@ -234,7 +234,7 @@ PAPER_RUNS = 10  # landings with the paper's filter; enough for a median
 def rows_of(tier, runs, filter_name):
     """Fly the campaign's scenario with the seeds 0 to ``runs`` - 1 in this process; return the rows."""
     scenario = plan(tier.value, runs, 0, filter_name).first
-    return [vehicle_row(land(scenario, seed)) for seed in range(runs)]
+    return [row_of(land(scenario, seed)) for seed in range(runs)]
 
 
 @pytest.mark.parametrize("tier", list(Tier), ids=lambda tier: tier.value)

@@ -1,4 +1,4 @@
-"""Tests ``sitl`` with a team: members fly as in ``land_team``; a killed process harms no other member."""
+"""Tests ``sitl`` with a team: members fly as in ``land``; a killed process harms no other member."""
 
 import os
 import signal
@@ -12,9 +12,9 @@ from logs.reader.flight import load_fleet
 from logs.reader.reader import LogFile
 from logs.verdict.types import Outcome
 from logs.verdict.verdict import judge_fleet
-from sim.runners.landing import land_team
+from sim.runners.landing import land
 from sim.runners.room import Words
-from sim.scenarios import team as teams
+from sim.scenarios.scenario import load
 from tests.integration.runs import Flying, called
 
 TEAM, SEED = "fleet_3", 1
@@ -37,8 +37,8 @@ def fleet(wired):
 @pytest.fixture(scope="module")
 def direct():
     """Fly this team in one process; return its result, and the commands of each member."""
-    team = teams.load(TEAM)
-    commands, words = [[] for _ in team.member], Words(team, SEED)
+    team = load(TEAM)
+    commands, words = [[] for _ in team.members], Words(team, SEED)
 
     def keep(tick, outputs):
         for said, out in zip(commands, outputs, strict=True):
@@ -46,7 +46,7 @@ def direct():
                 said.append(out.setpoint.velocity_enu_m_s if out.setpoint is not None else ZERO)
         return words(tick, outputs)
 
-    return land_team(team, SEED, exchange=keep), commands
+    return land(team, SEED, exchange=keep), commands
 
 
 same_flight = pytest.mark.xdist_group("fleet in lockstep")  # one worker runs the group: one flight
@@ -56,7 +56,7 @@ same_flight = pytest.mark.xdist_group("fleet in lockstep")  # one worker runs th
 def test_each_member_flies_as_in_one_process_to_the_bit(fleet, direct):
     landed, commands = direct
     assert list(fleet.flights) == NAMES
-    for flight, landing, said in zip(fleet.flights.values(), landed.landings, commands, strict=True):
+    for flight, landing, said in zip(fleet.flights.values(), landed.members, commands, strict=True):
         assert np.array_equal(flight.steps.command_enu_m_s, np.array(said))
         for seen, logged in ((landing.seen.steps, flight.steps), (landing.seen.truth, flight.truth)):
             for name in (field.name for field in fields(seen)):
@@ -86,7 +86,7 @@ def test_one_object_says_what_became_of_all(wired, direct):
     assert found["ellipsoid_min"] == min(pair.ellipsoid_min for pair in landed.pairs)
     assert found["realtime_factor"] > 0.0
     assert list(found["vehicles"]) == NAMES
-    for vehicle, landing in zip(found["vehicles"].values(), landed.landings, strict=True):
+    for vehicle, landing in zip(found["vehicles"].values(), landed.members, strict=True):
         verdict = landing.verdict.to_json_dict()
         assert {name: vehicle[name] for name in verdict} == verdict
         assert vehicle["seed"] == landing.seed
@@ -101,8 +101,8 @@ def test_the_log_holds_what_flies_it_again(wired):
     assert not {"run", "onboard"} & metadata.keys()
     assert {f"{name}/onboard.toml" for name in NAMES} < attachments.keys()
     assert attachments["scenario.toml"] == (wired.folder / "scenario.toml").read_bytes()
-    team, again = teams.load(TEAM), teams.load(wired.folder / "scenario.toml")
-    assert (team.member, team.exchange, team.name) == (again.member, again.exchange, again.name)
+    team, again = load(TEAM), load(wired.folder / "scenario.toml")
+    assert (team.members, team.exchange, team.name) == (again.members, again.exchange, again.name)
     assert set(metadata["losses"].values()) == {"0"}
 
 

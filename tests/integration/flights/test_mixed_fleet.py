@@ -16,7 +16,7 @@ from logs.verdict.verdict import judge_fleet
 from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
-from sim.scenarios.team import load
+from sim.scenarios.scenario import load
 from tests.integration.runs import Flying, called
 from tests.integration.sim_processes import ROOT, verb
 from tests.integration.wires.bridge_processes import member_behind_the_bridge
@@ -91,7 +91,7 @@ def test_three_kinds_hear_each_other_cross_land_and_replay(second, tmp_path):
         run.kill()
     team, kinds = load(TEAM), {1: "sitl", SECOND: second, CRAZYFLIE: "crazyflie"}
     touched_m = math.dist(truth.position_enu_m[:2], truth.pad_position_enu_m[:2])
-    assert touched_m < team.member[0].target.pad_radius_m
+    assert touched_m < team.target.pad_radius_m
     fleet, log = load_fleet(run.out / "flight.mcap"), LogFile(run.out / "flight.mcap")
     verdict = judge_fleet(fleet)
     assert [each.judged_from for each in verdict.members.values()] == ["truth", "estimate", "estimate"]
@@ -106,7 +106,7 @@ def test_three_kinds_hear_each_other_cross_land_and_replay(second, tmp_path):
         assert np.median([word.clock_bound_s for word in heard]) < 0.02  # s: half a tick plus latency
     told = places(log)
     for one, other in itertools.combinations(kinds, 2):
-        assert least_rho(told[one], told[other], team.member[0].onboard.fleet) > 1.0
+        assert least_rho(told[one], told[other], team.onboard.fleet) > 1.0
     assert not any(b" jumps by " in message.data for message in log.messages({"/rosout"}))
 
 

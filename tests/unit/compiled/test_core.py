@@ -17,8 +17,6 @@ from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import Phase
 from sim.runners.landing import Flights
 from sim.scenarios.scenario import load
-from sim.scenarios.team import TeamScenario
-from sim.scenarios.team import load as load_team
 
 numbers = st.floats(-3.0, 3.0)
 any_numbers = st.one_of(numbers, st.sampled_from((math.nan, math.inf, -math.inf, 0.0)))
@@ -52,7 +50,7 @@ def flown(scenario, make):
         rows.append((repr((out._replace(barrier=barrier, setpoint=None), told)), state))
 
     controller = make(scenario.onboard)
-    flights = Flights(TeamScenario.of(scenario), 3, on_step=note, controller=controller)
+    flights = Flights(scenario, 3, on_step=note, controller=controller)
     (flight,) = flights.members
     flights.fly()
     return rows, repr(flight.controller.state)
@@ -85,7 +83,7 @@ def test_ordinary_ticks_of_a_landing_are_compiled_and_all_others_are_pythons(mon
     landing = [phase for phase in by_python if phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN)]
     assert len(landing) < 0.1 * len(rows)
     assert type(compiled(load("lab").onboard)).__name__ == "CompiledController"
-    assert type(compiled(load_team("fleet_3").member[0].onboard)) is Controller
+    assert type(compiled(load("fleet_3").onboard)) is Controller
 
 
 @given(vectors, any_numbers, vectors, any_numbers, vectors, st.tuples(sides, sides, sides))
@@ -106,7 +104,7 @@ def test_which_core_is_flown(monkeypatch):
         assert chosen_core(Core.AUTO, config, lockstep=False) is (Core.COMPILED if warm else Core.PLAIN)
         for asked in (Core.PLAIN, Core.COMPILED):
             assert chosen_core(asked, config, lockstep=warm) is asked
-    fleet = load_team("fleet_3").member[0].onboard
+    fleet = load("fleet_3").onboard
     assert chosen_core(Core.AUTO, fleet, lockstep=False) is Core.PLAIN
     with pytest.raises(ValueError, match="--core compiled: found filter robust"):
         chosen_core(Core.COMPILED, fleet, lockstep=False)

@@ -17,9 +17,9 @@ from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeo
 from sim.clock import TickGrid
 from sim.robot.target_motion import TargetMotion
 from sim.scenarios import scenario
-from sim.scenarios.scenario import (
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.tables import (
     OdometryLink,
-    Scenario,
     Start,
     StartKind,
     StateError,

@@ -15,7 +15,7 @@ from flightstack.core.parameters.filters import check_name
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.verify.certificate import problems
-from sim.scenarios import scenario, team
+from sim.scenarios import scenario
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.scenario import load as load_scenario
 
@@ -109,8 +109,8 @@ def test_what_does_not_exist_is_refused_with_the_names(read, known):
     ("read", "name", "error"),
     [
         (load, "crazyfly", "; did you mean crazyflie[?]$"),
-        (team.load, "fleet3", "; did you mean fleet_3[?]$"),
-        (team.load, "mine.toml", "'mine.toml': there is no file /.*mine.toml$"),
+        (scenario.load, "fleet3", "; did you mean fleet_3[?]$"),
+        (scenario.load, "mine.toml", "'mine.toml': there is no file /.*mine.toml$"),
         (check_name, "robst", "; did you mean robust[?]$"),
         (check_name, "a/mine.py:Slower", "; did you mean a.mine:Slower[?]$"),
     ],

@@ -4,7 +4,7 @@ from sim.chance import stream
 from sim.faults.schedule import Running
 from sim.plant.sensors import NS
 from sim.scenarios.fault_spec import TABLE, Fault, Kind, Number, What
-from sim.scenarios.scenario import Start, StartKind, VehicleSpec, VelocityLoop
+from sim.scenarios.tables import Start, StartKind, VehicleSpec, VelocityLoop
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario
 

@@ -5,7 +5,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sim.scenarios.fault_spec import TABLE, Kind, What
-from sim.scenarios.scenario import Start, VelocityLoop
+from sim.scenarios.tables import Start, VelocityLoop
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.faults.fault_helpers import CELLS, aloft, fault, hold, off_home
 from tests.unit.vehicle.vehicle_sim_helpers import scenario

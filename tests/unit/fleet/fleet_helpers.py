@@ -5,7 +5,6 @@ from dataclasses import fields, replace
 import numpy as np
 
 from sim.scenarios.scenario import Scenario, load
-from sim.scenarios.team import TeamScenario
 
 FIELD = load("field")
 
@@ -16,8 +15,8 @@ def at(x: float, y: float, offset=(-0.8, 0.3, 0.9), **target) -> Scenario:
     return replace(FIELD, target=robot, start=replace(FIELD.start, offset_m=offset))
 
 
-def team_of(*members: Scenario) -> TeamScenario:
-    return TeamScenario("test", "", members)
+def team_of(*members: Scenario) -> Scenario:
+    return replace(Scenario.of(members), name="test", description="")
 
 
 def same(one, other) -> bool:

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from logs.verdict.types import Outcome
-from sim.runners.landing import land, land_team
-from sim.scenarios import team
+from sim.runners.landing import land
+from sim.scenarios.scenario import load
 from tests.fault_grid.fleet import MOMENTS_S, SEED, WHO, Way, fly, row
 from tests.unit.fleet.fleet_helpers import at, same, team_of
 
@@ -21,16 +21,16 @@ def crossing():
 
 def test_a_team_is_the_same_every_time_and_near_vehicles_matter():
     near = team_of(*crossing())
-    one, two = land_team(near, 2), land_team(near, 2)
-    assert all(same(a, b) for a, b in zip(one.landings, two.landings, strict=True))
+    one, two = land(near, 2), land(near, 2)
+    assert all(same(a, b) for a, b in zip(one.members, two.members, strict=True))
     assert one.pairs == two.pairs
     alone = [land(scenario, seed) for scenario, seed in near.singles(2)]
-    assert not all(same(a, b) for a, b in zip(one.landings, alone, strict=True))
+    assert not all(same(a, b) for a, b in zip(one.members, alone, strict=True))
 
 
 def test_a_collision_is_a_crash_of_both():
     head_on = {"speed_m_s": 0.0, "random_heading": False}
-    flown = land_team(
+    flown = land(
         team_of(at(1.5, 0.0, (-3.0, 0.0, 0.9), **head_on), at(-1.5, 0.0, (3.0, 0.0, 0.9), **head_on)), 1
     )
     (pair,) = flown.pairs
@@ -39,7 +39,7 @@ def test_a_collision_is_a_crash_of_both():
     assert pair.ellipsoid_min < 1.0
     assert pair.violations >= 1
     assert pair.inside_ms >= 10
-    for landing, other in zip(flown.landings, ("cf2", "cf1"), strict=True):
+    for landing, other in zip(flown.members, ("cf2", "cf1"), strict=True):
         assert landing.verdict.outcome is Outcome.CRASHED
         assert "another vehicle" in landing.verdict.reason
         (told,) = [event for event in landing.seen.events if event.text == f"collision with {other}"]
@@ -50,12 +50,12 @@ def test_a_collision_is_a_crash_of_both():
 
 def test_vehicles_that_begin_inside_each_other_are_refused():
     with pytest.raises(ValueError, match=r"cf1 and cf3 begin inside each other, at \(-0\.80, 0\.30, 1\.10\)"):
-        land_team(team_of(at(0.0, 0.0), at(5.0, 0.0), at(0.1, 0.0)), 0)
+        land(team_of(at(0.0, 0.0), at(5.0, 0.0), at(0.1, 0.0)), 0)
 
 
 def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():
     """With the prediction that a sinking vehicle continues inwards, h of the fifth vehicle fell to -11 mm."""
-    landings = land_team(team.load("fleet_8"), 20866).landings
+    landings = land(load("fleet_8"), 20866).members
     assert min(each.verdict.h_min_outside_pad_m for each in landings) > 0.03
 
 

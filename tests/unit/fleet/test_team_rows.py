@@ -6,13 +6,13 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError
 from logs.verdict.types import Outcome
-from sim.campaign.rows import judge_team, read_rows, row_of, write_rows
+from sim.campaign.rows import judge_landing, read_rows, row_of, write_rows
 from sim.campaign.run import plan
 from sim.campaign.summary import summary
 from sim.campaign.workers import fly_seed
-from sim.runners.landing import TeamLanding, land
+from sim.runners.landing import land
 from sim.runners.room import Pair
-from sim.scenarios.team import load, text
+from sim.scenarios.scenario import load, text
 from tests.unit.fleet.fleet_helpers import FIELD, at, team_of
 
 LANDED, ABORTED, TIMEOUT, CRASHED = Outcome.LANDED, Outcome.ABORTED, Outcome.TIMEOUT, Outcome.CRASHED
@@ -26,11 +26,13 @@ def landing():
 @pytest.fixture(scope="module")
 def flown(landing):
     def make(outcomes, *pairs):
-        landings = tuple(
-            replace(landing, verdict=replace(landing.verdict, outcome=each, reason=f"was {each}"))
-            for each in outcomes
+        first, *others = (
+            replace(
+                landing, verdict=replace(landing.verdict, outcome=each, reason=f"was {each}"), wait_s=wait_s
+            )
+            for each, wait_s in zip(outcomes, (0.0, 2.5), strict=True)
         )
-        return TeamLanding(1, landings, pairs, (0.0, 2.5), 7.0, 0.5)
+        return replace(first, pairs=pairs, others=tuple(others), wall_s=0.5)
 
     return make
 
@@ -49,7 +51,7 @@ FAR = Pair(1, 2, 0.9, 0.9, 3.0)
     ],
 )
 def test_a_team_ends_as_its_worst_member(flown, outcomes, worst, reason):
-    verdict = judge_team(flown(outcomes, FAR))
+    verdict = judge_landing(flown(outcomes, FAR))
     assert (verdict.outcome, verdict.outcomes, verdict.reason) == (worst, outcomes, reason)
     assert (verdict.collisions, verdict.ellipsoid_violations) == (0, 0)
     assert (verdict.ellipsoid_min, verdict.distance_min_m) == (3.0, 0.9)
@@ -65,11 +67,11 @@ def test_the_row_of_a_team_has_the_worst_of_its_members(flown, landing):
             touchdown_error_m=0.09, time_to_land_s=20.0,
         ),
     )  # fmt: skip
-    row = row_of(replace(team, landings=(team.landings[0], worse)))
+    row = row_of(replace(team, others=(replace(worse, wait_s=2.5, simulated_s=70.0),)))
     assert (row.violation, row.started_safe, row.retries) == (None, None, 2 + landing.retries)
     assert (row.h_min_m, row.h_min_outside_pad_m) == (-0.6, -0.5)
     assert (row.touchdown_error_m, row.time_to_land_s) == (0.09, 20.0)
-    assert (row.simulated_s, row.wall_s, row.wait_max_s) == (7.0, 0.5, 2.5)
+    assert (row.simulated_s, row.wall_s, row.wait_max_s) == (70.0, 0.5, 2.5)
     crashed = row_of(flown((LANDED, CRASHED), FAR))
     assert crashed.time_to_land_s is None
     assert crashed.outcomes == "landed crashed"

@@ -7,9 +7,9 @@ import pytest
 
 from flightstack.core.types import Phase
 from logs.verdict.types import Outcome
-from sim.campaign.rows import judge_team
-from sim.runners.landing import land_team
-from sim.scenarios import team
+from sim.campaign.rows import judge_landing
+from sim.runners.landing import land
+from sim.scenarios.scenario import load
 
 pytestmark = pytest.mark.slow
 
@@ -18,7 +18,7 @@ BUSY = (Phase.LAND, Phase.TOUCHDOWN)
 
 @pytest.fixture(scope="module")
 def flown():
-    return land_team(team.load("turns_4"), 1)
+    return land(load("turns_4"), 1)
 
 
 def phases(landing):
@@ -29,14 +29,14 @@ def phases(landing):
 
 
 def test_all_land_and_nobody_is_hit(flown):
-    verdict = judge_team(flown)
-    assert [landing.verdict.outcome for landing in flown.landings] == [Outcome.LANDED] * 4
+    verdict = judge_landing(flown)
+    assert [landing.verdict.outcome for landing in flown.members] == [Outcome.LANDED] * 4
     assert (verdict.collisions, verdict.ellipsoid_violations) == (0, 0)
-    assert [landing.verdict.violation for landing in flown.landings] == [False] * 4
+    assert [landing.verdict.violation for landing in flown.members] == [False] * 4
 
 
 def test_three_take_off_again_and_the_last_one_stays(flown):
-    turns = sorted((phases(landing) for landing in flown.landings), key=lambda each: len(each), reverse=True)
+    turns = sorted((phases(landing) for landing in flown.members), key=lambda each: len(each), reverse=True)
     assert [[phase for phase, _ in each][-3:] for each in turns] == [
         *[[Phase.LANDED, Phase.LEAVE, Phase.LANDED]] * 3,
         [Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED],
@@ -46,7 +46,7 @@ def test_three_take_off_again_and_the_last_one_stays(flown):
 def test_the_next_one_lands_when_the_one_before_has_left(flown):
     """No vehicle is above the pad as long as another vehicle stands on it."""
     stays, lands = [], []
-    for landing in flown.landings:
+    for landing in flown.members:
         found = phases(landing)
         (landed_s,) = [
             t

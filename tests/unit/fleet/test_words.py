@@ -16,7 +16,7 @@ from flightstack.onboard.lockstep import LockstepWords
 from sim.clock import NoAnswerError, TickGrid
 from sim.runners import room as words_wire
 from sim.runners.room import MemberWords, Words
-from sim.scenarios.team import ExchangeLink
+from sim.scenarios.tables import ExchangeLink
 from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
 from tests.unit.fleet.fleet_helpers import FIELD, team_of

@@ -12,7 +12,8 @@ from sim.flights.recording import Recording, RecordingError
 from sim.flights.screening import Screened
 from sim.flights.tape import CUT_S, FLIGHTS, draw_tape, tape_folder, tape_of
 from sim.plant.state_error import DELAY, WIDTH, PastRecord, TapeRows, _rows, mismeasured_path, state_errors
-from sim.scenarios.scenario import StateError, load
+from sim.scenarios.scenario import load
+from sim.scenarios.tables import StateError
 from tests.recorded import PIECE
 
 STEP_S = 0.01

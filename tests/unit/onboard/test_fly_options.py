@@ -104,6 +104,6 @@ def test_a_command_line_made_of_options_gives_the_same_options(cls, required, tm
 def test_a_configuration_that_does_not_say_where_to_begin_begins_where_the_scenario_does(scenario, config):
     given = load_scenario(scenario).onboard.takeoff.start_offset_m
     assert load(config).takeoff.start_offset_m is None
-    flown = prepare(RunOptions(scenario=scenario, px4=Path("px4"))).member[0].onboard
+    flown = prepare(RunOptions(scenario=scenario, px4=Path("px4"))).onboard
     assert flown.takeoff.start_offset_m == given
     assert flown.vehicle == load(config).vehicle

@@ -7,8 +7,8 @@ import pytest
 from flightstack.common.strict_toml import ConfigError
 from flightstack.verify.certificate import problems
 from sim.plant.params import Plant, able_to_hover, load
-from sim.scenarios.scenario import VEHICLE_FILES, VehicleSpec, VelocityLoop, Wind
 from sim.scenarios.scenario import load as load_scenario
+from sim.scenarios.tables import VEHICLE_FILES, VehicleSpec, VelocityLoop, Wind
 from sim.vehicle.vehicle import VehicleSim
 
 TICK_MS = 10

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.plant.params import STEP_S, load
-from sim.scenarios.scenario import OdometryLink, VehicleSpec
+from sim.scenarios.tables import OdometryLink, VehicleSpec
 from sim.vehicle.physics import push
 from sim.world.step import physics_step
 from tests import independent_plant as other

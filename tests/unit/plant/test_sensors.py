@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from sim.chance import stream
 from sim.plant.sensors import NS, MeasurementChannel
-from sim.scenarios.scenario import OdometryLink
+from sim.scenarios.tables import OdometryLink
 
 MS = NS // 1000
 

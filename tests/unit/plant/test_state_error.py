@@ -22,7 +22,7 @@ from sim.plant.state_error import (
     mismeasure,
     state_errors,
 )
-from sim.scenarios.scenario import StateError
+from sim.scenarios.tables import StateError
 
 RATE_HZ = 100.0
 FINE = StateError(

@@ -14,8 +14,8 @@ from sim.plant.params import load
 from sim.plant.rotors import MIX_YAW
 from sim.px4.airframe import FORMATS, OFF, parameter_text, parameters, rotor_speeds
 from sim.px4.plant import Px4Plant
-from sim.scenarios.scenario import VEHICLE_FILES, OdometryLink, Start, StartKind, Wind
 from sim.scenarios.scenario import load as load_scenario
+from sim.scenarios.tables import VEHICLE_FILES, OdometryLink, Start, StartKind, Wind
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.px4.px4_fakes import QUAD_X, controlled_axes, parameters_of
 from tests.unit.vehicle.vehicle_sim_helpers import scenario

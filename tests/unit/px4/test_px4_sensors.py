@@ -16,7 +16,7 @@ from sim.px4.sensors import (
     field_ned_gauss,
     pressure_altitude_m,
 )
-from sim.scenarios.scenario import OdometryLink
+from sim.scenarios.tables import OdometryLink
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)  # attitude with the nose to the east
 G = 9.81

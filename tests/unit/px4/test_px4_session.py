@@ -15,7 +15,7 @@ from sim.px4.link import LinkClosedError, Px4Server
 from sim.px4.plant import Px4Plant
 from sim.px4.process import Px4Node
 from sim.px4.session import STEP_S, Event, NoLockstepError, NotPx4Error, Px4Session
-from sim.scenarios.scenario import Start
+from sim.scenarios.tables import Start
 from tests.processes.bounded import AT_ONCE_S
 from tests.unit.px4.px4_fakes import FakePx4
 from tests.unit.vehicle.vehicle_sim_helpers import scenario

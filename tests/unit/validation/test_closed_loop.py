@@ -12,7 +12,7 @@ import pytest
 from sim.flights.recording import Recording
 from sim.flights.screening import screen
 from sim.plant.params import Plant, TorqueNoiseShape, load
-from sim.scenarios.scenario import Start, StartKind, StateError, VehicleSpec, VelocityLoop
+from sim.scenarios.tables import Start, StartKind, StateError, VehicleSpec, VelocityLoop
 from sim.validation.closed_loop import fly
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import scenario

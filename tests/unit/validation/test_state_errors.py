@@ -7,7 +7,7 @@ from flightstack.compiled.records import cell, new
 from sim.flights.recording import Recording, read_columns
 from sim.flights.screening import Screened, load
 from sim.plant.state_error import PastRecord, mismeasured_path, state_errors
-from sim.scenarios.scenario import StateError
+from sim.scenarios.tables import StateError
 from sim.validation.sensing import compare
 from tests.recorded import flights
 

@@ -10,15 +10,15 @@ from examples.own_filter import Smooth
 from flightstack.compiled.jit import is_off
 from flightstack.core.strategies.answers import compiled_as
 from sim.runners.landing import Flights, warm_up
-from sim.scenarios.scenario import Start, load
-from sim.scenarios.team import TeamScenario
+from sim.scenarios.scenario import load
+from sim.scenarios.tables import Start
 
 pytestmark = pytest.mark.slow
 
 
 def flown(scenario, seed, on_step=None, parameters=()):
     """Fly; return the record, and the ticks flown in batches."""
-    flights, in_batches = Flights(TeamScenario.of(scenario), seed, on_step=on_step), 0
+    flights, in_batches = Flights(scenario, seed, on_step=on_step), 0
     (flight,), batches = flights.members, flights.batches
     for name, value in parameters:
         flight.node.autopilot.parameters.preset(name, value)
@@ -94,11 +94,11 @@ def test_a_thrust_reserve_that_ends_in_a_batch_is_seen_at_the_same_tick():
 
 @pytest.mark.parametrize("name", ["paper_moving_1", "fault_motor_dead"])
 def test_what_a_batch_does_not_know_is_flown_tick_by_tick(name):
-    assert Flights(TeamScenario.of(load(name)), 0).batches is None
+    assert Flights(load(name), 0).batches is None
 
 
 def test_it_is_compiled_before_the_first_landing():
-    field = TeamScenario.of(load("field"))
+    field = load("field")
     warm_up(field)
     batches = Flights(field, 0).batches
     assert (batches is None) == is_off()

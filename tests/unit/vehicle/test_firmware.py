@@ -11,7 +11,7 @@ from flightstack.compiled.records import new
 from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, axis_gains
 from sim.firmware.mixer import MapRecord, motor_speed, set_up_map
 from sim.plant.params import load
-from sim.scenarios.scenario import OdometryLink, VehicleSpec, VelocityLoop
+from sim.scenarios.tables import OdometryLink, VehicleSpec, VelocityLoop
 from tests.unit.vehicle.vehicle_sim_helpers import vehicle
 
 PARAMS = load()

@@ -12,7 +12,7 @@ from sim.firmware.geometric import MASS_KG, MASS_THRUST, MellingerLoop, mellinge
 from sim.firmware.pid import TILT_MAX_DEG, PidLoop, cascade_update
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
 from sim.plant.params import load
-from sim.scenarios.scenario import Start, StartKind, VehicleSpec, VelocityLoop
+from sim.scenarios.tables import Start, StartKind, VehicleSpec, VelocityLoop
 from tests.unit.vehicle.vehicle_sim_helpers import vehicle
 
 PARAMS = load()

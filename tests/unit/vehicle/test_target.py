@@ -10,7 +10,7 @@ from bridge.ros2.cdr import Odometry
 from flightstack.common.strict_toml import ConfigError
 from sim.robot.target import DEMANDS, TargetModel
 from sim.runners.robot import DeckState, deck_state, follow, reckon
-from sim.scenarios.scenario import PathKind, TargetSpec
+from sim.scenarios.tables import PathKind, TargetSpec
 
 DT = 0.01
 

@@ -5,14 +5,7 @@ import math
 import pytest
 
 from flightstack.core.safety.barrier import Barrier
-from sim.scenarios.scenario import (
-    OdometryLink,
-    Start,
-    StartKind,
-    TargetSpec,
-    VehicleSpec,
-    Wind,
-)
+from sim.scenarios.tables import OdometryLink, Start, StartKind, TargetSpec, VehicleSpec, Wind
 from tests.unit.vehicle.vehicle_sim_helpers import (
     LOOPS,
     QUIET,

@@ -1,14 +1,8 @@
 """Scenarios and flights for the tests of the simulated vehicle."""
 
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeoff
-from sim.scenarios.scenario import (
-    OdometryLink,
-    Scenario,
-    Start,
-    StartKind,
-    VehicleSpec,
-    VelocityLoop,
-)
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.tables import OdometryLink, Start, StartKind, VehicleSpec, VelocityLoop
 from sim.vehicle.vehicle import VehicleSim
 
 LOOPS = list(VelocityLoop)

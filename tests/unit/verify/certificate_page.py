@@ -12,7 +12,7 @@ from flightstack.verify.feedback import follow_m
 from flightstack.verify.fleet import fleet_checks
 from flightstack.verify.robust import between_ticks_m, demand, depth_m, outside
 from flightstack.verify.touchdown import descent_time_s, drift_m
-from sim.scenarios import scenario, team
+from sim.scenarios import scenario
 from sim.vehicle.declared import crowd
 
 PAGES = Path(__file__).parents[3] / "docs" / "how_it_works"
@@ -94,8 +94,8 @@ def verdicts():
 
 def fleet():
     """Return the table of checks of a member of fleet_3, and of all members together."""
-    found = team.load("fleet_3")
-    results = [*fleet_checks(found.member[0].onboard), *crowd(found)]
+    found = scenario.load("fleet_3")
+    results = [*fleet_checks(found.onboard), *crowd(found)]
     rows = [_row(check.name, [check.claim, _room(check), check.worst]) for check in results]
     return "\n".join(["| check | claim | distance to the limit | worst point |", "|---|---|---|---|", *rows])
 

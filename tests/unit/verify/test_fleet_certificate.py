@@ -17,7 +17,7 @@ from flightstack.core.types import ZERO
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
 from flightstack.verify.fleet import anywhere_m, crowd, one_short_m_s, team_checks, up_the_slope_m_s
-from sim.scenarios import scenario, team
+from sim.scenarios import scenario
 from tests.unit.verify.certificate_helpers import config
 
 pytestmark = pytest.mark.slow
@@ -175,8 +175,8 @@ X_FIELD = extremes(scenario.load("field").onboard)
 
 
 def test_all_members_together():
-    members = [each.onboard for each in team.load("fleet_3").member]
-    starts = team.load("fleet_3").starts_enu_m()
+    members = [each.onboard for each in scenario.load("fleet_3").members]
+    starts = scenario.load("fleet_3").starts_enu_m()
     assert starts == [(-1.0, 1.0, 1.2), (-1.5, 0.0, 1.2), (-1.0, -1.0, 1.2)]
 
     def found(configs=members, places=starts, touch=(0.14, 0.0, 0.05), apart_m=1.0):

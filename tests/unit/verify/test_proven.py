@@ -6,7 +6,8 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError, from_table, to_table
 from flightstack.verify.certificate import checks
-from sim.scenarios.scenario import Judge, OdometryLink, Scenario, StateError, load, names
+from sim.scenarios.scenario import Scenario, load, names
+from sim.scenarios.tables import Judge, OdometryLink, StateError
 from sim.vehicle.declared import declared, outside
 from tests.benchmarks.proven import FILTERS, SCENARIOS, cases, fly
 

@@ -12,7 +12,7 @@ from logs.schema import schemas
 from logs.schema.events import pack_log
 from logs.schema.rows import FleetPairRow, LogRow
 from logs.verdict.types import TRUTH, Outcome, Verdict
-from logs.verdict.verdict import fleet_result, fleet_verdict, judge, judge_fleet, verdict_result
+from logs.verdict.verdict import fleet_verdict, judge, judge_fleet, judged, result
 from tests.synthetic_flight import landing, write_log
 
 pytestmark = pytest.mark.xdist_group("fleet_log")
@@ -86,7 +86,7 @@ def test_one_member_of_whom_records_are_missing_is_the_fleet_s_outcome(fleet):
     assert verdict.reason.startswith(
         "cf2: the recorder lost records (7 of onboard), so that the log does not"
     )
-    told = fleet_result(read, verdict)
+    told = result(read, verdict)
     assert (told["outcome"], told["records_lost"]) == ("unknown", 7)
     assert {name: each["records_lost"] for name, each in told["vehicles"].items()} == {
         "cf1": 0, "cf2": 7, "cf3": 0,
@@ -106,11 +106,10 @@ def test_a_broken_log_gives_what_is_before_the_break(fleet, tmp_path):
 
 def test_one_object_has_all_members(fleet):
     read = load_fleet(fleet.log)
-    told = fleet_result(read, judge_fleet(read))
+    told = result(read, judge_fleet(read))
     assert (told["scenario"], told["seed"], told["filter"]) == ("fleet_3", 1, "robust")
     assert list(told["vehicles"]) == list(MEMBERS)
-    alone = load_flight(fleet.log, "cf3")
-    assert told["vehicles"]["cf3"] == verdict_result(alone, judge(alone))
+    assert told["vehicles"]["cf3"] == result(*judged(fleet.log, "cf3"))
     assert (told["collisions"], told["ellipsoid_violations"]) == (0, 0)
     assert told["ellipsoid_min"] == fleet.verdict.ellipsoid_min
 

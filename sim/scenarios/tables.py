@@ -1,0 +1,237 @@
+"""Tables of a scenario: vehicle, start, robot, links, wind, verdict, exchange of messages.
+
+``spread`` values are half-widths of uniform distributions, drawn from the seed. Units are s and m, frames
+ENU.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Annotated
+
+from flightstack.common.strict_toml import ConfigError, Files, span
+from flightstack.core.types import Vec3
+
+BELOW_PAD_MIN_M = 0.03  # smallest height of the pad's top above the floor, m: pad plate and robot below it
+MEMBERS_MAX = 250  # maximum number of vehicles, because each has a MAVLink system id
+Share = Annotated[float, span(0.0, 1.0)]
+Drag = Annotated[float, span(0.0, 10.0)]
+VEHICLE_FILES = Files(dict, "sim.plant", "vehicle.airframe")  # files that ``sim.plant.params`` reads
+
+
+class StartKind(Enum):
+    """State of the vehicle at the start."""
+
+    GROUND = "ground"  # the vehicle stands on the floor, disarmed
+    HOVER = "hover"  # the vehicle hovers at start.offset_m, armed and trimmed for the wind
+
+
+class PathKind(Enum):
+    """Path of the target."""
+
+    STILL = "still"
+    STRAIGHT = "straight"
+    CIRCLE = "circle"  # constant speed and turn rate
+    STOP_AND_GO = "stop_and_go"
+    REVERSING = "reversing"
+    FIGURE_OF_EIGHT = "figure_of_eight"  # a circle to the left, then a circle to the right
+    WAYPOINTS = "waypoints"  # waypoints_m in order, repeated
+    FUNCTION = "function"  # a function MODULE:NAME
+
+
+class VelocityLoop(Enum):
+    """On-board velocity loop of the vehicle."""
+
+    PAPER = "paper"  # eq. 8 with K1, K2 in the Mellinger attitude controller
+    PID = "pid"  # velocity loop of the Crazyflie firmware (position_controller_pid.c)
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Start position of the vehicle. ``offset_m`` is relative to the landing spot at time zero, ENU."""
+
+    kind: StartKind = StartKind.GROUND  # `ground`: on the floor, disarmed; `hover`: in the air, armed
+    ground_position_m: tuple[float, float] = (0.0, 0.0)  # start position for kind = ground
+    # position relative to the landing spot for kind = hover; none: drawn from distance_m, h_m and any bearing
+    offset_m: Vec3 | None = None
+    distance_m: tuple[float, float] = (0.3, 2.5)  # drawn horizontal distance from the landing spot
+    h_m: tuple[float, float] = (0.03, 1.2)  # drawn barrier value at the start
+
+
+@dataclass(frozen=True, slots=True)
+class TargetSpec:
+    """The ground robot: a TurtleBot3 Burger with a pad, on a path."""
+
+    path: PathKind = PathKind.STILL  # path of the robot
+    speed_m_s: Annotated[float, span(0.0, 3.0)] = 0.0  # speed on the path
+    turn_rate_rad_s: Annotated[float, span(-3.0, 3.0)] = 0.0  # turn rate on the path
+    waypoints_m: tuple[tuple[float, float], ...] = ()  # waypoints for path = waypoints: east and north
+    # for path = function: MODULE:NAME, imported from the working folder; it returns speed and turn rate
+    function: str = ""
+    # whether speed (in [0, speed_m_s]) and turn rate (in +-turn_rate_rad_s) are drawn from the seed
+    random_speed: bool = False
+    position_m: tuple[float, float] = (0.0, 0.0)  # position of the axle at time zero
+    heading_rad: float = 0.0  # heading at time zero, from east to north
+    random_heading: bool = False  # whether the heading is drawn from the seed
+    wait_for_landing: bool = True  # the robot does not move until the landing starts
+    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # time between changes of stop_and_go, reversing
+    acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # largest acceleration of the wheels
+    speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # largest speed (OpenCR: wheels at 61 rpm)
+    turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # largest turn rate (OpenCR)
+    heave_amplitude_m: Annotated[float, span(0.0, 0.5)] = 0.0  # amplitude of the pad's heave
+    heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0  # frequency of the heave
+    pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # height of the pad's top (LDS: 0.192 m)
+    pad_radius_m: Annotated[float, span(0.05, 2.0)] = 0.10  # radius of the pad
+    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # pad behind the axle; body: 0.032
+
+    def __post_init__(self) -> None:
+        turns = self.path in (PathKind.FIGURE_OF_EIGHT, PathKind.WAYPOINTS)
+        if turns and not (self.speed_m_s and self.turn_rate_rad_s):
+            raise ConfigError(
+                f"path: found {self.path.value!r}, which needs speed_m_s and turn_rate_rad_s above 0"
+            )
+        if self.path is PathKind.WAYPOINTS and len(self.waypoints_m) < 2:
+            raise ConfigError(
+                f"waypoints_m: found {len(self.waypoints_m)}, at least 2 are needed: [[0, 0], [1, 0]]"
+            )
+        if self.path is PathKind.FUNCTION and ":" not in self.function:
+            raise ConfigError(f"function: found {self.function!r}, MODULE:NAME of a function is needed")
+        most_m = self.pad_height_m - BELOW_PAD_MIN_M
+        if self.heave_amplitude_m > most_m:
+            raise ConfigError(
+                f"heave_amplitude_m: found {self.heave_amplitude_m:g}; with pad_height_m "
+                f"{self.pad_height_m:g} at most {most_m:.4g}, so that {BELOW_PAD_MIN_M:g} m are left below"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryLink:
+    """Transmission of measurements: rate, noise, delay, loss."""
+
+    rate_hz: Annotated[float, span(1.0, 500.0)] = 100.0  # samples per second
+    position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation on each axis
+    velocity_noise_m_s: Annotated[float, span(0.0, 0.5)] = 0.0  # standard deviation on each axis
+    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation of the yaw
+    delay_s: Annotated[float, span(0.0, 0.5)] = 0.0  # time from measurement to arrival
+    loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability that a sample is lost
+    dropout_every_s: Annotated[float, span(0.0, 600.0)] = 0.0  # mean time between drop-outs; 0: none
+    dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0  # upper limit of a drop-out's random length
+
+
+@dataclass(frozen=True, slots=True)
+class StateError:
+    """Error of a measured state, as in recorded flights: a varying delay, and correlated errors.
+
+    Defaults: fitted to 43 flights of a Crazyflie 2.1 in a Vicon room (NanoBench, arXiv 2603.09908), see
+    docs/how_it_works/own_state.md. Values are standard deviations unless stated otherwise.
+    """
+
+    tape: str | None = None  # folder of recorded flights; their error replaces the model below
+    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position, mean of all flights
+    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread of the mean delay between flights
+    delay_shared: bool = False  # vehicle and target have the same mean delay, or tapes of the same flight
+    delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # fast variation of the delay, median flight
+    delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # time constant T in (1 + t/T) exp(-t/T)
+    # spread of the fast variation's logarithm between flights
+    delay_fast_varies: Annotated[float, span(0.0, 2.0)] = 0.0
+    delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.011  # slow variation of the delay in flight
+    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4  # correlation time of the slow variation
+    # spread of the slow variation's logarithm between flights
+    delay_slow_varies: Annotated[float, span(0.0, 2.0)] = 0.7
+    velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position minus delay of velocity
+    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # spread of the lead between flights
+    position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # position error on each axis
+    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # error on horizontal axes, at any speed
+    velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # error on the vertical axis
+    # velocity error as fraction of the speed, constant in a flight
+    velocity_scale: Annotated[float, span(0.0, 1.0)] = 0.056
+    # varying velocity error along the horizontal velocity, as fraction of the speed
+    velocity_along: Annotated[float, span(0.0, 1.0)] = 0.064
+    # varying velocity error across the horizontal velocity, as fraction of the speed
+    velocity_across: Annotated[float, span(0.0, 1.0)] = 0.016
+    tilt_rad: Annotated[float, span(0.0, 0.2)] = 0.015  # misalignment about body x and y, fixed in a flight
+    yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0013  # misalignment about body z, fixed in a flight
+    tilt_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0055  # varying error about body x and y
+    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0006  # varying error about body z
+    # correlation time T in exp(-t/T) of all errors except the delay
+    error_time_s: Annotated[float, span(0.01, 10.0)] = 0.23
+
+
+@dataclass(frozen=True, slots=True)
+class TargetLink(OdometryLink):
+    """Odometry of the target; with ``error`` it has the errors of recorded motion capture."""
+
+    error: StateError | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleSpec:
+    """The simulated vehicle: file of parameters, velocity loop, random spreads, and motion capture.
+
+    With ``own`` the on-board estimate has the errors of recorded flights; ``mocap`` gives only its rate and
+    losses. With ``known_drag_1_s`` the estimator has the firmware's form in flight: it uses only body z of
+    the accelerometer, and these values of ``kalman.dragB_*``.
+    """
+
+    airframe: str = "crazyflie20"  # name of a file in sim/plant, or path of a file
+    velocity_loop: VelocityLoop = VelocityLoop.PAPER  # loop: `paper` (eq. 8) or `pid` (firmware)
+    mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the relative random mass error
+    # half-width of the relative random error of the motors' time constant
+    motor_lag_spread: Annotated[float, span(0.0, 0.9)] = 0.0
+    thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the relative random thrust error
+    # half-width of each motor's relative random thrust error around their mean
+    motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0
+    battery_charge: tuple[Share, Share] = (1.0, 1.0)  # range of the random state of charge at the start
+    # smallest thrust-to-weight ratio of the weakest motor at the start; a lower one raises the charge
+    hover_reserve: Annotated[float, span(0.0, 1.5)] = 0.0
+    slow_motors: bool = False  # slow motor lag: 0.136 s up, 0.108 s down instead of 0.07 s
+    ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0  # factor on the measured ground effect
+    # motion capture of the on-board estimator
+    mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
+    own: StateError | None = None
+    known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # estimator: drag per mass, body axes
+    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # one-way delay, Crazyradio: 2 to 7 ms
+
+    def __post_init__(self) -> None:
+        VEHICLE_FILES.path_of(self.airframe)
+        low, high = self.battery_charge
+        if low > high:
+            raise ConfigError(f"battery_charge: found [{low:g}, {high:g}], the lower share comes first")
+
+
+@dataclass(frozen=True, slots=True)
+class Wind:
+    """Mean wind and gusts."""
+
+    mean_m_s: Annotated[float, span(0.0, 10.0)] = 0.0  # speed of the mean wind
+    gust_rms_m_s: Annotated[float, span(0.0, 5.0)] = 0.0  # standard deviation of the gusts on each axis
+    direction_rad: float | None = None  # direction to which the wind blows, from east to north; none: drawn
+
+
+@dataclass(frozen=True, slots=True)
+class Judge:
+    """Barrier of the verdict, if it differs from the flown one; each result then names both."""
+
+    alpha_1_m: Annotated[float, span(0.05, 20.0)]  # shape parameter, as onboard.barrier.alpha_1_m
+    beta_m: Annotated[float, span(0.05, 20.0)]  # shape parameter, as onboard.barrier.beta_m
+
+
+@dataclass(frozen=True, slots=True)
+class ExchangeLink:
+    """Link of the messages that companions send to each other every tick; the delay is at least one tick."""
+
+    delay_s: Annotated[float, span(0.0, 1.0)] = 0.0  # time from a tick to the arrival of its messages
+    loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability of loss for each message and receiver
+    # numbers of members whose messages are lost from broken_from_s on
+    silent: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
+    # numbers of members that exchange messages only among themselves from broken_from_s on
+    apart: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
+    broken_from_s: Annotated[float, span(0.0, 3600.0)] = 0.0  # time from which these links are broken
+
+
+class Assignment(Enum):
+    """Assignment of vehicles to robots."""
+
+    FIXED = "fixed"  # each vehicle lands on the robot of its own table
+    START = "start"  # the assignment with the smallest sum of horizontal distances from the starts

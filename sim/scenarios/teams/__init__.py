@@ -1,1 +1,0 @@
-"""Scenarios of several vehicles, one TOML file each."""
