@@ -1,26 +1,32 @@
-"""Command ``campaign``: many seeds of a scenario."""
+"""Commands that fly many times: ``campaign`` the seeds of a scenario, ``validate`` recorded set-points."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
+from rich.box import SIMPLE
 from rich.table import Column, Table
+from rich.text import Text
 
 from flightstack.common.options import Option, takes
 from flightstack.common.terminal import Bar, Terminal
+from flightstack.common.text import pip_install, without
 from flightstack.config import options as shared
 from flightstack.core.parameters.filters import short_name
+from sim.options import ValidateOptions
 
 if TYPE_CHECKING:
     from sim.campaign.run import Flown, Plan
 
 COMPLETE, INCOMPLETE, WRONG_INPUT = 0, 1, 2
+PASSED, FAILED = 0, 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,15 +74,13 @@ def campaign(options: CampaignOptions) -> None:
             wanted, folder, workers=options.workers or os.cpu_count() or 1, cluster=options.cluster,
             on_row=lambda row: bar.done(*kinds(row)),
         )  # fmt: skip
-    sys.exit(_print(console, wanted, folder, flown, as_json=options.as_json, with_report=options.with_report))
+    sys.exit(_print(console, wanted, folder, flown, options))
 
 
-def _print(
-    console: Terminal, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
-) -> int:
+def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options: CampaignOptions) -> int:
     """Write the report page, and print the table or JSON; return the exit status."""
     from sim.campaign.rows import failed_rows
-    from sim.campaign.run import PAGE, ROWS
+    from sim.campaign.run import PAGE, ROWS, write_page
     from sim.campaign.summary import apart
 
     if flown.missing:
@@ -87,17 +91,8 @@ def _print(
         )
     if flown.summary is None:
         return INCOMPLETE
-    if with_report:
-        from logs.report.page import ReportError
-
-        try:
-            from sim.campaign.run import write_page
-
-            write_page(folder / PAGE, wanted, flown)
-        except ReportError as error:  # the printed results are valid without a page
-            click.echo(f"flightstack: {error}", err=True)
-            with_report = False
-    if as_json:
+    page = _page(folder / PAGE, options, lambda path: write_page(path, wanted, flown))
+    if options.as_json:
         click.echo(json.dumps(flown.summary))
     else:
         console.print(_table(wanted, flown.summary))
@@ -106,12 +101,26 @@ def _print(
         for one in flown.summary["worst"]:
             console.print(f"{one['why']}\n  {one['command']}", soft_wrap=True)
         console.print(f"rows    {folder / ROWS}", soft_wrap=True)
-        if with_report:
-            console.print(f"report  {folder / PAGE}", soft_wrap=True)
+        if page is not None:
+            console.print(f"report  {page}", soft_wrap=True)
     if problem := failed_rows(flown.rows):
         click.echo(f"flightstack: {problem}", err=True)
         return WRONG_INPUT
     return INCOMPLETE if flown.missing else COMPLETE
+
+
+def _page(path: Path, options: shared.Result, write: Callable[[Path], None]) -> Path | None:
+    """Write a page and return its path; None if it is declined or fails: the printed results are valid."""
+    from logs.report.page import ReportError
+
+    if not options.with_report:
+        return None
+    try:
+        write(path)
+    except ReportError as error:
+        click.echo(f"flightstack: {error}", err=True)
+        return None
+    return path
 
 
 def _table(wanted: Plan, found: dict[str, Any]) -> Table:
@@ -122,3 +131,80 @@ def _table(wanted: Plan, found: dict[str, Any]) -> Table:
     for name, value, unit in lines(found):
         table.add_row(name, value, unit)
     return table
+
+
+@click.command()
+@takes(ValidateOptions)
+def validate(options: ValidateOptions) -> None:
+    """Compare the simulator with recorded flights in DIR (Parquet, CSV): plant, closed loop, state estimate.
+
+    Flights that cannot be used, or only in part, are listed with the reason (docs/how_to/validate.md).
+
+    Exit status: 0 all criteria are met, 1 a criterion is missed or no flight is usable, 2 wrong input.
+    """
+    from flightstack.onboard.recording import new_folder
+
+    try:
+        from sim.flights.recording import RecordingError, find_recordings
+        from sim.validation import run as core
+        from sim.validation.criteria import judge, reasons, summary
+    except ModuleNotFoundError as error:
+        text = f"`validate` needs {{}}: {pip_install('sim,export')}"
+        raise without(error, text, "pyarrow", "mujoco", "numba") from None
+
+    options = replace(options, vehicle=options.vehicle or core.VEHICLE)
+    console = Terminal(stderr=options.as_json)
+    try:
+        paths = find_recordings(options.folder)
+    except RecordingError as error:
+        console.print(str(error), soft_wrap=True)
+        paths = []
+    with Bar(console, f"flights of {options.folder}", len(paths)) as bar:
+        flights = core.run(
+            options, paths, options.workers or os.cpu_count() or 1,
+            on_flight=lambda one: bar.done("used" if one.used else "left out"),
+        )  # fmt: skip
+    found = summary(options, flights, judge(flights))
+    for flight in flights:
+        if flight.left_out:
+            what = "left out in part" if flight.used else "left out"
+            console.print(f"{flight.name}: {what}: {'; '.join(reasons(flight))}", soft_wrap=True)
+    folder = options.out or new_folder("validate")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "validate.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+    def write_page(path: Path) -> None:
+        from logs.report.page import write
+        from sim.validation.page import validation_page
+
+        write(path, validation_page(found))
+
+    page = _page(folder / "validate.html", options, write_page)
+    if options.as_json:
+        click.echo(json.dumps(found))
+    else:
+        _print_criteria(console, found)
+        if page is not None:
+            console.print(f"report  {page}", soft_wrap=True)
+    sys.exit(PASSED if found["passed"] else FAILED)
+
+
+def _print_criteria(console: Terminal, found: dict[str, Any]) -> None:
+    """Print the table of criteria and the causes."""
+    used = f"{found['used']} of {found['flights']} flights, {found['used_s']:.0f} s"
+    title = f"{used}, beside {found['vehicle']}"
+    table = Table(
+        "error", "limit", "found (95 %)", "", box=SIMPLE, pad_edge=False, title=title, title_justify="left"
+    )
+    for part in dict.fromkeys(one["part"] for one in found["criteria"]):
+        table.add_section()
+        table.add_row(Text(part, style="bold"))
+        for one in found["criteria"]:
+            if one["part"] == part:
+                mark = Text(one["word"], style="none" if one["met"] else "bold red")
+                table.add_row(one["text"], one["limit"], one["found"], mark)
+    if found["used"]:
+        console.print(table)
+    console.print("passed" if found["passed"] else "not passed")
+    for cause in found["causes"]:
+        console.print(f"  {cause}", soft_wrap=True)

@@ -6,14 +6,16 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import click
+from rich.text import Text
 
 from flightstack.common.options import Option, takes
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml
+from flightstack.common.terminal import Terminal
 from flightstack.common.text import labels
 from flightstack.config import load, names, path_of
 from flightstack.config import options as shared
@@ -58,8 +60,12 @@ def check(options: CheckOptions) -> None:
     if options.as_json:
         click.echo(json.dumps(_as_json(options.config, parts)))
     else:
+        console = Terminal()
         for part in parts:
-            _show(f"{options.config}{part.of}, filter {part.filter}", part.checks, options.every)
+            console.print(f"{options.config}{part.of}, filter {part.filter}", soft_wrap=True)
+            for result in part.checks:
+                if options.every or not result.proven:
+                    _show(console, result)
             for text in part.ignored:
                 click.echo(text)
         click.echo(_summary(parts) + ("" if options.every else "; --all shows each claim"))
@@ -176,46 +182,24 @@ def _as_json(name: str, parts: Sequence[Part]) -> dict[str, object]:
 
 def _row(result: Check) -> dict[str, object]:
     return {
-        "name": result.name,
-        "claim": result.claim,
+        **asdict(result),
         "proven": result.proven,
         "need": result.need.value,
         "room": result.room if math.isfinite(result.room) else None,
-        "unit": result.unit,
-        "worst": result.worst,
         "remedy": None if result.proven else result.remedy,
     }
 
 
-def _show(name: str, results: Sequence[Check], every: bool) -> None:
-    from rich.table import Column, Table
-    from rich.text import Text
-
-    from flightstack.common.terminal import Terminal
-
-    console = Terminal()
-    if every:
-        columns = [
-            Column(heading, overflow="fold") for heading in ("", "claim", "distance to limit", "worst point")
-        ]
-        columns[2].justify = "right"
-        table = Table(*columns, title=name, title_justify="left")
-        for result in results:
-            word, colour = _WORDS[result.proven, result.need.value]
-            room = "no bound" if math.isinf(result.room) else f"{result.room:.3g} {result.unit}".strip()
-            claim = f"{result.name}: {result.claim}"
-            table.add_row(Text(word, style=colour), Text(claim), Text(room), Text(result.worst))
-        console.print(table)
-    else:
-        console.print(Text(name), soft_wrap=True)
-    for result in (each for each in results if not each.proven):
-        word, colour = _WORDS[False, result.need.value]
-        console.print(Text.assemble((word, colour), f": {result.name}: {result.claim}"), soft_wrap=True)
-        missing = (
-            f"; short by {-result.room:.3g} {result.unit}".rstrip() if math.isfinite(result.room) else ""
-        )
-        console.print(Text(f"  worst point: {result.worst}{missing}"), soft_wrap=True)
-        console.print(Text(f"  remedy: {result.remedy}"), soft_wrap=True)
+def _show(console: Terminal, result: Check) -> None:
+    """Print a claim with its worst point, and the remedy if it is not proven."""
+    word, colour = _WORDS[result.proven, result.need.value]
+    console.print(Text.assemble((word, colour), f": {result.name}: {result.claim}"), soft_wrap=True)
+    room = f"{abs(result.room):.3g} {result.unit}".rstrip()
+    distance = f"; {'distance to limit' if result.proven else 'short by'} {room}"
+    worst = f"{result.worst}{distance if math.isfinite(result.room) else ''}"
+    console.print(f"  worst point: {worst}", soft_wrap=True)
+    if not result.proven:
+        console.print(f"  remedy: {result.remedy}", soft_wrap=True)
 
 
 _WORDS = {

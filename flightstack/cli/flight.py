@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -13,6 +15,10 @@ from flightstack.common.options import takes
 from flightstack.config.options import OnboardOptions
 from flightstack.launch.run_options import FlyOptions, RunOptions
 from sim.options import Px4SimOptions, TargetOptions, VehicleOptions, WorldOptions
+
+if TYPE_CHECKING:
+    from flightstack.common.terminal import Terminal
+    from flightstack.launch.result import Flown
 
 
 @click.command()
@@ -24,13 +30,9 @@ def sitl(options: RunOptions) -> None:
 
     Exit status: 0 landed, 1 flown but not landed, 2 wrong input, or your own code failed in flight.
     """
-    from flightstack.common.terminal import Terminal
-    from flightstack.launch.result import conclude
     from flightstack.launch.sitl import run
 
-    console = Terminal(stderr=options.as_json)
-    flown = run(options, console)
-    sys.exit(conclude(flown, console, as_json=options.as_json, with_report=options.with_report))
+    _concluded(run, options)
 
 
 @click.command()
@@ -43,12 +45,18 @@ def fly(options: FlyOptions) -> None:
 
     Exit status: 0 landed, 1 not landed, 2 wrong input, or your own code failed in flight.
     """
+    from flightstack.launch.fly import run
+
+    _concluded(run, options)
+
+
+def _concluded(run: Callable[[Any, Terminal], Flown], options: RunOptions | FlyOptions) -> NoReturn:
+    """Fly, judge the flight, print its result and exit with its status."""
     from flightstack.common.terminal import Terminal
-    from flightstack.launch import fly as launch
     from flightstack.launch.result import conclude
 
     console = Terminal(stderr=options.as_json)
-    flown = launch.run(options, console)
+    flown = run(options, console)
     sys.exit(conclude(flown, console, as_json=options.as_json, with_report=options.with_report))
 
 

@@ -196,7 +196,8 @@ def view(log_file: Path, save: Path | None, web: bool, member: str | None, force
         with new_file(save, force=force) as part:
             recording.save(part)
         click.echo(plain(f"{save}: open it with `rerun {save}`"))
-    _warn(recording.problem)
+    if problem := recording.problem:
+        click.echo(plain(f"flightstack: the log is broken; what can be read is shown: {problem}"), err=True)
     if save is None:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / f"{log_file.stem}.rrd"
@@ -205,9 +206,4 @@ def view(log_file: Path, save: Path | None, web: bool, member: str | None, force
                 raise ValueError(
                     "Rerun did not open; without a display use --web, or --save and another machine"
                 )
-    sys.exit(BROKEN if recording.problem else DONE)
-
-
-def _warn(problem: str) -> None:
-    if problem:
-        click.echo(plain(f"flightstack: the log is broken; what can be read is shown: {problem}"), err=True)
+    sys.exit(BROKEN if problem else DONE)

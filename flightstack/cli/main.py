@@ -35,7 +35,7 @@ GROUPS = {
     "Fly": {
         "sitl": Verb("flight:sitl", "Fly a scenario in software, with everything it needs."),
         "fly": Verb("flight:fly", "Fly a real vehicle onto a real target."),
-        "preflight": Verb("preflight:preflight", "Check the vehicle's safety parameters."),
+        "preflight": Verb("real:preflight", "Check the vehicle's safety parameters."),
         "onboard": Verb("flight:onboard", "Run the onboard process alone."),
         "world": Verb("flight:world", "Run the simulated vehicles and robots."),
         "vehicle": Verb("flight:vehicle", "Run the simulated Crazyflie alone."),
@@ -48,7 +48,7 @@ GROUPS = {
         "check": Verb("check:check", "Prove a configuration before flight."),
         "campaign": Verb("campaign:campaign", "Fly many seeds; give rates with bounds."),
         "replay": Verb("replay:replay", "Run a log through today's controller."),
-        "validate": Verb("validate:validate", "Compare the simulator with recorded flights."),
+        "validate": Verb("campaign:validate", "Compare the simulator with recorded flights."),
         "identify": Verb("logs:identify", "Identify velocity loop and noise from logs."),
     },
     "Logs": {
@@ -60,7 +60,7 @@ GROUPS = {
     },
     "Real things": {
         "config": Verb("prepare:config", "List the configurations, or print one."),
-        "bridge": Verb("bridge:bridge", "Connect a Crazyflie or motion capture."),
+        "bridge": Verb("real:bridge", "Connect a Crazyflie or motion capture."),
         "px4-sim": Verb("flight:px4_sim", "Simulate the vehicle for PX4's autopilot."),
         "router": Verb("prepare:router", "Run a Zenoh router."),
         "key": Verb("prepare:key", "Make a MAVLink signing key."),

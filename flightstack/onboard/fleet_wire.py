@@ -135,10 +135,7 @@ class OtherClock:
         return self._ahead.grown_ns(now_ns) if self._ahead is not None else None
 
     def offset(self, now_ns: int) -> Offset | None:
-        """Return this clock minus the other clock; None until both directions are known.
-
-        ``now_ns``: time on this process's clock.
-        """
+        """Return this clock minus the other clock; None until both directions are known."""
         if self._ahead is None or self._echo is None:
             return None
         ahead_ns, echo_ns = self._ahead.grown_ns(now_ns), self._echo.grown_ns(now_ns)
@@ -174,12 +171,7 @@ class _Member:
 
 
 class FleetWire(NoFleet):
-    """Sender of this vehicle's messages, and receiver of those of the other members.
-
-    ``session``: open Zenoh session, which the caller closes; ``namespace``: first part of the key of this
-    vehicle; ``fleet``: table of the configuration.
-    Raises ValueError: the namespace is not valid in a key.
-    """
+    """Sender of this vehicle's messages, and receiver of those of the other members."""
 
     def __init__(self, session: zenoh_link.Session, namespace: str, fleet: Fleet) -> None:
         self._fleet = fleet

@@ -46,10 +46,7 @@ _LENGTH = struct.Struct("<I")
 
 
 class VehicleTicks:
-    """Ticks that the vehicle requests by TIMESYNC.
-
-    ``stopped``: returns whether to stop waiting; the default does not wait for a missing request.
-    """
+    """Ticks that the vehicle requests by TIMESYNC; by default, a missing request is not waited for."""
 
     def __init__(
         self, vehicle: LinkedVehicle, rate_hz: int, stopped: Callable[[], bool] = lambda: True
@@ -62,7 +59,7 @@ class VehicleTicks:
         self._last_ns = sim_ns
 
     def wait(self) -> Tick:
-        """Wait for the vehicle's request, in bounded wall time. Raises ClockStoppedError: no request."""
+        """Wait for the vehicle's request, in bounded wall time."""
         link = self._vehicle.link
         first, silence = self._last_ns < 0, None
         most_s, due_s = (FIRST_WAIT_MAX_S, SAID_S) if first else (LOST_RUN_MAX_S, math.inf)
@@ -86,21 +83,14 @@ class VehicleTicks:
                 )
             if waited_s > due_s:
                 due_s = math.inf
+                text = "onboard: waits for the vehicle to request its first tick"
                 with contextlib.suppress(OSError):  # standard error may be closed
-                    print(
-                        "onboard: waits for the vehicle to request its first tick",
-                        file=sys.stderr,
-                        flush=True,
-                    )
+                    print(text, file=sys.stderr, flush=True)
             link.endpoint.wait(WAIT_SLICE_S)
 
 
 class LockstepWires:
-    """Clock and source of target samples: a tick starts when vehicle and target have both reached it.
-
-    ``odometry``: samples of the target; ``session``: session that receives the number of samples of each
-    tick; ``fleet``: messages of the other vehicles.
-    """
+    """Clock and target in lockstep: a tick starts when vehicle, target and fleet have all reached it."""
 
     def __init__(
         self,
@@ -126,10 +116,7 @@ class LockstepWires:
         self._target_gone = False
 
     def wait(self) -> Tick:
-        """Wait for the vehicle, then for target and fleet messages, each in bounded wall time.
-
-        Raises ClockStoppedError: the vehicle requests no tick, or the process has to end.
-        """
+        """Wait for the vehicle, then for target and fleet messages, each in bounded wall time."""
         try:
             tick = self._ticks.wait()
         except ClockStoppedError:
@@ -189,8 +176,6 @@ class LockstepWords(NoFleet):
     The vehicles' simulator receives the messages of all members and distributes them tick by tick, so that
     their order does not depend on wall time. This class replaces ``FleetWire``, which needs real time. No
     other process has this vehicle's id, because the launcher starts one process per vehicle.
-
-    ``session``: the caller closes it; ``namespace``: first part of the keys of this vehicle.
     """
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:

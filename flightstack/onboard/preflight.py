@@ -30,9 +30,7 @@ def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
 def line_plan(baud: int | None, config: FlightConfig, *, signed: bool) -> LinePlan:
     """Return the message rates with which a flight of this configuration does not overload a serial line.
 
-    ``baud``: rate of a serial line, None for other links; ``config``: configuration to fly; ``signed``:
-    whether MAVLink is signed.
-    Raises LineTooSlowError: the messages do not fit.
+    ``baud``: rate of a serial line, None for other links; ``signed``: whether MAVLink is signed.
     """
     return plan(baud, config.loop.rate_hz, config.checks.own_age_max_s, signed=signed)
 
@@ -51,11 +49,7 @@ def check(
 ) -> Report:
     """Request the vehicle's parameters and check them.
 
-    ``endpoint``: connection to the vehicle; ``config``: configuration to fly; ``autopilot``: name of a
-    profile, or ``auto``; ``wait_s``: longest wait for the first heartbeat; ``accept_release``: check an
-    unknown release with the nearest rules; ``stopped``: returns whether to stop; ``say``: receives a sentence
-    every two seconds about what the check waits for; ``senders``: record the vehicle's address. Raises
-    ValueError: there is no such autopilot.
+    ``autopilot``: name of a profile, or ``auto``; the others are those of ``examine``.
     """
     accepted = config.vehicle.accepted_parameters
     try:
@@ -79,8 +73,8 @@ def check(
     return replace(report, line=f"serial line, {endpoint.baud} baud: {line.text}; {measured}")
 
 
-def lines(report: Report) -> Iterator[str]:
-    """Yield the lines of the report for the operator."""
+def lines(report: Report, *, every: bool = False) -> Iterator[str]:
+    """Yield the lines of the report for the operator; ``every``: also the parameters that are safe."""
     if report.profile is not None:
         own = "imitates PX4 " if report.profile is OWN_SITL else ""
         version = f", {own}release {report.version or 'unknown'}"
@@ -89,11 +83,12 @@ def lines(report: Report) -> Iterator[str]:
         yield f"preflight: {report.line}"
     for note in report.notes:
         yield f"preflight: note: {note}"
-    if report.problem is not None:
+    if report.problem is not None and not every:
         yield f"preflight: {report.problem}"
-    for level in _SHOWN:
+    for level in (*_SHOWN, *([Level.OK] if every else [])):
         for finding in report.findings:
-            if finding.level is level and not (level is Level.NOTE and report.profile is OWN_SITL):
+            hidden = level is Level.NOTE and report.profile is OWN_SITL and not every
+            if finding.level is level and not hidden:
                 yield f"preflight: {level.value}: {finding.text}"
 
 
@@ -115,10 +110,9 @@ def record(report: Report) -> dict[str, str]:
     found = {
         f.name: f"{'missing' if f.value is None else repr(f.value)} {f.level.value}" for f in report.findings
     }
-    name = report.profile.name if report.profile is not None else "none"
     line = {"line": report.line} if report.line is not None else {}
     return {
-        "profile": name,
+        "profile": report.profile.name if report.profile is not None else "none",
         "version": report.version or "",
         "rules": report.rules or "",
         "notes": "; ".join(report.notes),

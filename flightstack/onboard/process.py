@@ -125,11 +125,12 @@ class Onboard:
             self._foreign_due = 2 * link.counters.foreign
         notices = (*link.endpoint.take_notices(), *link.senders.take_notices())
         for text in (*notices, *self.wires.texts(tick.now_s), *self.fleet.texts()):
-            _warn(text)
-            self.log.event(tick.unix_ns, WARN, text)
+            self.warn(text, tick.unix_ns)
         memory = self.controller.memory
         report = self.waiting.step(out, memory, len(arrived.messages), arrived.problems, tick.now_s)
-        if report is not None and not self.options.lockstep:
+        if self.options.lockstep:  # the report depends on wall time
+            report = None
+        if report is not None:
             self.log.event(tick.unix_ns, WARN, report)
         row = self.log.step(tick, taken, out, self.controller)
         self.log.timing(tick, out, exec_s, self.feed.dropped)
@@ -141,7 +142,7 @@ class Onboard:
         self.wires.show(tick, out, row, health)
         if out.transition is not None and out.transition.after is not out.transition.before:
             self.say(out.transition.timed_text(tick.now_s) + self.cause)
-        if report is not None and not self.options.lockstep:
+        if report is not None:
             self.say(f"{tick.now_s:8.2f} s  {report}")
 
     def _describe(self) -> None:
@@ -166,48 +167,37 @@ class Onboard:
             },
         )
 
-    def _line_use(self) -> str:
-        """Return a text about the use of the serial line."""
-        counters, took_s = self.link.endpoint.counters, time.monotonic() - self.opened_s
-        return (
-            f"serial line in {took_s:.1f} s: {counters.bytes_in / took_s:.0f} B/s in, "
-            f"{counters.bytes_out / took_s:.0f} B/s out, {counters.garbage_bytes} bytes in no frame, "
-            f"lost {counters.connections_lost} times"
-        )
+    def warn(self, text: str, unix_ns: int | None = None, level: int = WARN) -> None:
+        """Print and log a warning."""
+        print(f"onboard: WARNING: {text}", file=sys.stderr)
+        self.log.event(time.time_ns() if unix_ns is None else unix_ns, level, text)
 
     def failed(self, text: str) -> None:
         """Print and log an exception that ended the flight."""
-        _warn(text)
-        self.log.event(time.time_ns(), ERROR, text)
+        self.warn(text, level=ERROR)
 
     def close(self) -> None:
         """Close all links; the feed informs the recorder of its end."""
-        dropped = self.link.endpoint.counters.dropped()
-        if dropped:
+        counters, took_s = self.link.endpoint.counters, time.monotonic() - self.opened_s
+        if dropped := counters.dropped():
             print(f"onboard: MAVLink frames rejected: {dropped}", file=sys.stderr)
         if self.link.endpoint.baud is not None:
-            print(f"onboard: {self._line_use()}", file=sys.stderr)
+            print(
+                f"onboard: serial line in {took_s:.1f} s: {counters.bytes_in / took_s:.0f} B/s in, "
+                f"{counters.bytes_out / took_s:.0f} B/s out, {counters.garbage_bytes} bytes in no frame, "
+                f"lost {counters.connections_lost} times",
+                file=sys.stderr,
+            )
         # the fleet is first: in lockstep other members wait for its last message
         for end in (self.fleet.close, self.log.end, self.feed.close, self.link.close, self.wires.close):
             try:
                 end()
             except Exception as error:  # the other links must be closed, too
-                _warn(f"not closed in order: {error!r}")
-
-
-def _warn(text: str) -> None:
-    """Print a warning to standard error."""
-    print(f"onboard: WARNING: {text}", file=sys.stderr)
+                print(f"onboard: WARNING: not closed in order: {error!r}", file=sys.stderr)
 
 
 def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None] = print) -> Ended:
-    """Fly until the vehicle has landed, the flight is aborted, the operator ends it, or its time is over.
-
-    Raises ConfigError: the configuration must not fly; ValueError: a URL, endpoint or key is not valid, a
-    network has no key, a speed is not possible with a real vehicle or in lockstep, or compiled code is not
-    possible; OSError: an address or file cannot be opened; LaunchError: the process's own recorder did not
-    start.
-    """
+    """Fly until the vehicle has landed, the flight is aborted, the operator ends it, or its time is over."""
     _check_speed(options)
     chosen_clock(options.speed, options.clock, Follower.ONBOARD, lockstep=options.lockstep)
     found = problems(config)
@@ -230,7 +220,7 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
         say("ready")
         sys.stdout.flush()
         if not options.lockstep:  # only the simulator uses lockstep, and its parameters are known
-            ended = _preflight(onboard, signals, say)
+            ended = _preflight(onboard, signals)
             if ended is not None:
                 return ended
         quiet_garbage_collector()
@@ -269,42 +259,32 @@ def _fleet(
     return FleetWire(session, namespace, config.fleet)
 
 
-def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended | None:
-    """Return why the flight must not start (vehicle not ready, or id used twice); None: it may start.
-
-    The frames of the check of the autopilot's parameters are not logged.
-    """
+def _preflight(onboard: Onboard, signals: Signals) -> Ended | None:
+    """Return why the flight must not start (vehicle not ready, or id used twice); None: it may start."""
     options, endpoint, senders = onboard.options, onboard.link.endpoint, onboard.link.senders
     wait_s = onboard.config.checks.wait_time_max_s
     if options.duration_s is not None:
         wait_s = min(wait_s, options.duration_s)
-    tap, endpoint.tap = endpoint.tap, None
+    tap, endpoint.tap = endpoint.tap, None  # the frames of the check are not logged
 
     def tell(text: str) -> None:
-        say(f"preflight: {text}")
+        onboard.say(f"preflight: {text}")
         onboard.log.event(time.time_ns(), WARN, f"preflight: {text}")
 
     report = preflight.check(
-        endpoint,
-        onboard.config,
-        options.autopilot,
-        options.system_id,
-        wait_s=wait_s,
-        accept_release=options.accept_release,
+        endpoint, onboard.config, options.autopilot, options.system_id, wait_s=wait_s,
+        accept_release=options.accept_release, say=tell, senders=senders,
         stopped=lambda: signals.stop or signals.operator is not Operator.NONE,
-        say=tell,
-        senders=senders,
-    )
+    )  # fmt: skip
     endpoint.tap = tap
     senders.begin(0.0)
     for notice in (*endpoint.take_notices(), *senders.take_notices()):
-        _warn(notice)
-        onboard.log.event(time.time_ns(), WARN, notice)
+        onboard.warn(notice)
     onboard.feed.metadata(onboard.names.record("preflight"), preflight.record(report))
     if report.profile is not None and onboard.link.state.profile is None:
         onboard.link.adopt(report.profile)
     for line in preflight.lines(report):
-        say(line)
+        onboard.say(line)
     if signals.operator is Operator.EMERGENCY_STOP:
         return None  # the ticks send the emergency stop without a pre-flight check
     problem = preflight.verdict(report) or onboard.fleet.namesake()

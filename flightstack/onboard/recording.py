@@ -30,10 +30,7 @@ _NO_NAME = re.compile(r"[^\w.=+@-]|\.\.")  # not allowed in folder names, which 
 
 
 def new_folder(name: str) -> Path:
-    """Make a folder in ``runs`` for the files of a flight; separators and control characters become "_".
-
-    Raises ConfigError: too many folders of this name and second exist.
-    """
+    """Make a folder in ``runs`` for the files of a flight; separators and control characters become "_"."""
     base = f"{datetime.now().strftime('%Y%m%d-%H%M%S')}-{_NO_NAME.sub('_', name)[:100]}"
     for number in range(1000):
         folder = Path("runs") / (f"{base}-{number}" if number else base)
@@ -46,10 +43,7 @@ def new_folder(name: str) -> Path:
 
 
 def log_in(folder: Path) -> Path:
-    """Return the path of a new log in a folder; the folder is made if it is missing.
-
-    Raises ConfigError: the folder contains a log already.
-    """
+    """Return the path of a new log in a folder; the folder is made if it is missing."""
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / LOG
     if log.exists():
@@ -58,10 +52,7 @@ def log_in(folder: Path) -> Path:
 
 
 def start_recorder(socket: Path, log: Path) -> Child:
-    """Start a recorder and wait until it listens; it reports errors in a file beside the log.
-
-    Raises LaunchError: the recorder did not start.
-    """
+    """Start a recorder and wait until it listens; it reports errors in a file beside the log."""
     recorder = Child("record", ["record", "--socket", str(socket), "--out", str(log)], log.parent)
     recorder.wait_ready()
     return recorder
@@ -76,10 +67,7 @@ def end_recorder(recorder: Child) -> str | None:
 
 @contextmanager
 def own_recorder(flight: Described) -> Iterator[tuple[Path, Path]]:
-    """Record a log in a new folder of ``runs``; yield socket and log, and warn of an incomplete log.
-
-    Raises LaunchError: the recorder did not start.
-    """
+    """Record a log in a new folder of ``runs``; yield socket and log, and warn of an incomplete log."""
     sockets = socket_folder()
     try:
         socket, log = sockets / "recorder", log_in(new_folder("onboard"))
@@ -111,9 +99,7 @@ def describe(
 ) -> None:
     """Write the metadata with which the log can be read and replayed, except those of the onboard process.
 
-    ``recorder``: socket of the recorder; ``fleet``: metadata of all flights; ``attachments``: files (TOML) by
-    name.
-    Raises FeedError: no recorder listens.
+    ``fleet``: metadata of all flights; ``attachments``: files (TOML) by name.
     """
     feed = Feed.connect(str(recorder), "launcher", lossless=True)
     feed.metadata(FLEET, {"members": ",".join(flight.names.member for flight in flights), **fleet})

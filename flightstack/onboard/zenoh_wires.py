@@ -43,11 +43,7 @@ _DERIVED = {
 
 
 class ZenohWires:
-    """Owner of the Zenoh sessions.
-
-    Raises ValueError: an endpoint, key, topic, domain or configuration is not valid; ZenohLinkError: a
-    session cannot be opened.
-    """
+    """Owner of the Zenoh sessions."""
 
     def __init__(self, config: FlightConfig, options: OnboardOptions, namespace: str) -> None:
         self.target = target = TargetSpec.parse(
@@ -84,18 +80,15 @@ class ZenohWires:
         ]
 
     def texts(self, now_s: float) -> list[str]:
-        """Return the texts for the operator since the last call.
-
-        In lockstep they do not contain the connection alarms, which depend on wall time.
-        """
+        """Return the texts for the operator since the last call."""
         texts, self._texts = self._texts + self.odometry.take_problems(), []
-        if not self._lockstep:
+        if not self._lockstep:  # the connection alarms depend on wall time
             for alarm in self._alarms:
                 texts += alarm.poll(now_s)
         return texts
 
     def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
-        """Publish a tick to ROS 2 if that is configured; the arguments are those of ``LiveRos2.show``."""
+        """Publish a tick to ROS 2 if that is configured."""
         if self._shown is not None:
             self._shown.show(tick, out, step, health)
 
@@ -111,9 +104,7 @@ class ZenohWires:
 class LiveRos2:
     """Publisher of one flight to ROS 2; its errors do not affect the flight.
 
-    ``session``: session that reaches the ROS 2 nodes; the caller closes it; ``domain``: their ROS_DOMAIN_ID;
-    ``namespace``: first part of the topics; ``rate_hz``: rate of the ticks.
-    Raises ValueError: a namespace or domain that ROS 2 does not allow.
+    ``session``: session that reaches the ROS 2 nodes; the caller closes it; ``domain``: their ROS_DOMAIN_ID.
     """
 
     def __init__(self, session: zenoh_link.Session, domain: int, namespace: str, rate_hz: int) -> None:
@@ -130,11 +121,7 @@ class LiveRos2:
         self._every = max(1, round(rate_hz / PLAIN_HZ))
 
     def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
-        """Publish the data that is due in this tick.
-
-        ``out``: outputs of the tick; ``step``: the same outputs as a row of the log; ``health``: serialised
-        health, if it is due.
-        """
+        """Publish the data that is due in this tick; ``step``: ``out`` as a row of the log."""
         now_ns = tick.unix_ns
         for topic, _, payload in self._derive.step(now_ns, step):
             publisher = self._derived.get(topic)

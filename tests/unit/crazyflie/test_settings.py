@@ -6,7 +6,7 @@ import pytest
 
 from bridge.crazyflie.packets import SetParam
 from bridge.crazyflie.rules import DRAG, ECHO_MAX_S, UNKNOWN_DRAG, Rules
-from flightstack.cli.bridge import _drag_1_s
+from flightstack.cli.real import _drag_1_s
 from flightstack.common.strict_toml import ConfigError
 from tests.crazyflie_firmware.bench import Bench
 from tests.crazyflie_firmware.firmware import Firmware

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.parameters import INT32
 from bridge.mavlink.server.profile import EVERY_TICK, FlightMode
-from flightstack.cli.bridge import bridge
+from flightstack.cli.real import bridge
 from sim.autopilot.autopilot import px4_parameters
 from sim.autopilot.flight import STREAM_LOST
 from sim.autopilot.telemetry import PX4

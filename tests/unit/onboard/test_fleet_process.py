@@ -135,11 +135,11 @@ def test_the_start_is_refused_while_another_process_is_the_same_vehicle(onboard,
     other.say(word(3, 0.0))
     wait_for(onboard.fleet.namesake)
     monkeypatch.setattr(process.preflight, "check", lambda *_, **__: Report(None, None, (), None))
-    ended = process._preflight(onboard, nobody(), str)
+    ended = process._preflight(onboard, nobody())
     assert (ended.phase, ended.exit_code) == (Phase.WAIT, 1)
     assert "another process has the vehicle id 3" in ended.reason
     stopping = SimpleNamespace(operator=Operator.EMERGENCY_STOP, stop=False)
-    assert process._preflight(onboard, stopping, str) is None
+    assert process._preflight(onboard, stopping) is None
 
 
 def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard, other):

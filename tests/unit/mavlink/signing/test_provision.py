@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.preflight.examine import provision
 from bridge.mavlink.signing import load_key, make_key
-from flightstack.cli.preflight import preflight
+from flightstack.cli.real import preflight
 
 
 class Vehicle:

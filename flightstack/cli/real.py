@@ -1,4 +1,4 @@
-"""Command ``preflight``: checks the vehicle's parameters for a flight, and never changes one."""
+"""Commands for real vehicles: ``preflight`` checks parameters and changes none, ``bridge ...`` connects."""
 
 from __future__ import annotations
 
@@ -6,27 +6,26 @@ import json
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
-from rich.table import Column, Table
-from rich.text import Text
 
+from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.mavlink.endpoint import open_endpoint
 from bridge.mavlink.preflight.examine import Report, provision
-from bridge.mavlink.preflight.table import Level
 from bridge.mavlink.signing import load_key
+from bridge.mocap.checks import MocapOptions
+from flightstack.common.hangup import say
 from flightstack.common.options import Option, takes
-from flightstack.common.terminal import Terminal
+from flightstack.common.text import plain
 from flightstack.config import load
 from flightstack.config import options as shared
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.onboard import preflight as checks
 
-_STYLE = {
-    Level.OK: "green", Level.INFO: "cyan", Level.NOTE: "yellow", Level.UNSAFE: "bold red",
-    Level.ACCEPTED: "magenta",
-}  # fmt: skip
+if TYPE_CHECKING:
+    from flightstack.core.types import Vec3
+
 _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # configuration if none is given
 
@@ -76,30 +75,23 @@ def preflight(options: PreflightOptions) -> None:
     if options.as_json:
         click.echo(json.dumps(to_json(report)))
     else:
-        _print(report)
+        for line in (*checks.lines(report, every=True), checks.verdict(report) or "may arm"):
+            click.echo(plain(line))
     sys.exit(0 if report.safe else 1)
 
 
 def _set_up_signing(options: PreflightOptions) -> None:
-    """Set the vehicle's signing key, or remove it and exit.
-
-    Raises click.UsageError: no key is given, or both options are given.
-    """
-    remove = options.remove_signing
-    if options.signing_key is None or options.provision_signing == remove:
+    """Set the vehicle's signing key, or remove it and exit."""
+    remove, file = options.remove_signing, options.signing_key
+    if file is None or options.provision_signing == remove:
         raise click.UsageError(
             "--provision-signing or --remove-signing, one of them, needs --signing-key FILE"
         )
-    key = load_key(options.signing_key)
-    problem = provision(options.vehicle_url, options.system_id, key, remove=remove, wait_s=options.wait_s)
-    if problem is not None:
-        print(f"preflight: signing: {problem}", file=sys.stderr)
-    elif remove:
-        print("preflight: signing: the vehicle no longer signs", file=sys.stderr)
-    else:
-        print(
-            f"preflight: signing: the vehicle signs, with the key of {options.signing_key}", file=sys.stderr
-        )
+    problem = provision(
+        options.vehicle_url, options.system_id, load_key(file), remove=remove, wait_s=options.wait_s
+    )
+    done = "no longer signs" if remove else f"signs, with the key of {file}"
+    print(f"preflight: signing: {problem or f'the vehicle {done}'}", file=sys.stderr)
     if problem is not None or remove:
         sys.exit(0 if problem is None else 1)
 
@@ -118,18 +110,61 @@ def to_json(report: Report) -> dict[str, Any]:
     }
 
 
-def _print(report: Report) -> None:
-    console = Terminal()
-    if report.profile is not None:
-        title = f"{report.profile.title}, release {report.version or 'unknown'}"
-        columns = (Column(name, overflow="fold") for name in ("parameter", "value", "is", "wanted", "why"))
-        table = Table(*columns, title=title, title_justify="left")
-        for finding in report.findings:
-            level = Text(finding.level.value, style=_STYLE[finding.level])
-            table.add_row(finding.name, finding.shown, level, finding.wanted, finding.why)
-        console.print(table)
-    for note in report.notes:
-        console.print(f"note: {note}", soft_wrap=True)
-    if report.line is not None:
-        console.print(report.line, soft_wrap=True)
-    console.print(checks.verdict(report) or "may arm", soft_wrap=True)
+@click.group()
+def bridge() -> None:
+    """Connect a stock Crazyflie as a MAVLink vehicle, or send motion-capture poses to a vehicle."""
+
+
+@bridge.command()
+@takes(CrazyflieOptions)
+def crazyflie(options: CrazyflieOptions) -> None:
+    """Run a stock Crazyflie as a MAVLink vehicle with PX4's modes (docs/how_to/crazyflie.md).
+
+    Ctrl-C, or closing the terminal, lands a flying Crazyflie before the bridge ends. A second Ctrl-C ends the
+    bridge immediately, which stops the motors.
+    """
+    from bridge.crazyflie import process
+
+    drag_1_s = _drag_1_s(options.airframe)
+    if options.mocap_key is None:
+        sys.exit(process.run(options, drag_1_s, say=say))
+
+    from bridge.mocap.checks import PoseChecks
+    from bridge.mocap.process import MocapSource, limits, parse_spec, summary
+    from bridge.zenoh import zenoh_link
+
+    process.check_uri(options.uri)
+    spec = parse_spec(options.mocap_key, options.pose_type, options.ros_domain)
+    session = zenoh_link.open_session(
+        options.listen, options.connect, config_file=options.zenoh_config, prompt=True
+    )
+    try:
+        poses = MocapSource(session, spec, PoseChecks(limits(options)), options.offset_flu_m)
+        status = process.run(options, drag_1_s, poses, say)
+        say(summary(poses.checks))
+    finally:
+        session.close()
+    sys.exit(status)
+
+
+def _drag_1_s(airframe: str) -> Vec3 | None:
+    """Return the ratio of rotor drag to mass along the body axes, 1/s.
+
+    Raises ConfigError: there is no such vehicle file, or one of its keys is wrong.
+    """
+    if airframe == "none":
+        return None
+    from sim.plant.params import load
+
+    body = load(airframe).body
+    x, y, z = body.drag_n_s_m
+    return (x / body.mass_kg, y / body.mass_kg, z / body.mass_kg)
+
+
+@bridge.command()
+@takes(MocapOptions)
+def mocap(options: MocapOptions) -> None:
+    """Check motion-capture poses and send them to a PX4 or ArduPilot vehicle (docs/how_to/mocap.md)."""
+    from bridge.mocap import process
+
+    sys.exit(process.run(options, say))
