@@ -159,7 +159,7 @@ def test_a_package_of_another_project_with_the_same_name_is_named(name, tmp_path
         "import sys; sys.meta_path[:] = [f for f in sys.meta_path if '__editable__' not in f.__module__]\n"
         f"sys.path[:0] = [{str(tmp_path)!r}]; sys.path.append({str(ROOT)!r})\n"
         "from flightstack.cli.main import main\n"
-        "main(dict(logs=['log', 'info', 'x'], sim=['scenarios'])[sys.argv[1]])"
+        "main(dict(logs=['log', 'verdict', 'x'], sim=['scenarios'])[sys.argv[1]])"
     )
     done = subprocess.run([sys.executable, "-P", "-c", program, name], capture_output=True, text=True)
     assert done.returncode == 2, done.stderr
