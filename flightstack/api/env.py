@@ -109,8 +109,8 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         flown = int(self.np_random.integers(2**31)) if seed is None else whole("seed", seed)
         controller = Controller(self.scenario.onboard)
         controller.strategy.ask, controller.strategy.exchange.agent = self._ask, True
-        assert isinstance(controller.program, SafetyFilter)
-        controller.program.enforces = self._enforces
+        assert isinstance(controller.velocity.program, SafetyFilter)
+        controller.velocity.program.enforces = self._enforces
         flights = Flights(self.scenario, flown, controller=controller)
         (self._companion,) = flights.members
         self._flight = greenlet(flights.fly)

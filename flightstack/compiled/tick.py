@@ -1,4 +1,4 @@
-"""Controller whose ordinary landing ticks are compiled from the source of ``LandingKernel.land``.
+"""Controller whose ordinary landing ticks are compiled from the source of ``Controller.land``.
 
 Its set-points, states and log rows equal those of plain Python to the last bit; a replay in plain Python
 verifies this for each flight. All other ticks run in Python. Nothing is compiled in flight.
@@ -18,9 +18,7 @@ from flightstack.compiled.foreign import call, doubles, whole
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.objects import Objects
 from flightstack.compiled.records import F64, I64
-from flightstack.core.controller import Controller, Outputs
-from flightstack.core.fleet.precedence import ALONE
-from flightstack.core.kernel import Landing, LandingKernel
+from flightstack.core.controller import Controller, Landing, Outputs
 from flightstack.core.memory import Memory, State
 from flightstack.core.mission.conditions import lasting_flags
 from flightstack.core.mission.phases import TABLE
@@ -30,7 +28,6 @@ from flightstack.core.safety.osqp import Osqp, calls
 from flightstack.core.snapshot import FUTURE_MAX_S, Snapshot
 from flightstack.core.target.track import Verdict
 from flightstack.core.types import (
-    Charge,
     Inputs,
     Operator,
     OwnState,
@@ -70,7 +67,7 @@ STAND_INS[Osqp.solve] = _solve
 
 
 @jitted
-def take(kernel: LandingKernel, row: F64, arrival_s: float) -> None:
+def take(kernel: Controller, row: F64, arrival_s: float) -> None:
     """Pass a sample of the target to the kernel.
 
     ``row``: stamp, position, velocity, yaw, yaw rate of the sample.
@@ -86,7 +83,7 @@ def take(kernel: LandingKernel, row: F64, arrival_s: float) -> None:
 
 
 @jitted
-def _landed(kernel: LandingKernel, given: F64, rules: I64) -> tuple[Landing, float]:
+def _landed(kernel: Controller, given: F64, rules: I64) -> tuple[Landing, float]:
     """Pass the samples to the kernel and run a tick; return its result and the thrust reserve."""
     if given[0] == _NONE:
         raise NotOrdinary
@@ -97,9 +94,7 @@ def _landed(kernel: LandingKernel, given: F64, rules: I64) -> tuple[Landing, flo
     own = OwnState(
         given[3], given[4], (given[5], given[6], given[7]), (given[8], given[9], given[10]), given[11]
     )
-    landing = kernel.land(own, int(given[2]), rules, given[1])
-    estimate = kernel.reserve_estimate
-    return landing, estimate.reserve if kernel._has_reserve and estimate is not None else math.nan
+    return kernel.land(own, int(given[2]), rules, given[1]), kernel.reserve.reserve
 
 
 class CompiledController(Controller):
@@ -162,9 +157,9 @@ class CompiledController(Controller):
             for each in samples
         ):
             return None
-        estimate, objects, given = self.reserve_estimate, self._objects, self._given
-        if estimate is not None and estimate.receive(inputs.power, standing=False):
-            objects.write_one(estimate.reported)
+        reserve, objects, given = self.reserve, self._objects, self._given
+        if reserve.active and reserve.receive(inputs.power, standing=False):
+            objects.write_one(reserve.reported)
         _OWN.pack_into(
             given.data, 0, len(samples), now_s, self._lasting, own.arrival_s, own.source_time_s,
             *own.position_enu_m, *own.velocity_enu_m_s, own.yaw_rad,
@@ -177,14 +172,14 @@ class CompiledController(Controller):
         objects.spare[:] = objects.state
         began_s = time.perf_counter()
         try:
-            landing, reserve = self._landed(self._handle, given, RULES[self._memory.phase])
+            landing, reserve_ratio = self._landed(self._handle, given, RULES[self._memory.phase])
         except NotOrdinary:
             objects.state[:] = objects.spare
             return None
         took_s = time.perf_counter() - began_s
         self._behind = True
         self._accepted += len(samples)
-        return self._outputs(inputs, landing, reserve, took_s)
+        return self._outputs(inputs, landing, reserve_ratio, took_s)
 
     def _holds(self, status: VehicleStatus) -> bool:
         """Whether compiled memory holds the state, and the tick may be ordinary with this status."""
@@ -205,14 +200,14 @@ class CompiledController(Controller):
         result = barriers.result
         if result.iterations:
             barriers = barriers._replace(result=result._replace(solve_s=took_s))
-        verdict, approved = self._gate.check(
+        verdict, approved = self.velocity.gate.check(
             wanted, setpoint, memory.yaw_rad or 0.0,
             own_fresh=True, target_fresh=True, altitude_m=at.own.position_enu_m[2], barrier_check=None,
         )  # fmt: skip
         known = Inputs(
             at.own, inputs.status, inputs.target_samples, inputs.operator, inputs.power, inputs.neighbours
         )
-        snapshot = Snapshot(known, at.target, True, True, True, at.e_m, True, Charge.FIT, ALONE)
+        snapshot = Snapshot(known, at.target, True, True, True, at)
         return Outputs(
             memory.phase, Request.EXTERNAL, approved, verdict, snapshot, barriers, wanted, None, (), False,
             self._accepted, self.track.memory.rejected, reserve,

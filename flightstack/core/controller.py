@@ -1,10 +1,8 @@
 """One tick of the flight stack: ``step(inputs, now) -> outputs`` without I/O, clock or randomness.
 
-newest inputs -> mission machine -> position loop (u') -> CBF program (u*) -> lag correction -> gate
-
-``Controller`` inherits the parts of an ordinary tick from ``LandingKernel`` (``kernel.py``). Live flight,
-lockstep simulation and log replay all call ``step``. A simulated campaign computes ordinary ticks with the
-compiled ``LandingKernel.land``; its results are equal to the last bit.
+samples -> estimates -> phase (``mission/``) -> nominal velocity -> neighbours (``fleet/``) -> filter and gate
+(``command.py``). Live flight, lockstep simulation and log replay call ``step``. ``land`` is the same sequence
+for an ordinary tick of a landing; a campaign runs it compiled, and its results are equal to the last bit.
 """
 
 from __future__ import annotations
@@ -14,19 +12,47 @@ from dataclasses import fields, make_dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from flightstack.core.fleet.member import NO_ROWS
-from flightstack.core.kernel import Barriers, LandingKernel
-from flightstack.core.memory import FilterMemory, FleetMemory, LateMemory, OwnMemory, ReserveMemory, State
-from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
-from flightstack.core.mission.machine import Transition
+from flightstack.core.command import Barriers, VelocityCommand
+from flightstack.core.fleet.member import FleetMember
+from flightstack.core.memory import (
+    FilterMemory,
+    FleetMemory,
+    LateMemory,
+    Memory,
+    OwnMemory,
+    ReserveMemory,
+    State,
+)
+from flightstack.core.mission.guidance import Situation, nominal_command, ordinary_velocity
+from flightstack.core.mission.machine import Mission, Rules, Transition
+from flightstack.core.numeric import NotOrdinary, rare
 from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.gate import ApprovedSetpoint, GateVerdict
-from flightstack.core.snapshot import Snapshot, snapshot_of
-from flightstack.core.strategies.strategy import Filter, strategy_class
-from flightstack.core.target.reserve import ReserveEstimate
-from flightstack.core.target.track import Verdict
-from flightstack.core.types import ZERO, Charge, Inputs, Mode, Neighbour, Phase, Request, Vec3, VehicleStatus
+from flightstack.core.snapshot import Relative, Snapshot, relative, snapshot_of
+from flightstack.core.strategies.strategy import Filter, strategy_class, strategy_of
+from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate
+from flightstack.core.target.track import TargetState, TargetTrack, Verdict
+from flightstack.core.types import (
+    ZERO,
+    Charge,
+    Inputs,
+    Neighbour,
+    OwnState,
+    Phase,
+    Request,
+    TargetSample,
+    Vec3,
+    VehicleStatus,
+)
+
+# Time after the start of a take-off in which only the autopilot sets the climb rate, s: arming, spool-up
+# (COM_SPOOLUP_TIME, 1 s), ramp (MPC_TKO_RAMP_T, 3 s). PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s.
+RISE_FREE_S = 7.0
+FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
+INFO, WARN, ERROR = 20, 30, 40
 
 
 class Event(NamedTuple):
@@ -34,9 +60,6 @@ class Event(NamedTuple):
 
     level: int
     text: str
-
-
-INFO, WARN, ERROR = 20, 30, 40
 
 
 class Outputs(NamedTuple):
@@ -86,18 +109,50 @@ def _extended(name: str, parts: tuple[tuple[str, Any], ...]) -> type[State]:
     return make_dataclass(name, parts, bases=(State,), slots=True)
 
 
-class Controller(LandingKernel):
+class Landing(NamedTuple):
+    """Result of an ordinary tick of a landing."""
+
+    sends: bool  # whether the tick sends a set-point
+    at: Relative
+    barriers: Barriers
+    wanted: Vec3
+    setpoint: Vec3
+
+
+class Controller:
     """Pure flight controller. A step depends only on ``state``, its inputs and the configuration."""
+
+    config: FlightConfig
+    barrier: Barrier  # the paper's barrier
+    memory: Memory
+    track: TargetTrack
+    plausibility: Plausibility
+    strategy: Filter
+    reserve: ReserveEstimate
+    velocity: VelocityCommand
+    _mission: Mission
+
+    def __init__(self, config: FlightConfig) -> None:
+        self.config, self.barrier, period_s = config, config.barrier.build(), 1.0 / config.loop.rate_hz
+        self.track, self.plausibility = TargetTrack(config.checks, period_s), Plausibility(config)
+        self.strategy = strategy_of(config)
+        self.reserve = ReserveEstimate(config.reserve, self.strategy.acceleration_max_m_s2, period_s)
+        self._mission = Mission(
+            config, self.barrier, self.strategy, self.track, self.plausibility, self.reserve
+        )
+        self.memory = self._mission.memory
+        self._fleet = FleetMember(config.fleet_or_alone, config.own.position_noise_m)
+        self.velocity = VelocityCommand(config, self.barrier, self.memory, self.strategy, self._fleet)
 
     @property
     def state(self) -> State:
         """Controller state. The next step changes these objects, so log or copy them before it."""
-        strategy, estimate, fleet = self.strategy, self.reserve_estimate, self._fleet
+        strategy = self.strategy
         parts = {
             "memory": self.memory, "track": self.track.memory, "motion": strategy.motion,
             "tracking": strategy.tracking, "plausibility": self.plausibility.memory,
-            "reserve": estimate.memory if estimate is not None else ReserveMemory(), "own": strategy.own,
-            "late": strategy.late, "fleet": fleet.memory,
+            "reserve": self.reserve.memory, "own": strategy.own, "late": strategy.late,
+            "fleet": self._fleet.memory,
             "filter": strategy.memory, "filter_state": strategy.state,
         }  # fmt: skip
         kind = state_class(self.config)
@@ -112,89 +167,74 @@ class Controller(LandingKernel):
                 setattr(into, each.name, getattr(written, each.name))
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
-        """Run one tick: samples, estimates, phase, nominal velocity, filter, gate.
-
-        ``now_s`` is the time of the tick. ``command_failed``: the vehicle rejected the last command.
-        """
-        memory, strategy, plausibility = self.memory, self.strategy, self.plausibility
-        if inputs.own is not None and not inputs.own.is_finite:  # a NaN would remain in all estimator states
-            inputs = inputs._replace(own=None)
-        self.track.memory.settled = memory.phase is not Phase.WAIT
-        events = self._take_samples(inputs)
-        track = self.track
-        target = strategy.target(track, now_s) if track.memory.last is not None else None
-        target_trusted = not track.memory.distrusted
-        if target is not None and not target_trusted:
-            target = target._replace(velocity_enu_m_s=track.moves_m_s)
-        if inputs.own is not None:
-            status = inputs.status
-            own = self.estimate_own(inputs.own, status is not None and status.flies_by_setpoints, now_s)
-            inputs = Inputs(
-                own, inputs.status, inputs.target_samples, inputs.operator, inputs.power, inputs.neighbours
-            )
-        trusted = plausibility.trusts(now_s)
-        follows, charge = plausibility.follows, Charge.FIT
-        if self.reserve_estimate is not None:
-            charge = self._estimate_reserve(self.reserve_estimate, inputs, now_s)
-        texts, permissions = self._fleet.observe(inputs, memory.phase, target, now_s)
+        """Run one tick at the time ``now_s``; ``command_failed``: the vehicle rejected the last command."""
+        memory, velocity, fleet = self.memory, self.velocity, self._fleet
+        events = self._take_samples(inputs.target_samples)
+        target = self._estimate_target(now_s)
+        inputs = self._estimate_vehicle(inputs, now_s)
+        charge = self._estimate_reserve(inputs, now_s)
+        texts, permissions = fleet.observe(inputs, memory.phase, target, now_s)
         events += [Event(WARN, text) for text in texts]
-        snapshot = snapshot_of(
-            self.config, inputs, target, now_s, trusted=trusted, follows=follows, charge=charge,
-            permissions=permissions, target_trusted=target_trusted,
+        seen = snapshot_of(
+            self.config, inputs, target, now_s, trusted=self.plausibility.trusts(now_s),
+            follows=self.plausibility.follows, charge=charge, permissions=permissions,
+            target_trusted=not self.track.memory.distrusted,
         )  # fmt: skip
-        transition = self._mission.step(snapshot, command_failed=command_failed, now_s=now_s)
+        transition = self._mission.step(seen, command_failed=command_failed, now_s=now_s)
         if transition is not None:
             events.append(Event(_level(transition), transition.text))
-        nominal = nominal_command(Situation(self.config, self.barrier, memory, snapshot, strategy))
-        rows, own_message = NO_ROWS, None
-        placed = inputs.own if snapshot.own_ok else None
-        if nominal.velocity is not None and placed is not None:
-            base, most = self.base(placed.velocity_enu_m_s), self.config.limits.velocity_max_m_s
-            velocity, rows = self._fleet.beside(memory.phase, placed, base, nominal.velocity, most, now_s)
-            if velocity is not nominal.velocity:
-                nominal = nominal._replace(velocity=velocity)
-        self._rows, self.crowded = rows, bool(rows.rows) or not permissions.may_land
-        barrier, wanted, gate, setpoint = self._command(nominal, snapshot)
-        why = self.reserve_estimate.text if self.reserve_estimate else ""
-        texts = self._fleet.texts(permissions, now_s - memory.phase_since_s, why, now_s)
-        events += [Event(WARN, text) for text in texts]
-        if placed is not None:
-            base = self.base(placed.velocity_enu_m_s)
-            own_message = self._fleet.message(memory, placed, inputs.status, base, target, now_s)
+        nominal = nominal_command(Situation(self.config, self.barrier, memory, seen, self.strategy))
+        nominal = velocity.beside(nominal, seen, now_s)
+        barriers, wanted, gate, setpoint = velocity.setpoint(nominal, seen)
+        for text in fleet.texts(permissions, now_s - memory.phase_since_s, self.reserve.text, now_s):
+            events.append(Event(WARN, text))
         return Outputs(
             phase=memory.phase,
             request=nominal.request,
             setpoint=setpoint,
             gate=gate,
-            snapshot=snapshot,
-            barrier=barrier,
+            snapshot=seen,
+            barrier=barriers,
             wanted=wanted,
             transition=transition,
             events=tuple(events),
             finished=self._finished(inputs.status, now_s),
             target_accepted=self.track.memory.accepted,
             target_rejected=self.track.memory.rejected,
-            reserve=self.reserve_estimate.reserve if self.reserve_estimate is not None else math.nan,
-            own_message=own_message,
+            reserve=self.reserve.reserve,
+            own_message=self._message(seen, now_s),
         )
 
-    def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
-        """Return whether the flight is over; a fleet member continues until all other members are down."""
-        over = self._mission.finished(status, now_s)
-        return over and self._fleet.over(now_s - self.memory.phase_since_s, now_s)
+    def land(self, own: OwnState, lasting: int, rules: Rules, now_s: float) -> Landing:
+        """Run an ordinary tick of APPROACH, LAND, TOUCHDOWN or LANDED in the sequence of ``step``.
 
-    def _estimate_reserve(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
-        """Estimate the thrust reserve, set this tick's acceleration limits, and return the battery state."""
-        own = inputs.own
-        rise_m_s = own.velocity_enu_m_s[2] if own is not None else 0.0
-        flies = own is not None and self.in_free_flight
-        estimate.step(inputs.power, inputs.status, rise_m_s, now_s, flies=flies)
-        self._accelerate(estimate.acceleration_max_m_s2)
-        return estimate.charge
+        Preconditions: the target samples are processed, there is no fleet, the heartbeat is recent, and the
+        vehicle follows set-points or, in LANDED, stands. ``lasting``: flags that remain since the last tick
+        in Python; ``rules``: rules of the phase.
+        Raises NotOrdinary: ``step`` must run this tick, from the state before it.
+        """
+        target = self.strategy.target(self.track, now_s)
+        own = self.estimate_own(own, True, now_s)
+        charge = self._update_reserve(own, now_s)
+        at = relative(own, target)
+        plausible = self.plausibility.trusts(now_s) and self.plausibility.follows and charge is Charge.FIT
+        fresh = target.age_s <= self.config.checks.target_age_max_s and not self.track.memory.distrusted
+        if not (plausible and fresh):
+            raise NotOrdinary
+        self._mission.stay(at, lasting, rules, now_s)
+        if self.memory.phase is Phase.LANDED:
+            self.memory.commanding = False
+            return Landing(False, at, self.velocity.unsent(at), ZERO, ZERO)
+        filtered = self.memory.phase is not Phase.TOUCHDOWN
+        nominal = ordinary_velocity(self.config, self.memory, self.strategy, at)
+        barriers, wanted, setpoint = self.velocity.ordinary_setpoint(at, nominal, filtered)
+        return Landing(True, at, barriers, wanted, setpoint)
 
-    def _take_samples(self, inputs: Inputs) -> list[Event]:
+    def _take_samples(self, samples: tuple[TargetSample, ...]) -> list[Event]:
+        """Process the target samples of a tick; return events about rejected samples and clock steps."""
+        self.track.memory.settled = self.memory.phase is not Phase.WAIT
         events = []
-        for sample in inputs.target_samples:
+        for sample in samples:
             verdict, count = self.take(sample), self.track.memory.rejected
             if verdict is Verdict.ACCEPTED:
                 if self.track.stepped_s:
@@ -205,42 +245,111 @@ class Controller(LandingKernel):
                 events.append(Event(WARN, f"target sample refused: {verdict.text}{so_far}"))
         return events
 
-    def _command(
-        self, nominal: NominalCommand, snapshot: Snapshot
-    ) -> tuple[Barriers | None, Vec3 | None, GateVerdict, ApprovedSetpoint | None]:
-        """Return barrier values, velocity command, the gate's verdict and the approved set-point."""
-        memory, own, at = self.memory, snapshot.inputs.own, snapshot.relative
-        if nominal.velocity is None:
-            memory.commanding = memory.lifting = False
-            barriers = self.unsent(at) if at is not None else None
-            return barriers, None, GateVerdict.NOT_IN_CONTROL, None
-        barriers, check = None, None
-        if at is not None:
-            fresh = snapshot.own_ok and snapshot.target_ok
-            barriers, wanted, setpoint, check = self.command(at, nominal.velocity, nominal.filtered, fresh)
-        else:
-            base = self.base(own.velocity_enu_m_s) if own is not None else memory.command
-            wanted, target = self.slewed(base, nominal.velocity), snapshot.target
-            velocity = own.velocity_enu_m_s if own is not None else wanted
-            least_z_m_s = self.least_z_m_s(target.velocity_enu_m_s) if target is not None else -math.inf
-            setpoint = self.strategy.setpoint(base, wanted, velocity, math.nan, least_z_m_s)
-        yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
-        verdict, approved = self._gate.check(
-            wanted,
-            setpoint,
-            yaw_rad,
-            own_fresh=snapshot.own_ok,
-            target_fresh=snapshot.target_ok or not nominal.filtered,
-            altitude_m=own.position_enu_m[2] if own is not None else math.nan,
-            barrier_check=check if nominal.filtered else None,
-        )
-        if approved is None:
-            approved = self._gate.stop(yaw_rad, own_fresh=snapshot.own_ok)
-            memory.command = self.strategy.tracking.setpoint_m_s = ZERO
-        else:
-            memory.command = wanted
-        climbs = memory.phase in (Phase.TAKEOFF, Phase.LEAVE) and not memory.climbed
-        following = snapshot.inputs.status is not None and snapshot.inputs.status.mode is Mode.EXTERNAL
-        memory.commanding = approved is not None and following and not climbs
-        memory.lifting = approved is not None and following and climbs
-        return barriers, wanted, verdict, approved
+    def _estimate_target(self, now_s: float) -> TargetState | None:
+        """Estimate the current target state; None before the first sample."""
+        memory = self.track.memory
+        if memory.last is None:
+            return None
+        target = self.strategy.target(self.track, now_s)
+        return target._replace(velocity_enu_m_s=self.track.moves_m_s) if memory.distrusted else target
+
+    def _estimate_vehicle(self, inputs: Inputs, now_s: float) -> Inputs:
+        """Return the inputs with the current vehicle state; None if a number of it is not finite."""
+        own, status, samples, operator, power, neighbours = inputs
+        if own is not None:
+            if own.is_finite:  # a NaN would remain in all estimator states
+                own = self.estimate_own(own, status is not None and status.flies_by_setpoints, now_s)
+            else:
+                own = None
+        return Inputs(own, status, samples, operator, power, neighbours)
+
+    def _estimate_reserve(self, inputs: Inputs, now_s: float) -> Charge:
+        """Estimate the thrust reserve, set this tick's acceleration limits, and return the battery state."""
+        own, reserve = inputs.own, self.reserve
+        if not reserve.active:
+            return reserve.charge
+        rise_m_s = own.velocity_enu_m_s[2] if own is not None else 0.0
+        flies = own is not None and self.in_free_flight
+        reserve.step(inputs.power, inputs.status, rise_m_s, now_s, flies=flies)
+        self.velocity.accelerate(reserve.acceleration_max_m_s2)
+        return reserve.charge
+
+    def _update_reserve(self, own: OwnState, now_s: float) -> Charge:
+        """Return the result of ``_estimate_reserve`` in an ordinary tick; after a landing it is FIT."""
+        reserve, flies = self.reserve, self.memory.phase is not Phase.LANDED
+        if not reserve.active:
+            return Charge.FIT
+        if not now_s - reserve.reported.arrival_s <= AGE_MAX_S:
+            raise NotOrdinary
+        reserve.update(own.velocity_enu_m_s[2], self.in_free_flight, flies)
+        self.velocity.accelerate(reserve.acceleration_max_m_s2)
+        return reserve.charge if flies else Charge.FIT
+
+    def take(self, sample: TargetSample) -> Verdict:
+        """Check a target sample, and update the target estimate if the sample is accepted."""
+        verdict = self.track.accept(sample)
+        if verdict is Verdict.ACCEPTED:
+            if self.track.stepped_s != 0.0:
+                self._begin_anew()
+            self.strategy.take(sample)
+        return verdict
+
+    @rare
+    def _begin_anew(self) -> None:
+        """Reset the target estimate, because the sender's clock has changed."""
+        self.strategy.motion.time_s = math.nan
+
+    def estimate_own(self, own: OwnState, flies: bool, now_s: float) -> OwnState:
+        """Check the vehicle state, compare its velocity with the command, and predict the current state."""
+        memory, plausibility, velocity = self.memory, self.plausibility, own.velocity_enu_m_s
+        plausibility.take(own, memory.commanding and not memory.contact)
+        trusted = plausibility.trusts(now_s)
+        if trusted and memory.commanding:
+            plausibility.follow(memory.command, velocity)
+        elif trusted and memory.lifting and flies:
+            plausibility.follow(self._lifting(velocity[2], now_s), velocity)
+        else:  # the vehicle follows no set-points of this stack, or stands
+            plausibility.forget()
+        now = self.strategy.vehicle(own)
+        self.strategy.observe(now.velocity_enu_m_s, memory.commanding and trusted)
+        return now
+
+    def _lifting(self, rises_m_s: float, now_s: float) -> Vec3:
+        """Return the velocity that the vehicle should have in the climb from the ground, m/s ENU.
+
+        The autopilot sets the climb rate (spool-up and ramp), but not the horizontal velocity; after
+        ``RISE_FREE_S`` the vehicle must climb at least as fast as commanded.
+        """
+        x, y, up_m_s = self.memory.command
+        free = now_s - self.memory.phase_since_s <= RISE_FREE_S
+        return (x, y, rises_m_s if free else max(up_m_s, rises_m_s))
+
+    @property
+    def in_free_flight(self) -> bool:
+        """Whether the vehicle follows velocity commands away from the support and ground effect of a pad."""
+        return self.memory.commanding and self.memory.phase is not Phase.TOUCHDOWN
+
+    def ordinary(self, status: VehicleStatus) -> bool:
+        """Whether ``land`` may run the next tick: inputs are trusted, and the vehicle follows set-points."""
+        memory, track = self.memory, self.track.memory
+        if track.run_since_s < math.inf or track.distrusted or self.plausibility.memory.distrusted:
+            return False
+        if memory.lifting or memory.yaw_rad is None or not memory.good_since_s < math.inf:
+            return False
+        if memory.phase is Phase.LANDED:
+            return not status.armed
+        commanded = memory.was_armed and memory.was_external and not memory.contact
+        return memory.phase in FLYING and status.flies_by_setpoints and commanded
+
+    def _message(self, seen: Snapshot, now_s: float) -> Neighbour | None:
+        """Return the message to the fleet after this tick; None without a recent vehicle state."""
+        own = seen.inputs.own
+        if own is None or not seen.own_ok:
+            return None
+        base = self.velocity.base(own.velocity_enu_m_s)
+        return self._fleet.message(self.memory, own, seen.inputs.status, base, seen.target, now_s)
+
+    def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
+        """Return whether the flight is over; a fleet member continues until all other members are down."""
+        over = self._mission.finished(status, now_s)
+        return over and self._fleet.over(now_s - self.memory.phase_since_s, now_s)

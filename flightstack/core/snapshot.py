@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from flightstack.core.fleet.precedence import ALONE, Permissions
@@ -37,8 +36,15 @@ class Relative(NamedTuple):
         return v[0] - t[0], v[1] - t[1]
 
 
-@dataclass(slots=True)
-class Snapshot:
+@numeric
+def relative(own: OwnState, target: TargetState) -> Relative:
+    """Return the vehicle relative to the target."""
+    (x, y, z), (px, py, pz) = own.position_enu_m, target.position_enu_m
+    e_m = (x - px, y - py, z - pz)
+    return Relative(own, target, e_m, hypot(e_m[0], e_m[1]))
+
+
+class Snapshot(NamedTuple):
     """Inputs of one tick, with the results of the checks of their age."""
 
     inputs: Inputs  # inputs as received, but with the vehicle state predicted to the current time
@@ -46,23 +52,22 @@ class Snapshot:
     own_ok: bool  # whether the vehicle state is plausible and recent
     target_ok: bool  # whether the target state is plausible and recent
     link_ok: bool  # whether the heartbeat is recent
-    e_m: Vec3 | None  # position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known
+    relative: Relative | None  # vehicle relative to target; ``None`` unless both are known
     follows: bool = True  # whether the vehicle follows the commanded velocity
     charge: Charge = Charge.FIT  # state of the battery; FIT without a table [reserve]
-    permissions: Permissions = ALONE  # from the fleet; all are granted without a table [fleet]
+    permissions: Permissions = ALONE  # from the fleet; a vehicle alone has all of them
     # whether ``target`` has the velocity of its positions, because its reported velocity is not trusted
     target_placed: bool = False
-    good: bool = field(init=False)  # all inputs are usable
-    # vehicle relative to target; ``None`` unless both are known
-    relative: Relative | None = field(init=False)
 
-    def __post_init__(self) -> None:
-        own, target, e = self.inputs.own, self.target, self.e_m
-        self.good = self.own_ok and self.link_ok and self.target_ok
-        if own is None or target is None or e is None:
-            self.relative = None
-        else:
-            self.relative = Relative(own, target, e, hypot(e[0], e[1]))
+    @property
+    def good(self) -> bool:
+        """Whether all inputs are usable."""
+        return self.own_ok and self.link_ok and self.target_ok
+
+    @property
+    def e_m(self) -> Vec3 | None:
+        """Position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known."""
+        return self.relative.e_m if self.relative is not None else None
 
 
 def snapshot_of(
@@ -75,9 +80,6 @@ def snapshot_of(
     own_ok = trusted and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
     target_fresh = target is not None and target.age_s <= checks.target_age_max_s
     link_ok = status is not None and now_s - status.arrival_s <= checks.status_age_max_s
-    e_m = None
-    if own is not None and target is not None:
-        p, q = own.position_enu_m, target.position_enu_m
-        e_m = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
+    at = relative(own, target) if own is not None and target is not None else None
     target_ok, placed = target_fresh and target_trusted, target_fresh and not target_trusted
-    return Snapshot(inputs, target, own_ok, target_ok, link_ok, e_m, follows, charge, permissions, placed)
+    return Snapshot(inputs, target, own_ok, target_ok, link_ok, at, follows, charge, permissions, placed)

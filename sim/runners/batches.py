@@ -23,8 +23,7 @@ from flightstack.compiled.jit import is_off
 from flightstack.compiled.objects import Objects
 from flightstack.compiled.records import F64, I64, cell, new, scalars
 from flightstack.compiled.tick import RULES
-from flightstack.core.controller import Controller
-from flightstack.core.kernel import FLYING
+from flightstack.core.controller import FLYING, Controller
 from flightstack.core.mission.conditions import lasting_flags
 from flightstack.core.numeric import NotOrdinary, hypot_is_known
 from flightstack.core.parameters.flight import FlightConfig
@@ -103,7 +102,7 @@ class Batches:
         self._watches, self._watch_book = node.autopilot.flight.watches, WatchBook(self._rules.watch)
         self._phase = scalars(self._rules, "flies", "lasting", "armed", "standing", "supervisor")
         self._phase_rules = RULES[Phase.LAND]
-        self._reserve = controller.reserve_estimate
+        self._reserve = controller.reserve
         self._heeded = link.heeded
         self._yaw_rad: float | None = None
         self._clip: tuple[float, float, float] | None = None
@@ -146,7 +145,7 @@ class Batches:
                     break
                 until_s = self._quiet_until_s(tick + done)
                 if until_s is None and self._speak(tick + done) and self._take_power():
-                    if self._reserve is not None:
+                    if self._reserve.active:
                         self._objects.write_one(self._reserve.reported)
                     until_s = self._quiet_until_s(tick + done)
             if done:
@@ -177,7 +176,7 @@ class Batches:
         messages = node.autopilot.brief(now_s, self._heeded)
         if messages is None:
             return False
-        if self._reserve is not None:  # power reports need the attitude of this tick
+        if self._reserve.active:  # power reports need the attitude of this tick
             roll_rad, pitch_rad, _ = euler_from_quaternion(
                 ned_frd_from_enu_flu(node.vehicle.estimate().quaternion)
             )
@@ -226,7 +225,7 @@ class Batches:
     def _take_power(self) -> bool:
         """Store the reported battery and motor state; return False if only Python can handle this report."""
         estimate, power = self._reserve, self._link.state.power
-        if estimate is None:
+        if not estimate.active:
             return True
         if power is None or (self._flies and estimate.memory.tired):
             return False

@@ -13,7 +13,7 @@ from bridge import frames
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell, Record, Vector, scalars, writer
 from flightstack.compiled.tick import take
-from flightstack.core.kernel import Landing, LandingKernel
+from flightstack.core.controller import Controller, Landing
 from flightstack.core.numeric import NotOrdinary, twin
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import OwnState, Vec3
@@ -161,7 +161,7 @@ def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float
 
 @jitted
 def _decided(
-    v: VehicleRecord, p: RulesRecord, kernel: LandingKernel, phase_rules: I64, samples: F64, since: int,
+    v: VehicleRecord, p: RulesRecord, kernel: Controller, phase_rules: I64, samples: F64, since: int,
     until: int, now_s: float,
 ) -> tuple[OwnState, Landing]:  # fmt: skip
     """Pass the vehicle state and these target samples to the controller; run its step."""
@@ -192,7 +192,7 @@ def _decided(
 
 @jitted
 def look(
-    vehicle: Cell[VehicleRecord], rules: Cell[RulesRecord], kernel: LandingKernel, phase_rules: I64,
+    vehicle: Cell[VehicleRecord], rules: Cell[RulesRecord], kernel: Controller, phase_rules: I64,
     state: F64, spare: F64, plan: I64, samples: F64, come: I64,
 ) -> tuple[Relative, Vec3, tuple[Vec3, float, Vec3, float, Vec3, Vec3]]:  # fmt: skip
     """Return the inputs of an agent or a user's filter at the next tick.
@@ -217,7 +217,7 @@ def look(
 def fly_ticks(
     vehicle: Cell[VehicleRecord],
     rules: Cell[RulesRecord],
-    kernel: LandingKernel,
+    kernel: Controller,
     phase_rules: I64,
     state: F64,
     spare: F64,
@@ -232,7 +232,7 @@ def fly_ticks(
     """Fly ticks until all are done or Python is needed.
 
     ``rules``: constants of the batch; ``kernel``: the controller, whose state is changed in place;
-    ``phase_rules``: (n, 2), rules of the mission for ``LandingKernel.land``; ``state``: memory of the
+    ``phase_rules``: (n, 2), rules of the mission for ``Controller.land``; ``state``: memory of the
     controller's state; ``spare``: receives the state before the newest tick; ``plan``: first tick, number of
     ticks, rate of the ticks, delay of the radio in ms, number of samples that arrived before; its last
     element receives the number of ticks done, a partly done tick included; ``decks``: (n, 8) for each tick:

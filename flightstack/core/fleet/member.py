@@ -24,7 +24,6 @@ from flightstack.core.fleet.program import FleetProgram
 from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import AbortWay, FleetMemory, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.position_loop import limit
 from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.target.track import TargetState
@@ -91,56 +90,11 @@ def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
     return _INTENTS[memory.phase]
 
 
-class Alone:
-    """A vehicle without neighbours: every permission is granted, and no messages are sent or received."""
+class FleetMember:
+    """This vehicle in its fleet; ``memory`` is its complete state.
 
-    memory: FleetMemory | None = None
-
-    def observe(
-        self, inputs: Inputs, phase: Phase, target: TargetState | None, now_s: float
-    ) -> tuple[list[str], Permissions]:
-        """Store the received messages; return event texts and the permissions of this tick."""
-        del inputs, phase, target, now_s
-        return [], ALONE
-
-    def beside(
-        self, phase: Phase, own: OwnState, base: Vec3, nominal: Vec3, most_m_s: Vec3, now_s: float
-    ) -> tuple[Vec3, Rows]:
-        """Return the nominal velocity with the side-step, and the rows of the neighbours.
-
-        ``base``: start of the slew limit; ``most_m_s``: largest velocity.
-        """
-        del phase, own, base, most_m_s, now_s
-        return nominal, NO_ROWS
-
-    def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
-        """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``.
-
-        The kernel calls it only if there are rows of neighbours, and a vehicle without neighbours has none.
-        """
-        raise NotImplementedError("without rows of neighbours, the program of the landing filters a velocity")
-
-    def message(
-        self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
-        target: TargetState | None, now_s: float,
-    ) -> Neighbour | None:  # fmt: skip
-        """Return the message to the other members after this tick."""
-        del memory, own, status, wanted_m_s, target, now_s
-        return None
-
-    def texts(self, permissions: Permissions, in_phase_s: float, why: str, now_s: float) -> list[str]:
-        """Return the event texts after the filter; ``why``: reason why the vehicle cannot take off again."""
-        del permissions, in_phase_s, why, now_s
-        return []
-
-    def over(self, since_s: float, now_s: float) -> bool:
-        """Whether this vehicle may stop sending: all neighbours are down, or silent for a long time."""
-        del since_s, now_s
-        return True
-
-
-class FleetMember(Alone):
-    """This vehicle in its fleet; ``memory`` is its complete state."""
+    A vehicle alone has no other members: it has every permission, and neither receives nor sends messages.
+    """
 
     memory: FleetMemory
 
@@ -158,6 +112,9 @@ class FleetMember(Alone):
     def observe(
         self, inputs: Inputs, phase: Phase, target: TargetState | None, now_s: float
     ) -> tuple[list[str], Permissions]:
+        """Store the received messages; return event texts and the permissions of this tick."""
+        if not self._index:
+            return [], ALONE
         return self.take(inputs.neighbours, now_s), self.permissions(phase, target, now_s, inputs.own)
 
     def take(self, messages: Sequence[Neighbour], now_s: float) -> list[str]:
@@ -207,6 +164,7 @@ class FleetMember(Alone):
         return ""
 
     def over(self, since_s: float, now_s: float) -> bool:
+        """Whether this vehicle may stop sending: all neighbours are down, or silent for a long time."""
         fleet = self._fleet
         if since_s > FLIGHTS_OF_OTHERS * fleet.wait_max_s:
             return True
@@ -280,6 +238,10 @@ class FleetMember(Alone):
     def beside(
         self, phase: Phase, own: OwnState, base: Vec3, nominal: Vec3, most_m_s: Vec3, now_s: float
     ) -> tuple[Vec3, Rows]:
+        """Return the nominal velocity with the side-step, and the rows of the neighbours.
+
+        ``base``: start of the slew limit; ``most_m_s``: largest velocity.
+        """
         rows = self.rows(phase, own, base, now_s)
         if not rows.neighbours:
             return nominal, rows
@@ -289,11 +251,13 @@ class FleetMember(Alone):
         return sidestep(nominal, rows.neighbours, self._fleet.rate_1_s), rows
 
     def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
+        """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``."""
         found = self._program.solve(nominal, firm, rows.rows, lower, upper, rows.basic)
         self._given_m_s = found.given_m_s
         return found.filter
 
     def texts(self, permissions: Permissions, in_phase_s: float, why: str, now_s: float) -> list[str]:
+        """Return the event texts after the filter; ``why``: reason why the vehicle cannot take off again."""
         return self._crowded(now_s) + self.remains_on_pad(permissions, in_phase_s, why)
 
     def _crowded(self, now_s: float) -> list[str]:
@@ -313,7 +277,10 @@ class FleetMember(Alone):
     def message(
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
-    ) -> Neighbour:  # fmt: skip
+    ) -> Neighbour | None:  # fmt: skip
+        """Return the message to the other members after this tick; None without other members."""
+        if not self._index:
+            return None
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
         fleet, mine, (x, y, z) = self._fleet, self.memory, own.position_enu_m
         intent = intent_of(memory, granted=mine.granted, flies=flies)
@@ -339,9 +306,3 @@ class FleetMember(Alone):
             target.velocity_enu_m_s if target is not None else None,
             yields,
         )
-
-
-def member_of(config: FlightConfig) -> Alone:
-    """Return this vehicle as a member of its fleet; without a table [fleet] it has no neighbours."""
-    fleet = config.fleet
-    return Alone() if fleet is None else FleetMember(fleet, config.own.position_noise_m)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import high_enough_m, start_point, waits_for_calm
-from flightstack.core.numeric import numeric
+from flightstack.core.numeric import NotOrdinary, numeric
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
@@ -96,10 +96,19 @@ def towards_pad(config: FlightConfig, memory: Memory, strategy: Filter, at: Rela
     return (x, y, z)
 
 
+@numeric
+def ordinary_velocity(config: FlightConfig, memory: Memory, strategy: Filter, at: Relative) -> Vec3:
+    """Return the nominal velocity of APPROACH, LAND and TOUCHDOWN until the motors stop."""
+    if memory.phase is not Phase.TOUCHDOWN:
+        return towards_pad(config, memory, strategy, at)
+    if memory.contact or strategy.motors_off(at):
+        raise NotOrdinary
+    return strategy.descent_m_s(at)
+
+
 def _outside(at: Relative, config: FlightConfig) -> Vec3:
     """Return the velocity to the waiting place outside the cone, in the vehicle's direction from the pad."""
-    (x, y, z), d, fleet = at.e_m, at.d_m, config.fleet
-    assert fleet is not None  # only another member can have the right of way
+    (x, y, z), d, fleet = at.e_m, at.d_m, config.fleet_or_alone
     side = (x / d, y / d) if d > 1e-6 else (1.0, 0.0)
     e = (x - side[0] * fleet.wait_distance_m, y - side[1] * fleet.wait_distance_m, z - fleet.wait_height_m)
     return nominal_velocity(e, config.position_loop.gain_1_s, at.target.velocity_enu_m_s)

@@ -11,6 +11,9 @@ import re
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import (
     LANDED_SETTLE_S,
@@ -25,7 +28,7 @@ from flightstack.core.mission.conditions import (
     time_flags,
 )
 from flightstack.core.mission.phases import ABORT_TABLE, START_LATE, TABLE, TIME_OVER, C, Rule, first
-from flightstack.core.numeric import hypot
+from flightstack.core.numeric import NotOrdinary, hypot
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative, Snapshot
@@ -50,6 +53,7 @@ DRIFT_CAUSES = (
 )
 RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
 RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
+Rules = NDArray[np.int64]  # rules of a phase, (n, 2) bit masks: required flags, blocking flags
 _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
 
 
@@ -100,7 +104,7 @@ class Mission:
 
     def __init__(
         self, config: FlightConfig, barrier: Barrier, strategy: Filter, track: TargetTrack,
-        plausibility: Plausibility, reserve: ReserveEstimate | None = None,
+        plausibility: Plausibility, reserve: ReserveEstimate,
     ) -> None:  # fmt: skip
         self.memory = Memory()
         self._config, self._barrier, self._strategy = config, barrier, strategy
@@ -152,6 +156,23 @@ class Mission:
         memory, config = self.memory, self._config
         flags = time_flags(config.checks, self._times_s, memory, now_s)
         return flags | landing_flags(config, self._strategy, self._barrier, memory, at, now_s, True, True)
+
+    def stay(self, at: Relative, lasting: int, rules: Rules, now_s: float) -> None:
+        """Run an ordinary tick: all inputs are good. Raise NotOrdinary if a rule of the phase fires.
+
+        ``lasting``: flags that have not changed since the last tick of ``step``.
+        """
+        memory = self.memory
+        memory.target_position_enu_m = at.target.position_enu_m
+        memory.target_velocity_enu_m_s = at.target.velocity_enu_m_s
+        memory.own_ok_s = now_s
+        self.watch_contact(at, False, now_s)
+        flags = lasting | self.flags_at(at, now_s)
+        for k in range(len(rules)):
+            if flags & rules[k, 0] == rules[k, 0] and not flags & rules[k, 1]:
+                raise NotOrdinary
+        if memory.phase is Phase.LANDED and now_s - memory.phase_since_s >= LANDED_SETTLE_S:
+            raise NotOrdinary
 
     def finished(self, status: VehicleStatus | None, now_s: float) -> bool:
         """Whether the flight is over: the motors have been off for some time, or an abort lasts too long."""
@@ -263,11 +284,7 @@ class Mission:
         """Return the reason text of a rule that fires, with the measured values of its true conditions."""
         if rule.when & C.ABORT_ASKED and seen.inputs.operator is Operator.TIME_OVER:
             return TIME_OVER
-        checks, target, battery = (
-            self._config.checks,
-            seen.target,
-            self._reserve.text if self._reserve else "",
-        )
+        checks, target, battery = self._config.checks, seen.target, self._reserve.text
         raised = (rule.when | rule.about) & flags
         numbers: tuple[tuple[int, Callable[[], str]], ...] = (
             (C.OWN_LOST, lambda: self._own_lost(seen, now_s)),

@@ -6,6 +6,7 @@ Crazyswarm sets them for the firmware's collision avoidance. Downwash makes it h
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -54,44 +55,43 @@ class Fleet:
     # a landed vehicle takes off again if another member waits for its pad, and lands beside the target
     frees_pad: bool = False
 
-    def __post_init__(self) -> None:
-        if len(set(self.members)) != len(self.members) or self.id not in self.members:
-            raise ConfigError(f"members: found {list(self.members)}; each once is needed, and id {self.id}")
-        if not 1 <= len(self.others) <= OTHERS_MAX:
-            raise ConfigError(
-                f"members: found {len(self.members)}, allowed are 2 to {OTHERS_MAX + 1}: as many "
-                "others as the program has rows"
-            )
-        least_m = self.radius_xy_m + self.margin_m + 2.0 * self.speed_max_m_s / self.rate_1_s
-        if self.reach_m < least_m:
-            raise ConfigError(
-                f"reach_m: found {self.reach_m:g}; two vehicles of speed_max_m_s that meet brake from "
-                f"{least_m:.3g} m: raise it to that, or raise rate_1_s"
-            )
-        least_s = max(ZERO_LATENCIES, HOLD_LATENCIES) * self.latency_max_s
-        if self.age_max_s < least_s:
-            raise ConfigError(
-                f"age_max_s: found {self.age_max_s:g}; allowed is at least {HOLD_LATENCIES:g} latency_max_s, "
-                f"{least_s:.3g} s"
-            )
-        if self.pad_distance_m < 2.0 * self.radius_xy_m:
-            raise ConfigError(
-                f"pad_distance_m: found {self.pad_distance_m:g}; two vehicles that both land need "
-                f"2 radius_xy_m, {2.0 * self.radius_xy_m:.3g} m"
-            )
-        if self.wait_distance_m < self.pad_distance_m:
-            raise ConfigError(
-                f"wait_distance_m: found {self.wait_distance_m:g}; a wait leaves pad_distance_m free, "
-                f"{self.pad_distance_m:g} m"
-            )
-
     @property
     def others(self) -> tuple[int, ...]:
         """Ids of the other members, in ascending order."""
         return tuple(sorted(set(self.members) - {self.id}))
 
-    def check_loop(self, lag_s: float, period_s: float) -> None:
-        """Reject a rate that is too fast for the velocity loop, or a latency that is shorter than a tick."""
+    def check(self, lag_s: float, period_s: float) -> None:
+        """Reject members or limits that contradict each other, the velocity loop or the period of a tick."""
+        members = f"fleet.members: found {list(self.members)}"
+        if len(set(self.members)) != len(self.members) or self.id not in self.members:
+            raise ConfigError(f"{members}; each once is needed, and id {self.id}")
+        if not 1 <= len(self.others) <= OTHERS_MAX:
+            raise ConfigError(
+                f"fleet.members: found {len(self.members)}, allowed are 2 to {OTHERS_MAX + 1}: as many "
+                "others as the program has rows"
+            )
+        least_m = self.radius_xy_m + self.margin_m + 2.0 * self.speed_max_m_s / self.rate_1_s
+        if self.reach_m < least_m:
+            raise ConfigError(
+                f"fleet.reach_m: found {self.reach_m:g}; two vehicles of speed_max_m_s that meet brake from "
+                f"{least_m:.3g} m: raise it to that, or raise rate_1_s"
+            )
+        least_s = max(ZERO_LATENCIES, HOLD_LATENCIES) * self.latency_max_s
+        if self.age_max_s < least_s:
+            raise ConfigError(
+                f"fleet.age_max_s: found {self.age_max_s:g}; allowed is at least {HOLD_LATENCIES:g} "
+                f"latency_max_s, {least_s:.3g} s"
+            )
+        if self.pad_distance_m < 2.0 * self.radius_xy_m:
+            raise ConfigError(
+                f"fleet.pad_distance_m: found {self.pad_distance_m:g}; two vehicles that both land need "
+                f"2 radius_xy_m, {2.0 * self.radius_xy_m:.3g} m"
+            )
+        if self.wait_distance_m < self.pad_distance_m:
+            raise ConfigError(
+                f"fleet.wait_distance_m: found {self.wait_distance_m:g}; a wait leaves pad_distance_m free, "
+                f"{self.pad_distance_m:g} m"
+            )
         if self.rate_1_s * lag_s > PART_OF_LAG:
             raise ConfigError(
                 f"fleet.rate_1_s: found {self.rate_1_s:g}; with a lag of {lag_s:g} s at most "
@@ -102,3 +102,6 @@ class Fleet:
                 f"fleet.latency_max_s: found {self.latency_max_s:g}; a message is at least one tick late, "
                 f"{period_s:g} s: raise it"
             )
+
+
+ALONE = Fleet(id=1, members=(1,), slew_xy_max_m_s2=math.inf)  # a vehicle without neighbours

@@ -13,7 +13,7 @@ from typing import Annotated
 
 from flightstack.common.strict_toml import ConfigError, Each, span
 from flightstack.core.parameters.filters import FILTERS, check_name, named
-from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.parameters.fleet import ALONE, Fleet
 from flightstack.core.parameters.reserve import Reserve
 from flightstack.core.parameters.robust import (
     Envelope,
@@ -271,6 +271,11 @@ class FlightConfig:
     fleet: Fleet | None = None  # None: no other members
 
     @property
+    def fleet_or_alone(self) -> Fleet:
+        """Table [fleet]; without it, a fleet of one vehicle."""
+        return self.fleet or ALONE
+
+    @property
     def slew_max_m_s2(self) -> Vec3:
         """Acceleration limit of the robust filter's velocity on each axis.
 
@@ -278,9 +283,7 @@ class FlightConfig:
         divided by sqrt(2), since delayed motion reduces the distance to near neighbours.
         """
         x, y, z = self.robust.acceleration_max_m_s2
-        if self.fleet is None:
-            return x, y, z
-        side = self.fleet.slew_xy_max_m_s2 / math.sqrt(2.0)
+        side = self.fleet_or_alone.slew_xy_max_m_s2 / math.sqrt(2.0)
         return min(x, side), min(y, side), z
 
     @property
@@ -305,7 +308,7 @@ class FlightConfig:
                 f"{peak:.3g} m above the pad; allow at least {least_m:.3g}"
             )
         if self.fleet is not None:
-            self.fleet.check_loop(self.velocity_loop.lag_xy_s, 1.0 / self.loop.rate_hz)
+            self.fleet.check(self.velocity_loop.lag_xy_s, 1.0 / self.loop.rate_hz)
             if self.fleet.frees_pad and self.fleet.wait_distance_m < self.checks.clearance_m:
                 raise ConfigError(
                     f"fleet.wait_distance_m: found {self.fleet.wait_distance_m:g}; with fleet.frees_pad a "

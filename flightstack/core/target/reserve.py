@@ -36,9 +36,13 @@ class Reported:
 
 
 class ReserveEstimate:
-    """Estimate of the thrust reserve. Call ``step`` once a tick; ``memory`` is the complete state."""
+    """Estimate of the thrust reserve. Call ``step`` once a tick; ``memory`` is the complete state.
+
+    Without a table, the battery sets no limits: it always counts as fit, and the reserve remains unknown.
+    """
 
     memory: ReserveMemory
+    active: bool  # whether there is a table [reserve]
     reported: Reported
     most_m_s2: Vec3  # limit of the commanded acceleration at full thrust reserve
     share: float  # weight of one tick in the moving average
@@ -49,21 +53,26 @@ class ReserveEstimate:
     acceleration_max_m_s2: Vec3  # limit of the commanded acceleration, ENU; z limits the upward one
     _part: float  # usable fraction of the reserve (``Reserve.share``)
 
-    def __init__(self, table: Reserve, most_m_s2: Vec3, period_s: float) -> None:
-        self.memory, self.reported = ReserveMemory(), Reported()
-        self._table, self.most_m_s2, self._part = table, most_m_s2, table.share
-        self.share = min(1.0, period_s / table.smoothing_s)
-        self.lasting_m_s = table.smoothing_s * GRAVITY_M_S2
+    def __init__(self, table: Reserve | None, most_m_s2: Vec3, period_s: float) -> None:
+        self.memory, self.reported, self.most_m_s2 = ReserveMemory(), Reported(), most_m_s2
+        self.active, self.reserve, self.charge = table is not None, math.nan, Charge.FIT
+        self.share, self.lasting_m_s, self.least, self._part = 1.0, math.inf, math.nan, 1.0
         self._received: object = ()
-        self.least = table.at(table.lowest_voltage_v)
         self._power: Power | None = None
-        self.reserve, self.charge = math.nan, Charge.UNKNOWN
-        self.acceleration_max_m_s2 = allowed(most_m_s2, self.least, self._part)
+        self.acceleration_max_m_s2 = most_m_s2
+        if table is not None:
+            self._table, self._part, self.charge = table, table.share, Charge.UNKNOWN
+            self.share = min(1.0, period_s / table.smoothing_s)
+            self.lasting_m_s = table.smoothing_s * GRAVITY_M_S2
+            self.least = table.at(table.lowest_voltage_v)
+            self.acceleration_max_m_s2 = allowed(most_m_s2, self.least, self._part)
 
     def step(
         self, power: Power | None, status: VehicleStatus | None, rise_m_s: float, now_s: float, *, flies: bool
     ) -> None:
         """Update the estimate of the reserve with the inputs of this tick."""
+        if not self.active:
+            return
         fresh = power is not None and now_s - power.arrival_s <= AGE_MAX_S
         standing = status is None or not status.armed
         self.receive(power if fresh else None, standing)
@@ -123,9 +132,9 @@ class ReserveEstimate:
     @property
     def text(self) -> str:
         """Reason why the battery is too weak for a landing, and what to do; empty: a landing is allowed."""
-        table, power = self._table, self._power
         if self.charge is Charge.FIT:
             return ""
+        table, power = self._table, self._power
         if power is None or self.charge is Charge.UNKNOWN:
             return "no battery voltage received (SYS_STATUS)"
         if self.reported.standing:

@@ -2,8 +2,7 @@
 
 import pytest
 
-from flightstack.core.controller import Controller
-from flightstack.core.kernel import RISE_FREE_S
+from flightstack.core.controller import RISE_FREE_S, Controller
 from flightstack.core.memory import AbortWay
 from flightstack.core.types import (
     ZERO,

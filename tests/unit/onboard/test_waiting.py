@@ -94,7 +94,7 @@ class Out(NamedTuple):
 
 
 def view(**inputs):
-    return Snapshot(Inputs(**inputs), None, own_ok=True, target_ok=False, link_ok=True, e_m=None)
+    return Snapshot(Inputs(**inputs), None, own_ok=True, target_ok=False, link_ok=True, relative=None)
 
 
 def row(out, battery=None):

@@ -10,10 +10,10 @@ from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.safety.barrier import RobustBarrier
 from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.qp_filter import SafetyFilter
-from flightstack.core.snapshot import Snapshot
+from flightstack.core.snapshot import Relative
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.track import TargetState
-from flightstack.core.types import ZERO, Inputs, OwnState
+from flightstack.core.types import ZERO, OwnState
 from flightstack.verify.certificate import problems
 from flightstack.verify.envelope import extremes
 from flightstack.verify.robust import depth_m
@@ -85,11 +85,11 @@ def fly(settings, seed, seconds=8.0):
         seen_e = tuple(p + b for p, b in zip(e, bias, strict=True))
         own = OwnState(0.0, 0.0, tuple(position), tuple(velocity), 0.0)
         state = TargetState(0.0, tuple(target.position), tuple(target.velocity), 0.0, sigma_m, sigma_z_m)
-        seen = Snapshot(Inputs(own=own), state, True, True, True, seen_e)
-        h, gradient, dh_dt = law.barrier(seen.relative).evaluate(seen_e, state.velocity_enu_m_s)
+        seen = Relative(own, state, seen_e, math.hypot(*seen_e[:2]))
+        h, gradient, dh_dt = law.barrier(seen).evaluate(seen_e, state.velocity_enu_m_s)
         lower = [max(-m, b - s) for m, b, s in zip(most, before, step, strict=True)]
         upper = [min(m, b + s) for m, b, s in zip(most, before, step, strict=True)]
-        climb = law.climb_m_s(h, gradient, before, seen.relative)
+        climb = law.climb_m_s(h, gradient, before, seen)
         lower[2] = max(lower[2], min(climb, upper[2]))
         gain = robust.gain_1_s
         above = (seen_e[0], seen_e[1], seen_e[2] - robust.wait_height_m)

@@ -7,6 +7,7 @@ from flightstack.core.mission.phases import Condition
 from flightstack.core.snapshot import snapshot_of
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.target.reserve import ReserveEstimate
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import Charge, Inputs, Landed, Mode, Operator, OwnState, VehicleStatus
 from tests.unit.core.core_helpers import config
@@ -23,6 +24,14 @@ def starting(filter="robust", **sections):
 
 ROBUST, PAPER = starting(), starting("paper")
 BARRIER = ROBUST.barrier.build()
+
+
+def mission_of(settings, strategy=None, track=None, plausibility=None):
+    """Return the mission of a vehicle without a battery table."""
+    return Mission(
+        settings, BARRIER, strategy or strategy_of(settings), track or TargetTrack(settings.checks),
+        plausibility or Plausibility(settings), ReserveEstimate(None, STILL, 0.01),
+    )  # fmt: skip
 
 
 def tick(
@@ -45,7 +54,7 @@ def tick(
         permissions=permissions,
     )  # fmt: skip
     strategy = strategy_of(settings)
-    mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
+    mission = mission_of(settings, strategy)
     mission.memory = memory if memory is not None else Memory()
     return mission.flags(seen, command_failed=failed, now_s=now_s)
 

@@ -13,13 +13,12 @@ from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import high_enough_m
 from flightstack.core.mission.guidance import NominalCommand as Command
 from flightstack.core.mission.guidance import Situation, nominal_command
-from flightstack.core.mission.machine import Mission
-from flightstack.core.snapshot import Snapshot
+from flightstack.core.snapshot import Snapshot, relative
 from flightstack.core.strategies.strategy import strategy_of
-from flightstack.core.target.plausibility import Plausibility
-from flightstack.core.target.track import TargetState, TargetTrack
+from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, Request, VehicleStatus
 from tests.unit.core.core_helpers import config
+from tests.unit.core.mission.mission_helpers import mission_of
 
 PAD = (3.0, -2.0, 0.2)
 MOVING = (0.1, -0.05, 0.02)
@@ -42,10 +41,10 @@ def asked(
     word = VehicleStatus(0.0, armed, Mode.EXTERNAL, landed, True)
     inputs = Inputs(state if own else None, word if status else None)
     known = TargetState(0.0, PAD, MOVING, 0.0)
-    e_m = e if own and target else None
-    seen = Snapshot(inputs, known if target else None, own_ok, target_ok, True, e_m, permissions=permissions)
+    at = relative(state, known) if own and target else None
+    seen = Snapshot(inputs, known if target else None, own_ok, target_ok, True, at, permissions=permissions)
     strategy = strategy_of(settings)
-    mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
+    mission = mission_of(settings, strategy)
     mission.memory = memory
     mission.progress(seen)
     before = replace(memory)

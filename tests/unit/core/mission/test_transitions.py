@@ -1,20 +1,18 @@
 """Tests that the text of a phase change is parsed back to the same change."""
 
-from dataclasses import replace
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.memory import AbortWay, PlausibilityMemory, TrackMemory
-from flightstack.core.mission.machine import Mission, Transition, parse
+from flightstack.core.mission.machine import Transition, parse
 from flightstack.core.mission.phases import TABLE, Condition, first
-from flightstack.core.snapshot import Snapshot
-from flightstack.core.strategies.strategy import strategy_of
+from flightstack.core.snapshot import Snapshot, relative
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
-from tests.unit.core.mission.test_guidance import BARRIER, ROBUST
+from tests.unit.core.mission.mission_helpers import mission_of
+from tests.unit.core.mission.test_guidance import ROBUST
 
 reasons = st.text(st.characters(codec="utf-8"), max_size=40).filter(lambda text: not text.endswith(")"))
 
@@ -54,7 +52,7 @@ def known(own_state=None, *, status_s=None, target_age_s=None, track=None, **wat
     plausibility.memory = PlausibilityMemory(**watched)
     seen = TargetTrack(CHECKS)
     seen.memory = TrackMemory(**(track or {}))
-    return Mission(ROBUST, BARRIER, strategy_of(ROBUST), seen, plausibility), view
+    return mission_of(ROBUST, track=seen, plausibility=plausibility), view
 
 
 def told(phase, word, what):
@@ -109,7 +107,9 @@ def test_waiting_in_vain_says_everything_that_is_missing():
     assert told(Phase.WAIT, over, known()).endswith("the vehicle does not say that it is ready to arm")
     ground = VehicleStatus(NOW_S, False, Mode.EXTERNAL, Landed.ON_GROUND, True)
     mission, view = known()
-    below = replace(view, inputs=Inputs(None, ground), e_m=(1.0, 0.0, 0.4144))
+    above = OwnState(0.0, 0.0, (1.0, 0.0, 0.4144), ZERO, 0.0)
+    at = relative(above, TargetState(0.0, ZERO, ZERO, 0.0))
+    below = view._replace(inputs=Inputs(None, ground), relative=at)
     said = told(Phase.WAIT, over, (mission, below))
     assert "spot is 0.40 m below the ground on which the vehicle stands; checks.target_below_max_m" in said
     ready = over | Condition.READY

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.safety.barrier import Barrier
-from flightstack.core.snapshot import Snapshot
+from flightstack.core.snapshot import Snapshot, relative
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Inputs, OwnState
@@ -24,7 +24,7 @@ def robust(**sections):
 def seen(own_velocity, target_velocity, e=(1.0, 0.0, 1.0), sigma_m=0.0, sigma_z_m=0.0):
     own = OwnState(0.0, 0.0, e, own_velocity, 0.0)
     target = TargetState(0.0, (0.0, 0.0, 0.0), target_velocity, 0.0, sigma_m, sigma_z_m)
-    return Snapshot(Inputs(own), target, True, True, True, e)
+    return Snapshot(Inputs(own), target, True, True, True, relative(own, target))
 
 
 rates = st.floats(0.3, 5.0)
