@@ -13,7 +13,7 @@ from flightstack.onboard.log import OnboardLog
 from logs.recorder.feed import Kind, Record, encode_json
 from logs.recorder.recording import McapFile, Recorder
 from logs.schema import Names, schemas
-from logs.schema.controller_rows import word_row
+from logs.schema.controller_rows import status_row
 from logs.schema.events import CONTROLLER, pack_log
 from sim.campaign.rows import judge_landing
 from sim.runners import landing as team_runner
@@ -113,8 +113,8 @@ class RecordedCompanion(Companion):
 
     def write(self, tick, taken, out, exec_s):
         super().write(tick, taken, out, exec_s)
-        if out.own_message is not None:
-            self.log.word(tick, word_row(out.own_message, EPOCH_NS, self.feed.number).pack())
+        if out.member_status is not None:
+            self.log.status(tick, status_row(out.member_status, EPOCH_NS, self.feed.number).pack())
         self.log.step(tick, taken, out, self.controller)
         self.log.timing(tick, out, 0.0, 0)
 

@@ -8,30 +8,20 @@ for an ordinary tick of a landing; a campaign runs it compiled, and its results 
 from __future__ import annotations
 
 import math
-from dataclasses import fields, make_dataclass
-from functools import lru_cache
-from typing import Any, NamedTuple
+from dataclasses import fields
+from typing import NamedTuple
 
 from flightstack.core.command import Barriers, VelocityCommand
 from flightstack.core.fleet.member import FleetMember
-from flightstack.core.memory import (
-    FilterMemory,
-    FleetMemory,
-    LateMemory,
-    Memory,
-    OwnMemory,
-    ReserveMemory,
-    State,
-)
+from flightstack.core.memory import Memory, State
 from flightstack.core.mission.guidance import Situation, nominal_command, ordinary_velocity
 from flightstack.core.mission.machine import Mission, Rules, Transition
 from flightstack.core.numeric import NotOrdinary, rare
-from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.gate import ApprovedSetpoint, GateVerdict
 from flightstack.core.snapshot import Relative, Snapshot, relative, snapshot_of
-from flightstack.core.strategies.strategy import Filter, strategy_class, strategy_of
+from flightstack.core.strategies.strategy import Filter, strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate
 from flightstack.core.target.track import TargetState, TargetTrack, Verdict
@@ -39,7 +29,7 @@ from flightstack.core.types import (
     ZERO,
     Charge,
     Inputs,
-    Neighbour,
+    MemberStatus,
     OwnState,
     Phase,
     Request,
@@ -78,35 +68,13 @@ class Outputs(NamedTuple):
     target_accepted: int  # number of accepted target samples
     target_rejected: int  # number of rejected target samples
     reserve: float = math.nan  # ratio of maximum thrust to weight; NaN: unknown, or no table [reserve]
-    own_message: Neighbour | None = None  # message to the fleet; None: no table [fleet], or no position
+    member_status: MemberStatus | None = None  # message to the fleet; None: no table [fleet], or no position
 
 
 def _level(transition: Transition) -> int:
     if transition.after is Phase.ABORT:
         return ERROR
     return WARN if transition.after is Phase.HOLD else INFO
-
-
-def state_class(config: FlightConfig) -> type[State]:
-    """Return the class of the controller state that this configuration needs; logs contain its name."""
-    name, parts = "State", dict[str, Any]()
-    whole = {"reserve": ReserveMemory, "own": OwnMemory}
-    if config.fleet is not None:
-        name, parts = "FleetState", {**whole, "fleet": FleetMemory}
-    elif config.velocity_loop.dead_time_s > 0.0:
-        name, parts = "LateState", {**whole, "late": LateMemory}
-    elif config.reserve is not None or config.own.learns:
-        name, parts = "WholeState", whole
-    if config.filter not in FILTERS and (found := strategy_class(config.filter)).filter is not Filter.filter:
-        name, parts["filter"] = "FilterState", FilterMemory
-        if found.State is not None:
-            parts["filter_state"] = found.State
-    return _extended(name, tuple(parts.items())) if parts else State
-
-
-@lru_cache(maxsize=16)
-def _extended(name: str, parts: tuple[tuple[str, Any], ...]) -> type[State]:
-    return make_dataclass(name, parts, bases=(State,), slots=True)
 
 
 class Landing(NamedTuple):
@@ -143,27 +111,25 @@ class Controller:
         self.memory = self._mission.memory
         self._fleet = FleetMember(config.fleet_or_alone, config.own.position_noise_m)
         self.velocity = VelocityCommand(config, self.barrier, self.memory, self.strategy, self._fleet)
+        strategy = self.strategy
+        self._state = State(
+            self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory,
+            self.reserve.memory, strategy.own, strategy.late, self._fleet.memory, strategy.memory,
+            strategy.state,
+        )  # fmt: skip
 
     @property
     def state(self) -> State:
         """Controller state. The next step changes these objects, so log or copy them before it."""
-        strategy = self.strategy
-        parts = {
-            "memory": self.memory, "track": self.track.memory, "motion": strategy.motion,
-            "tracking": strategy.tracking, "plausibility": self.plausibility.memory,
-            "reserve": self.reserve.memory, "own": strategy.own, "late": strategy.late,
-            "fleet": self._fleet.memory,
-            "filter": strategy.memory, "filter_state": strategy.state,
-        }  # fmt: skip
-        kind = state_class(self.config)
-        return kind(*(parts[part.name] for part in fields(kind)))
+        self._state.memory = self.memory  # compiled code copies its state back
+        return self._state
 
     def restore(self, state: State) -> None:
         """Restore a recorded state."""
         mine = self.state
-        for part in fields(mine):
+        for part in fields(State):
             into, written = getattr(mine, part.name), getattr(state, part.name)
-            for each in fields(into):
+            for each in fields(into) if into is not None else ():
                 setattr(into, each.name, getattr(written, each.name))
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
@@ -202,7 +168,7 @@ class Controller:
             target_accepted=self.track.memory.accepted,
             target_rejected=self.track.memory.rejected,
             reserve=self.reserve.reserve,
-            own_message=self._message(seen, now_s),
+            member_status=self._message(seen, now_s),
         )
 
     def land(self, own: OwnState, lasting: int, rules: Rules, now_s: float) -> Landing:
@@ -341,7 +307,7 @@ class Controller:
         commanded = memory.was_armed and memory.was_external and not memory.contact
         return memory.phase in FLYING and status.flies_by_setpoints and commanded
 
-    def _message(self, seen: Snapshot, now_s: float) -> Neighbour | None:
+    def _message(self, seen: Snapshot, now_s: float) -> MemberStatus | None:
         """Return the message to the fleet after this tick; None without a recent vehicle state."""
         own = seen.inputs.own
         if own is None or not seen.own_ok:

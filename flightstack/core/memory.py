@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import IntEnum
 from math import inf, nan
-from typing import Annotated
+from typing import Annotated, Any
 
 from flightstack.core.numeric import ABSENT, UNSEEN
-from flightstack.core.types import ZERO, Neighbour, OwnState, Phase, TargetSample, Vec3
+from flightstack.core.types import ZERO, MemberStatus, OwnState, Phase, TargetSample, Vec3
 
 
 class AbortWay(IntEnum):
@@ -32,7 +32,6 @@ class Memory:
     phase: Phase = Phase.WAIT
     phase_since_s: float = 0.0
     started_s: float = inf  # time at which the landing started, s
-    bad_since_s: float = inf  # unused; the state layout in logs contains this field
     good_since_s: float = inf  # time since which all inputs are usable, s
     contact_since_s: float = inf
     stopped_since_s: float = inf  # time since which the vehicle does not follow a descent command, s
@@ -105,7 +104,7 @@ class MotionMemory:
     acceleration_enu_m_s2: Vec3 = ZERO
     yaw_rad: float | None = None  # newest measured heading, rad; None: unknown
     turn_rate_rad_s: float = 0.0  # turn rate of the velocity and acceleration vectors
-    surprise: float = 1.0  # normalised innovation squared of x and y; its mean is 1
+    innovation2: float = 1.0  # mean normalised innovation squared of x and y; 1 is expected
     covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # covariance of x, which equals that of y
     covariance_z: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -195,24 +194,10 @@ class ExchangeMemory:
 
 
 @dataclass(slots=True)
-class State:
-    """Complete controller state: with the configuration and the next inputs it determines all outputs.
-
-    ``controller.state_class`` adds the parts that only some configurations use.
-    """
-
-    memory: Memory
-    track: TrackMemory
-    motion: MotionMemory
-    tracking: TrackingMemory
-    plausibility: PlausibilityMemory
-
-
-@dataclass(slots=True)
 class Heard:
     """State of one neighbour."""
 
-    word: Neighbour | None = None  # newest message of the neighbour; None before the first
+    message: MemberStatus | None = None  # newest message of the neighbour; None before the first
     yields: bool = False  # whether this vehicle has announced that it yields to the neighbour
     claim_s: float = nan  # time stamp of the neighbour's claim to which this vehicle yields, s
     yielded_s: float = -inf  # time of the last announcement of yielding, s
@@ -221,19 +206,11 @@ class Heard:
     jumped_m: Vec3 = ZERO  # sum of the position jumps beyond the reachable set
 
 
-# one slot for each other member, in the order of their ids; a smaller fleet leaves the last slots unused
-Slots = tuple[Heard, Heard, Heard, Heard, Heard, Heard, Heard, Heard]
-
-
-def _nobody_heard() -> Slots:
-    return (Heard(), Heard(), Heard(), Heard(), Heard(), Heard(), Heard(), Heard())
-
-
 @dataclass(slots=True)
 class FleetMemory:
     """State of the neighbours, and of this vehicle's right of way."""
 
-    slots: Slots = field(default_factory=_nobody_heard)
+    slots: tuple[Heard, ...] = ()  # one for each other member, in the order of their ids
     claim_s: float = nan  # time at which this vehicle claimed the right of way, s; NaN: no claim
     granted: bool = False
     waits_since_s: float = inf  # time since which the vehicle waits for the right of way, s
@@ -243,3 +220,23 @@ class FleetMemory:
     left: bool = False  # whether the vehicle has left its pad for another vehicle, or has tried to
     stays: bool = False  # whether the event "vehicle does not leave its pad" was sent
     place_enu_m: Vec3 | None = None  # place where the vehicle lands after leaving its pad
+
+
+@dataclass(slots=True)
+class State:
+    """Complete controller state: with the configuration and the next inputs it determines all outputs.
+
+    Every configuration has all parts; a log leaves out the parts that equal their defaults.
+    """
+
+    memory: Memory = field(default_factory=Memory)
+    track: TrackMemory = field(default_factory=TrackMemory)
+    motion: MotionMemory = field(default_factory=MotionMemory)
+    tracking: TrackingMemory = field(default_factory=TrackingMemory)
+    plausibility: PlausibilityMemory = field(default_factory=PlausibilityMemory)
+    reserve: ReserveMemory = field(default_factory=ReserveMemory)
+    own: OwnMemory = field(default_factory=OwnMemory)
+    late: LateMemory = field(default_factory=LateMemory)
+    fleet: FleetMemory = field(default_factory=FleetMemory)
+    filter: FilterMemory = field(default_factory=FilterMemory)
+    filter_state: Any = None  # state of a user's filter, ``Filter.State``; None: it has none

@@ -174,7 +174,7 @@ class Intent(IntEnum):
     DOWN = 5  # the member has landed, or its autopilot lands it: it follows no set-points
 
 
-class Neighbour(NamedTuple):
+class MemberStatus(NamedTuple):
     """Message of a fleet member; all times are on the receiver's stack clock."""
 
     id: int  # id of the member, 1 to 250
@@ -200,4 +200,4 @@ class Inputs(NamedTuple):
     target_samples: tuple[TargetSample, ...] = ()
     operator: Operator = Operator.NONE
     power: Power | None = None  # received only with a table [reserve] in the configuration
-    neighbours: tuple[Neighbour, ...] = ()  # messages since the last tick; only with a table [fleet]
+    neighbours: tuple[MemberStatus, ...] = ()  # messages since the last tick; only with a table [fleet]

@@ -1,8 +1,9 @@
-"""Fleet messages: this vehicle sends one in each tick, and receives those of the other members.
+"""Status of a fleet member: this vehicle sends its own in each tick, and receives those of the others.
 
-Each process publishes ``FleetWord`` on ``NAMESPACE/fleet/word`` and subscribes to ``**/fleet/word``. This one
-pattern needs no list of namespaces, and also detects two processes with one vehicle id, and vehicles that are
-not members. Like all keys of a vehicle, the key begins with the namespace, so that access rules can name it.
+Each process publishes ``MemberStatus`` on ``NAMESPACE/fleet/status`` and subscribes to ``**/fleet/status``.
+This one pattern needs no list of namespaces, and also detects two processes with one vehicle id, and vehicles
+that are not members. Like all keys of a vehicle, the key begins with the namespace, so that access rules can
+name it.
 
 In flight no call blocks. Rejected messages are counted; a text reports each doubling of the count.
 
@@ -32,14 +33,14 @@ from flightstack.common.pacing import Tick
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.sender_clock import Reading, SenderClock
-from flightstack.core.types import Neighbour
+from flightstack.core.types import MemberStatus
 from logs.schema import member_name
-from logs.schema.controller_rows import Echo, neighbour_of, word_row
-from logs.schema.rows import FleetWordRow
-from logs.schema.schemas import FLEET_WORD
+from logs.schema.controller_rows import Echo, received_status, status_row
+from logs.schema.rows import MemberStatusRow
+from logs.schema.schemas import MEMBER_STATUS
 
-KEY = "fleet/word"
-EVERYBODY = f"**/{KEY}"
+KEY = "fleet/status"
+EVERY_MEMBER = f"**/{KEY}"
 CAPACITY = 256  # maximum number of queued messages; the oldest ones are dropped
 BYTES_MAX = 2048  # maximum size of an accepted message, bytes
 PROOF_S = 0.3  # time for which messages after a clock step must agree, s: longer than the latency
@@ -72,12 +73,12 @@ class NoFleet:
     def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
         """Wait for the messages that belong to a tick in lockstep; ``stopped``: whether to stop waiting."""
 
-    def words(self) -> tuple[Neighbour, ...]:
+    def statuses(self) -> tuple[MemberStatus, ...]:
         """Return the newest message of each member since the last call."""
         return ()
 
-    def say(self, message: Neighbour | None) -> bytes | None:
-        """Send ``Outputs.own_message`` to the other members; return its bytes for the log, or None."""
+    def say(self, message: MemberStatus | None) -> bytes | None:
+        """Send ``Outputs.member_status`` to the other members; return its bytes for the log, or None."""
 
     def texts(self) -> list[str]:
         """Return the texts for the operator since the last call."""
@@ -182,9 +183,9 @@ class FleetWire(NoFleet):
         self._epoch_ns = 0
         self._now_s: Callable[[], float] = lambda: 0.0
         self._publisher = zenoh_link.dropping_publisher(
-            session, f"{namespace}/{KEY}", f"application/cdr;{FLEET_WORD}"
+            session, f"{namespace}/{KEY}", f"application/cdr;{MEMBER_STATUS}"
         )
-        self._subscriber = zenoh_link.remote_subscriber(session, EVERYBODY, CAPACITY)
+        self._subscriber = zenoh_link.remote_subscriber(session, EVERY_MEMBER, CAPACITY)
 
     def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
         self._epoch_ns, self._now_s = epoch_ns, now_s
@@ -197,11 +198,11 @@ class FleetWire(NoFleet):
                 self._hear_namesake()
         return self.doubled
 
-    def words(self) -> tuple[Neighbour, ...]:
+    def statuses(self) -> tuple[MemberStatus, ...]:
         rows = self._rows()
         now_s = self._now_s()  # read after the queue, so that no message is newer than this time
         now_ns = self._epoch_ns + round(now_s * 1e9)
-        newest: dict[int, Neighbour] = {}
+        newest: dict[int, MemberStatus] = {}
         for row in rows:
             if self._is_of_member(row, now_ns):
                 message = self._taken(row, now_s, now_ns)
@@ -209,7 +210,7 @@ class FleetWire(NoFleet):
                     newest[row.id] = message
         return tuple(newest[n] for n in sorted(newest))
 
-    def say(self, message: Neighbour | None) -> bytes | None:
+    def say(self, message: MemberStatus | None) -> bytes | None:
         if message is None:
             return None
         now_ns = self._epoch_ns + round(message.stamp_s * 1e9)
@@ -218,7 +219,7 @@ class FleetWire(NoFleet):
             ahead_ns = member.clock.ahead_ns(now_ns)
             if member.process is not None and ahead_ns is not None:
                 echoes.append(Echo(n, member.process, ahead_ns))
-        payload = word_row(message, self._epoch_ns, self._process, echoes).pack()
+        payload = status_row(message, self._epoch_ns, self._process, echoes).pack()
         self._publisher.put(payload)
         return payload
 
@@ -230,7 +231,7 @@ class FleetWire(NoFleet):
         self._subscriber.undeclare()
         self._publisher.undeclare()
 
-    def _rows(self) -> list[FleetWordRow]:
+    def _rows(self) -> list[MemberStatusRow]:
         rows = []
         for sample in zenoh_link.drain(self._subscriber):
             payload = sample.payload.to_bytes()
@@ -238,7 +239,7 @@ class FleetWire(NoFleet):
                 self._counts.add("malformed", f"{len(payload)} bytes, allowed are {BYTES_MAX}")
                 continue
             try:
-                rows.append(FleetWordRow.unpack(payload))
+                rows.append(MemberStatusRow.unpack(payload))
             except ValueError as error:
                 self._counts.add("malformed", str(error))
         return rows
@@ -248,7 +249,7 @@ class FleetWire(NoFleet):
         self._counts.add(what)
         self.doubled = f"fleet: {what}: end it, or give one of them another id"
 
-    def _is_of_member(self, row: FleetWordRow, now_ns: int) -> bool:
+    def _is_of_member(self, row: MemberStatusRow, now_ns: int) -> bool:
         """Whether a message comes from another member; of two processes with one id, the first is valid."""
         if row.id == self._fleet.id:
             if row.process != self._process:  # the network may return messages of this process
@@ -270,7 +271,7 @@ class FleetWire(NoFleet):
         member.process = row.process
         return True
 
-    def _taken(self, row: FleetWordRow, now_s: float, now_ns: int) -> Neighbour | None:
+    def _taken(self, row: MemberStatusRow, now_s: float, now_ns: int) -> MemberStatus | None:
         """Convert a message to this clock; return None if it is outdated or its time is too uncertain."""
         member, fleet = self._members[row.id], self._fleet
         # PROOF_S is short: a queue cannot look like a changed clock, because the offset's bound covers delays
@@ -304,7 +305,7 @@ class FleetWire(NoFleet):
             member.claim_s = (row.claim_ns + offset.ns - self._epoch_ns) / 1e9
         stamp_s = (row.stamp_ns + offset.ns - self._epoch_ns) / 1e9
         try:
-            return neighbour_of(row, stamp_s, now_s, member.claim_s, bound_s)
+            return received_status(row, stamp_s, now_s, member.claim_s, bound_s)
         except ValueError as error:
             self._counts.add("malformed", str(error))
             return None

@@ -27,11 +27,11 @@ from flightstack.common.pacing import (
     Silence,
     Tick,
 )
-from flightstack.core.types import Neighbour
+from flightstack.core.types import MemberStatus
 from flightstack.onboard.fleet_wire import NoFleet
 from flightstack.onboard.leaving import Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
-from logs.schema.controller_rows import pack_neighbours, unpack_neighbours, word_row
+from logs.schema.controller_rows import pack_neighbours, status_row, unpack_neighbours
 
 CREDIT_EVERY = 10  # ticks between two messages that let the target continue
 WAIT_SLICE_S = 0.05  # wall time between checks for signals during a wait, s
@@ -170,7 +170,7 @@ class LockstepWires:
         return tick in self._counts and self._received + len(self._pool) >= self._counts[tick]
 
 
-class LockstepWords(NoFleet):
+class LockstepStatuses(NoFleet):
     """Fleet messages in lockstep: other members receive a message in a later tick.
 
     The vehicles' simulator receives the messages of all members and distributes them tick by tick, so that
@@ -199,7 +199,7 @@ class LockstepWords(NoFleet):
                 self._texts.append("fleet: no messages arrived with this tick: continuing without")
             time.sleep(2e-5)
 
-    def words(self) -> tuple[Neighbour, ...]:
+    def statuses(self) -> tuple[MemberStatus, ...]:
         tick = self._tick
         payload = self._inbox.pop(tick.number, b"") if tick is not None else b""
         if tick is None or not payload:
@@ -207,14 +207,14 @@ class LockstepWords(NoFleet):
         found = [message for each in split(payload) for message in unpack_neighbours(each)]
         return tuple(message._replace(arrival_s=tick.now_s) for message in found)
 
-    def say(self, message: Neighbour | None) -> bytes | None:
+    def say(self, message: MemberStatus | None) -> bytes | None:
         """Send the message of this tick; without a message, send an empty one."""
         tick = self._tick
         if tick is None:
             return None
         payload = pack_neighbours(tick, (message,)) if message is not None else b""
         self._told.put(payload, attachment=PAIR.pack(tick.number, 0))
-        return word_row(message, EPOCH_NS, 0).pack() if message is not None else None
+        return status_row(message, EPOCH_NS, 0).pack() if message is not None else None
 
     def texts(self) -> list[str]:
         texts, self._texts = self._texts, []

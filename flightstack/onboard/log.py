@@ -11,11 +11,10 @@ from bridge.mavlink.transport.address import Peer
 from bridge.target.odometry import RawSample
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
-from flightstack.core.controller import Controller, Outputs, state_class
-from flightstack.core.memory import State
+from flightstack.core.controller import Controller, Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.runner import Taken
-from flightstack.onboard.state_text import StateText
+from flightstack.onboard.state_text import state_text
 from logs.recorder.feed import Feed
 from logs.schema import Names
 from logs.schema.controller_rows import (
@@ -34,10 +33,10 @@ from logs.schema.schemas import (
     CONTROLLER_POWER,
     CONTROLLER_STATE,
     CONTROLLER_STEP,
-    FLEET_WORD,
     LOG,
     LOOP_TIMING,
     MAVLINK,
+    MEMBER_STATUS,
     ODOMETRY,
 )
 
@@ -65,7 +64,7 @@ class OnboardLog:
         lockstep: bool,
     ) -> None:
         self._feed, self._names, self._lockstep, namespace = feed, names, lockstep, names.member
-        state, rate_hz = state_class(config), config.loop.rate_hz
+        rate_hz = config.loop.rate_hz
 
         def topic(name: str, schema: str) -> int:
             return feed.channel(f"/{namespace}/{name}", schema)
@@ -82,10 +81,10 @@ class OnboardLog:
         self._input = topic("controller/input", CONTROLLER_INPUT)
         self._step = topic("controller/step", CONTROLLER_STEP)
         self._power = topic("controller/power", CONTROLLER_POWER) if config.reserve is not None else None
-        self._neighbours = self._word = None
+        self._neighbours = self._status = None
         if config.fleet is not None:
             self._neighbours = topic("controller/neighbours", CONTROLLER_NEIGHBOURS)
-            self._word = topic("fleet/word", FLEET_WORD)
+            self._status = topic("fleet/status", MEMBER_STATUS)
         self._state = topic("controller/state", CONTROLLER_STATE)
         self._timing = topic("loop/timing", LOOP_TIMING)
         self._rosout = feed.channel("/rosout", LOG)
@@ -98,7 +97,7 @@ class OnboardLog:
         self._every = max(1, round(rate_hz / STATUS_HZ))
         self._state_every = max(1, round(rate_hz / STATE_HZ))
         self._health_every = max(1, round(rate_hz / HEALTH_HZ))
-        self._state_text = StateText[State](state)
+        self._state_text = state_text(config)
         self._live_step = live("controller/step", "ControllerStep")
         self._live_timing = live("loop/timing", "LoopTiming")
         self._live_health = live("health", "Health")
@@ -167,10 +166,10 @@ class OnboardLog:
             self._put(self._state, tick, snapshot.pack())
         return row
 
-    def word(self, tick: Tick, payload: bytes | None) -> None:
-        """Write this vehicle's message to its fleet as it was sent; None: no message was sent."""
-        if self._word is not None and payload is not None:
-            self._put(self._word, tick, payload)
+    def status(self, tick: Tick, payload: bytes | None) -> None:
+        """Write this vehicle's status as it was sent to its fleet; None: it was not sent."""
+        if self._status is not None and payload is not None:
+            self._put(self._status, tick, payload)
 
     def health(
         self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int

@@ -34,7 +34,7 @@ from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard import preflight
 from flightstack.onboard.fleet_wire import FleetWire, NoFleet, namespace_of
 from flightstack.onboard.leaving import Leaving, Signals, fly
-from flightstack.onboard.lockstep import LockstepWires, LockstepWords
+from flightstack.onboard.lockstep import LockstepStatuses, LockstepWires
 from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.recording import Described, own_recorder
 from flightstack.onboard.runner import (
@@ -113,7 +113,7 @@ class Onboard:
         """Log and publish a tick, and send the message to the fleet."""
         link, arrived = self.link, taken.arrived
         exec_s *= self.options.speed
-        self.log.word(tick, self.fleet.say(out.own_message))  # sent first: other members wait for it
+        self.log.status(tick, self.fleet.say(out.member_status))  # sent first: other members wait for it
         self.log.samples(arrived.messages, tick.unix_ns)
         for text in self.refusals.told(arrived.problems):
             self.log.event(tick.unix_ns, WARN, text)
@@ -255,7 +255,7 @@ def _fleet(
             "(docs/how_it_works/fleet.md)"
         )
     if options.lockstep:
-        return LockstepWords(session, namespace)
+        return LockstepStatuses(session, namespace)
     return FleetWire(session, namespace, config.fleet)
 
 
@@ -330,4 +330,4 @@ def _runner(onboard: Onboard, vehicle: LinkedVehicle, leaving: Leaving, signals:
         pacer = RealTimePacer(rate_hz, clock)
         fleet.begin(pacer.unix_start_ns, pacer.now_s)
         both = LiveWires(pacer, onboard.link, wires.odometry)
-    return Runner(onboard.controller, both, vehicle, both, leaving, onboard, fleet.words)
+    return Runner(onboard.controller, both, vehicle, both, leaving, onboard, fleet.statuses)

@@ -20,7 +20,7 @@ from flightstack.core.controller import Controller, Outputs
 from flightstack.core.memory import Memory
 from flightstack.core.types import (
     Inputs,
-    Neighbour,
+    MemberStatus,
     Operator,
     OwnState,
     Phase,
@@ -113,7 +113,7 @@ class Sink(Protocol):
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None: ...
 
 
-Words = Callable[[], tuple[Neighbour, ...]]  # messages of other vehicles since the last tick
+Statuses = Callable[[], tuple[MemberStatus, ...]]  # statuses of other vehicles since the last tick
 
 
 class Runner:
@@ -127,9 +127,9 @@ class Runner:
         target: Target,
         ending: Ending,
         sink: Sink,
-        words: Words = tuple,
+        statuses: Statuses = tuple,
     ) -> None:
-        self._controller, self._clock, self._vehicle, self._words = controller, clock, vehicle, words
+        self._controller, self._clock, self._vehicle, self._statuses = controller, clock, vehicle, statuses
         self._target, self._ending, self._sink = target, ending, sink
         self._landing = False
         self.now_s = 0.0  # stack clock at the newest tick
@@ -156,7 +156,7 @@ class Runner:
         arrived = self._target.samples(now_s)
         own, status, command_failed, power = self._vehicle.read()
         operator = self._ending.operator(status, now_s)
-        inputs = Inputs(own, status, arrived.samples, operator, power, self._words())
+        inputs = Inputs(own, status, arrived.samples, operator, power, self._statuses())
         out = controller.step(inputs, now_s, command_failed=command_failed)
         self._vehicle.answer(out, now_s)
         exec_s = time.perf_counter() - began_s

@@ -10,14 +10,19 @@ import dataclasses
 import json
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import Enum
-from types import NoneType, UnionType
+from types import MappingProxyType, NoneType, UnionType
 from typing import Any, Generic, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from flightstack.core.memory import State
+from flightstack.core.parameters.filters import FILTERS
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.strategy import strategy_class
 
 T = TypeVar("T")
 
-VERSION = 1  # version of the text form
+VERSION = 2  # version of the text form
 _WRITER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, check_circular=False)
 _BITS = "f64:"  # prefix of a float that JSON cannot represent: 16 hex digits of its IEEE 754 bits, big-endian
 
@@ -35,18 +40,25 @@ class _Plan(NamedTuple):
 
 
 class StateText(Generic[T]):
-    """Writer and reader of the values of one dataclass.
+    """Writer and reader of the values of one class; ``given``: types of its fields of type Any.
 
+    The text leaves out each field that equals its default, if ``cls()`` is possible.
     Raises TypeError: the declared type of a field is not bool, int, float, str, enum, tuple, dataclass, named
     tuple, or a union of one of these with None.
     """
 
-    def __init__(self, cls: type[T]) -> None:
-        self._plan = _plan(cls, cls.__name__)
+    def __init__(self, cls: type[T], **given: Any) -> None:
+        self._plan = _named(cls, given)
         self.layout = f"{VERSION} {self._plan.layout}"  # version, then names and types of all fields
+        self._defaults: dict[str, Any] = {}
+        if dataclasses.is_dataclass(cls) and not any(map(_is_required, dataclasses.fields(cls))):
+            self._defaults = self._plan.encode(cls())
+        self._omitted = {name: _WRITER.encode(each) for name, each in self._defaults.items()}
 
     def dumps(self, value: T) -> str:
-        return _WRITER.encode(self._plan.encode(value))
+        texts = [(name, _WRITER.encode(each)) for name, each in self._plan.encode(value).items()]
+        written = [f'"{name}":{text}' for name, text in texts if text != self._omitted.get(name)]
+        return f"{{{','.join(written)}}}"
 
     def loads(self, layout: str, text: str) -> T:
         """Return the value that ``dumps`` wrote. Raises StateTextError: wrong layout, or invalid text."""
@@ -56,8 +68,18 @@ class StateText(Generic[T]):
             plain = json.loads(text, parse_constant=_refuse)
         except (ValueError, RecursionError) as error:
             raise StateTextError(f"not JSON: {error}") from error
-        value: T = self._plan.decode(plain, "")
+        value: T = self._plan.decode({**self._defaults, **plain} if isinstance(plain, dict) else plain, "")
         return value
+
+
+def state_text(config: FlightConfig) -> StateText[State]:
+    """Return the writer and reader of the controller's state; a user's filter may have a state of its own."""
+    own = None if config.filter in FILTERS else strategy_class(config.filter).State
+    return StateText(State) if own is None else StateText(State, filter_state=own | None)
+
+
+def _is_required(field: Any) -> bool:
+    return field.default is field.default_factory  # both are MISSING
 
 
 def _refuse(word: str) -> None:
@@ -75,6 +97,8 @@ def _plan(hint: Any, where: str) -> _Plan:
     inner, kind = get_args(hint), hint if isinstance(hint, type) else object
     if hint is float:
         return _Plan("float", _encode_float, _decode_float)
+    if hint is Any:
+        return _Plan("none", *(lambda v, at=where: _is(v, v is None, at, "None"),) * 2)
     if hint in (bool, int, str):
         name = hint.__name__
         return _Plan(name, hint, lambda v, at: _is(v, type(v) is hint, at, name))
@@ -133,9 +157,9 @@ def _tuple(hints: tuple[Any, ...], where: str) -> _Plan:
     )
 
 
-def _named(cls: Any) -> _Plan:
+def _named(cls: Any, given: Mapping[str, Any] = MappingProxyType({})) -> _Plan:
     """Return the plan of a dataclass or named tuple."""
-    hints = get_type_hints(cls)
+    hints = {**get_type_hints(cls), **given}
     names = cls._fields if hasattr(cls, "_fields") else [f.name for f in dataclasses.fields(cls)]
     plans = {name: _plan(hints[name], f"{cls.__name__}.{name}") for name in names}
 

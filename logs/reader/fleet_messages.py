@@ -15,8 +15,8 @@ from flightstack.core.types import Intent
 from logs.reader.flight_data import Fleet, Floats
 from logs.reader.reader import LogFile
 from logs.schema.controller_rows import unpack_neighbours
-from logs.schema.rows import FleetWordRow
-from logs.schema.schemas import CONTROLLER_NEIGHBOURS, FLEET_WORD
+from logs.schema.rows import MemberStatusRow
+from logs.schema.schemas import CONTROLLER_NEIGHBOURS, MEMBER_STATUS
 
 AGE_MAX_S = 0.5  # maximum message age by default, s
 _Sent = tuple[float, Intent, tuple[str, ...]]  # time, s; intent; members to which the sender gives way
@@ -71,12 +71,12 @@ def load_messages(fleet: Fleet) -> FleetMessages:
     refused: list[str] = []
     for message in log.messages():
         member = log.parts.owner(message.topic)
-        if member is None or message.schema not in (CONTROLLER_NEIGHBOURS, FLEET_WORD):
+        if member is None or message.schema not in (CONTROLLER_NEIGHBOURS, MEMBER_STATUS):
             continue
         t_s = (message.log_time_ns - fleet.origin_ns) * 1e-9
         try:
-            if message.schema == FLEET_WORD:
-                row = FleetWordRow.unpack(message.data)
+            if message.schema == MEMBER_STATUS:
+                row = MemberStatusRow.unpack(message.data)
                 others = tuple(names.get(number, f"vehicle {number}") for number in row.yields_to)
                 sent[member].append((t_s, Intent(row.intent), others))
                 continue

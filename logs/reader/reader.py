@@ -30,7 +30,7 @@ from mcap.records import Message as MessageRecord
 from logs.reader.mcap_records import MAGIC, Records, named, no_file
 from logs.schema import FLEET, LOSSES, SCENARIO, member_name, split
 from logs.schema.rows import LogRow
-from logs.schema.schemas import LOG, same_fields
+from logs.schema.schemas import LOG, current_name, same_fields
 
 ROSOUT = "/rosout"
 _NAME = re.compile(r"(?=.{1,64}$)[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*")
@@ -249,7 +249,7 @@ class LogFile:
                             topic, schema, record.log_time, record.publish_time, record.sequence, data
                         )
                 elif isinstance(record, Schema):
-                    schemas[record.id] = record.name
+                    schemas[record.id] = current_name(record.name)
                 elif isinstance(record, Channel):
                     seen = record.topic if view is None else view.topic(record.topic)
                     if seen is not None and (topics is None or seen in topics):
@@ -310,6 +310,6 @@ class LogFile:
                 elif isinstance(record, Schema) and not same_fields(
                     record.name, record.data.decode(errors="replace")
                 ):
-                    found.foreign.add(record.name)
+                    found.foreign.add(current_name(record.name))
         found.problem = records.problem
         return found

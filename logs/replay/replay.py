@@ -15,12 +15,12 @@ from pathlib import Path
 from bridge.mavlink.line_budget import plan
 from bridge.mavlink.profiles import AUTO, PROFILES, PX4
 from flightstack.common.pacing import Tick
-from flightstack.core.controller import Controller, Outputs, state_class
-from flightstack.core.memory import Memory, State
+from flightstack.core.controller import Controller, Outputs
+from flightstack.core.memory import Memory
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.types import Neighbour, Operator, Phase, VehicleStatus
+from flightstack.core.types import MemberStatus, Operator, Phase, VehicleStatus
 from flightstack.onboard.runner import Arrived, Runner, Taken, VehicleInputs
-from flightstack.onboard.state_text import StateText, StateTextError
+from flightstack.onboard.state_text import StateTextError, state_text
 from logs.compare import Tally, TickDifference, messages_of, values_of
 from logs.reader.flight_data import phase_name
 from logs.replay.read import ROSOUT, FlightInputs, ReplayError, TickRecord
@@ -90,8 +90,8 @@ class _Run:
         self.config = config if config is not None else flight.config()
         self.controller = Controller(self.config)
         self.result = Result(flight.log.path)
-        self.text = StateText[State](state_class(self.config))
-        self.runner = Runner(self.controller, *(self,) * 4, sink=self, words=self.words)
+        self.text = state_text(self.config)
+        self.runner = Runner(self.controller, *(self,) * 4, sink=self, statuses=self.statuses)
         self.record: TickRecord
         self.given: TickInputs
         self.wire: WireReplay | None = None
@@ -162,7 +162,7 @@ class _Run:
         del now_s
         return Arrived(self.given.inputs.target_samples)
 
-    def words(self) -> tuple[Neighbour, ...]:
+    def statuses(self) -> tuple[MemberStatus, ...]:
         return self.given.inputs.neighbours
 
     def landing_began(self, tick: int) -> None: ...

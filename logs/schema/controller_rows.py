@@ -18,8 +18,8 @@ from flightstack.core.types import (
     Inputs,
     Intent,
     Landed,
+    MemberStatus,
     Mode,
-    Neighbour,
     Operator,
     OwnState,
     Power,
@@ -31,7 +31,7 @@ from logs.schema.rows import (
     ControllerNeighboursRow,
     ControllerPowerRow,
     ControllerStepRow,
-    FleetWordRow,
+    MemberStatusRow,
 )
 from logs.schema.schemas import TARGET_SAMPLE, fields_of
 
@@ -144,33 +144,33 @@ def step_row(tick: Tick, out: Outputs) -> ControllerStepRow:
     )
 
 
-def pack_neighbours(tick: Tick, neighbours: Sequence[Neighbour]) -> bytes:
+def pack_neighbours(tick: Tick, neighbours: Sequence[MemberStatus]) -> bytes:
     """Return the CDR of ``ControllerNeighbours`` with the messages that a tick used."""
     return ControllerNeighboursRow(tick.unix_ns, tick.number, tuple(map(_values, neighbours))).pack()
 
 
-def unpack_neighbours(data: bytes) -> tuple[Neighbour, ...]:
+def unpack_neighbours(data: bytes) -> tuple[MemberStatus, ...]:
     """Return the messages in a CDR payload of :func:`pack_neighbours`."""
     return tuple([_neighbour(values) for values in ControllerNeighboursRow.unpack(data).neighbours])
 
 
-def _values(word: Neighbour) -> tuple[Any, ...]:
-    pad, speed = word.pad_position_enu_m, word.pad_velocity_enu_m_s
+def _values(status: MemberStatus) -> tuple[Any, ...]:
+    pad, speed = status.pad_position_enu_m, status.pad_velocity_enu_m_s
     return (
-        *word[: Neighbour._fields.index("pad_position_enu_m")],
+        *status[: MemberStatus._fields.index("pad_position_enu_m")],
         pad is not None,
         pad if pad is not None else ZERO,
         speed is not None,
         speed if speed is not None else ZERO,
-        bytes(word.yields_to),
+        bytes(status.yields_to),
     )
 
 
-def _neighbour(values: tuple[Any, ...]) -> Neighbour:
+def _neighbour(values: tuple[Any, ...]) -> MemberStatus:
     *told, pad_known, pad, speed_known, speed, yields_to = values
     pads = (pad if pad_known else None, speed if speed_known else None)
-    word = Neighbour._make((*told, *pads, tuple(yields_to)))
-    return word._replace(intent=Intent(word.intent))
+    status = MemberStatus._make((*told, *pads, tuple(yields_to)))
+    return status._replace(intent=Intent(status.intent))
 
 
 class Echo(NamedTuple):
@@ -181,33 +181,35 @@ class Echo(NamedTuple):
     arrival_ns: int
 
 
-def word_row(word: Neighbour, epoch_ns: int, process: int, echoes: Sequence[Echo] = ()) -> FleetWordRow:
-    """Return a vehicle's message to its neighbours; ``epoch_ns``: Unix time of stack time 0."""
-    pad, claims = word.pad_position_enu_m, not math.isnan(word.claim_s)
-    return FleetWordRow(
-        epoch_ns + round(word.stamp_s * 1e9),
-        word.id,
+def status_row(
+    status: MemberStatus, epoch_ns: int, process: int, echoes: Sequence[Echo] = ()
+) -> MemberStatusRow:
+    """Return a vehicle's status for its neighbours; ``epoch_ns``: Unix time of stack time 0."""
+    pad, claims = status.pad_position_enu_m, not math.isnan(status.claim_s)
+    return MemberStatusRow(
+        epoch_ns + round(status.stamp_s * 1e9),
+        status.id,
         process,
-        word.position_enu_m,
-        word.velocity_enu_m_s,
-        word.wanted_enu_m_s,
-        word.position_sigma_m,
-        word.intent,
+        status.position_enu_m,
+        status.velocity_enu_m_s,
+        status.wanted_enu_m_s,
+        status.position_sigma_m,
+        status.intent,
         claims,
-        epoch_ns + round(word.claim_s * 1e9) if claims else 0,
+        epoch_ns + round(status.claim_s * 1e9) if claims else 0,
         pad is not None,
         pad if pad is not None else ZERO,
-        word.pad_velocity_enu_m_s or ZERO,
-        bytes(word.yields_to),
+        status.pad_velocity_enu_m_s or ZERO,
+        bytes(status.yields_to),
         tuple(echoes),
     )
 
 
-def neighbour_of(
-    row: FleetWordRow, stamp_s: float, arrival_s: float, claim_s: float, clock_bound_s: float
-) -> Neighbour:
+def received_status(
+    row: MemberStatusRow, stamp_s: float, arrival_s: float, claim_s: float, clock_bound_s: float
+) -> MemberStatus:
     """Return another vehicle's message with times on the local stack clock; a claim of NaN means no claim."""
-    return Neighbour(
+    return MemberStatus(
         row.id,
         stamp_s,
         arrival_s,

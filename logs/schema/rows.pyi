@@ -114,7 +114,7 @@ class ControllerNeighboursRow(NamedTuple):
     @staticmethod
     def unpack(data: bytes) -> ControllerNeighboursRow: ...
 
-class FleetWordRow(NamedTuple):
+class MemberStatusRow(NamedTuple):
     stamp_ns: int
     id: int
     process: int
@@ -132,7 +132,7 @@ class FleetWordRow(NamedTuple):
     echoes: tuple[tuple[int, int, int], ...]
     def pack(self) -> bytes: ...
     @staticmethod
-    def unpack(data: bytes) -> FleetWordRow: ...
+    def unpack(data: bytes) -> MemberStatusRow: ...
 
 class FleetPairRow(NamedTuple):
     stamp_ns: int

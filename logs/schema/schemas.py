@@ -25,8 +25,8 @@ CONTROLLER_INPUT = "flightstack_msgs/msg/ControllerInput"
 CONTROLLER_STATE = "flightstack_msgs/msg/ControllerState"
 CONTROLLER_POWER = "flightstack_msgs/msg/ControllerPower"
 CONTROLLER_NEIGHBOURS = "flightstack_msgs/msg/ControllerNeighbours"
-NEIGHBOUR = "flightstack_msgs/msg/Neighbour"
-FLEET_WORD = "flightstack_msgs/msg/FleetWord"
+RECEIVED_STATUS = "flightstack_msgs/msg/ReceivedStatus"
+MEMBER_STATUS = "flightstack_msgs/msg/MemberStatus"
 FLEET_ECHO = "flightstack_msgs/msg/FleetEcho"
 FLEET_PAIR = "flightstack_msgs/msg/FleetPair"
 TARGET_SAMPLE = "flightstack_msgs/msg/TargetSample"
@@ -43,10 +43,12 @@ MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
 STRING = "std_msgs/msg/String"
 
 _OURS = (
-    CONTROLLER_STEP, TARGET_SAMPLE, CONTROLLER_INPUT, NEIGHBOUR, CONTROLLER_NEIGHBOURS, FLEET_ECHO,
-    FLEET_WORD, FLEET_PAIR, CONTROLLER_STATE, CONTROLLER_POWER, LOOP_TIMING, TRUE_STATE, HEALTH, MAVLINK,
+    CONTROLLER_STEP, TARGET_SAMPLE, CONTROLLER_INPUT, RECEIVED_STATUS, CONTROLLER_NEIGHBOURS, FLEET_ECHO,
+    MEMBER_STATUS, FLEET_PAIR, CONTROLLER_STATE, CONTROLLER_POWER, LOOP_TIMING, TRUE_STATE, HEALTH, MAVLINK,
 )  # fmt: skip
 _SEPARATOR = "=" * 80
+# former names of message types, which older logs contain, with their current names
+_FORMER = {"flightstack_msgs/msg/FleetWord": MEMBER_STATUS, "flightstack_msgs/msg/Neighbour": RECEIVED_STATUS}
 
 
 class UnknownSchemaError(ValueError):
@@ -75,14 +77,23 @@ def fields_of(name: str) -> tuple[Field, ...]:
     return tuple(_field(field, *node) for field, node in _known(name).fielddefs[name][1])
 
 
+def current_name(name: str) -> str:
+    """Return the current name of a message type that a log contains."""
+    return _FORMER.get(name, name)
+
+
 def same_fields(name: str, text: str) -> bool:
     """Return whether a type's definition in a log, with all types in it, has the fields of this software."""
     first, *used = text.split(_SEPARATOR)
-    texts = {name: first}
+    texts = {current_name(name): first}
     for part in used:
         head, _, body = part.strip().partition("\n")
-        texts[head.removeprefix("MSG: ").replace("/", "/msg/")] = body
-    return all(fields_of_text(body) == fields_of(kind) for kind, body in texts.items() if kind in _OURS)
+        texts[current_name(head.removeprefix("MSG: ").replace("/", "/msg/"))] = body
+    return all(
+        tuple(each._replace(kind=current_name(each.kind)) for each in fields_of_text(body)) == fields_of(kind)
+        for kind, body in texts.items()
+        if kind in _OURS
+    )
 
 
 def codec(

@@ -24,7 +24,7 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, Silence, Tick
 from flightstack.compiled.jit import telling
 from flightstack.core.controller import Controller, Outputs
-from flightstack.core.types import Neighbour, Phase
+from flightstack.core.types import MemberStatus, Phase
 from flightstack.onboard.leaving import Leaving
 from flightstack.onboard.lockstep import VehicleTicks
 from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
@@ -89,7 +89,7 @@ class Companion:
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id)
         # outputs of the newest tick; None before the first tick and after the last
         self.outputs: Outputs | None = None
-        self._neighbours: tuple[Neighbour, ...] = ()  # messages of other vehicles since the last tick
+        self._neighbours: tuple[MemberStatus, ...] = ()  # messages of other vehicles since the last tick
         self._notes = Notes(config, scenario.target.pad_radius_m)
         self.node = node = VehicleNode(
             system_id,
@@ -108,7 +108,7 @@ class Companion:
         self._ticks = VehicleTicks(linked, rate_hz)
         self._runner = Runner(
             self.controller, self._ticks, linked, target, Leaving(self._ends_s), self,
-            words=lambda: self._neighbours,
+            statuses=lambda: self._neighbours,
         )  # fmt: skip
 
     def batches(self) -> Batches | None:
@@ -129,7 +129,7 @@ class Companion:
         del silence, stop
         return self.outputs
 
-    def hear(self, words: tuple[Neighbour, ...]) -> None:
+    def hear(self, words: tuple[MemberStatus, ...]) -> None:
         """Receive the messages of other vehicles for the next tick."""
         self._neighbours = words
 
@@ -208,7 +208,7 @@ class Flights:
         )
         world.run(max(member.ticks_max for member in self.members))
 
-    def _exchange(self, tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
+    def _exchange(self, tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[MemberStatus, ...]]:
         for n, out in enumerate(outputs):
             waits = out is not None and out.phase is Phase.APPROACH and not out.snapshot.permissions.may_land
             self._waiting[n] = self._waiting[n] + 1 if waits else 0

@@ -22,7 +22,7 @@ from flightstack.common.pacing import COMPANION_SILENT_S, PAIR, Silence
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell
 from flightstack.core.controller import Outputs
-from flightstack.core.types import Neighbour
+from flightstack.core.types import MemberStatus
 from flightstack.onboard.lockstep import HEARD, OVER, TOLD, joined
 from logs.recorder.feed import Feed
 from logs.schema.events import Severity
@@ -221,13 +221,13 @@ class Words:
             self._ways.append([_Way(seed, n, hearer, link.loss, since[n]) for n in numbers])
         self._under_way: deque[list[list[Any]]] = deque([[] for _ in numbers] for _ in range(self._ticks - 1))
 
-    def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[Neighbour, ...]]:
+    def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[MemberStatus, ...]]:
         """Take the outputs of one tick; return the messages that each member receives with the next tick.
 
         ``outputs``: outputs of all controllers at this tick; None after the end of a flight.
         """
         arrive_s = self._grid.ns(tick + self._ticks) / NS_PER_S
-        told = [None if each is None else each.own_message for each in outputs]
+        told = [None if each is None else each.member_status for each in outputs]
         on_time = [word and word._replace(arrival_s=arrive_s) for word in told]
         return [tuple(words) for words in self.pass_on(tick, on_time)]
 
@@ -283,7 +283,7 @@ def warm_up_room(team: Scenario) -> None:
 class MemberWords:
     """Transmits the messages of one member without decoding them.
 
-    ``flightstack.onboard.lockstep.LockstepWords`` is the other end.
+    ``flightstack.onboard.lockstep.LockstepStatuses`` is the other end.
     """
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from enum import StrEnum
 
 from flightstack.core.controller import Outputs
-from flightstack.core.types import Neighbour
+from flightstack.core.types import MemberStatus
 from logs.verdict.verdict import FleetVerdict
 from sim.campaign.rows import judge_landing
 from sim.runners.landing import Exchange, land
@@ -33,12 +33,12 @@ class Way(StrEnum):
 def _lying(exchange: Words, from_tick: int) -> Exchange:
     """Return a message exchange that falsifies one member's position from a tick on."""
 
-    def tell(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
+    def tell(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[MemberStatus, ...]]:
         told, out = list(outputs), outputs[WHO - 1]
-        if tick >= from_tick and out is not None and out.own_message is not None:
-            x, y, z = out.own_message.position_enu_m
+        if tick >= from_tick and out is not None and out.member_status is not None:
+            x, y, z = out.member_status.position_enu_m
             told[WHO - 1] = out._replace(
-                own_message=out.own_message._replace(position_enu_m=(x, y + LIE_M, z))
+                member_status=out.member_status._replace(position_enu_m=(x, y + LIE_M, z))
             )
         return exchange(tick, told)
 

@@ -32,7 +32,7 @@ from flightstack.core.types import (
     Inputs,
     Intent,
     Landed,
-    Neighbour,
+    MemberStatus,
     OwnState,
     Phase,
     Vec3,
@@ -99,15 +99,15 @@ class FleetMember:
     memory: FleetMemory
 
     def __init__(self, fleet: Fleet, sigma_m: float) -> None:
-        self.memory = FleetMemory()
+        self.memory = FleetMemory(tuple(Heard() for _ in fleet.others))
         self._fleet, self._sigma_m = fleet, sigma_m
         self._index = {n: k for k, n in enumerate(fleet.others)}
-        self._program, self._given_m_s = FleetProgram(len(fleet.others)), 0.0
+        self._program, self._given_m_s = FleetProgram(len(fleet.others)) if fleet.others else None, 0.0
 
     @property
     def slots(self) -> list[tuple[int, Heard]]:
         """Return id and state of each other member."""
-        return list(zip(self._index, self.memory.slots, strict=False))  # a smaller fleet uses fewer slots
+        return list(zip(self._index, self.memory.slots, strict=True))
 
     def observe(
         self, inputs: Inputs, phase: Phase, target: TargetState | None, now_s: float
@@ -117,7 +117,7 @@ class FleetMember:
             return [], ALONE
         return self.take(inputs.neighbours, now_s), self.permissions(phase, target, now_s, inputs.own)
 
-    def take(self, messages: Sequence[Neighbour], now_s: float) -> list[str]:
+    def take(self, messages: Sequence[MemberStatus], now_s: float) -> list[str]:
         """Store the newest message of each member; return event texts for rejections and position jumps."""
         texts = []
         for message in messages:
@@ -126,7 +126,7 @@ class FleetMember:
                 texts.append(f"word of vehicle {message.id} refused: {why}")
                 continue
             slot = self.memory.slots[self._index[message.id]]
-            before = slot.word
+            before = slot.message
             if before is not None:
                 if message.stamp_s <= before.stamp_s:
                     continue  # a newer message arrived before this one
@@ -134,7 +134,7 @@ class FleetMember:
                 by_m = jump(before, message, self._fleet)
                 if by_m != ZERO:
                     texts.append(self._jumped(slot, message.id, by_m))
-            slot.word = message
+            slot.message = message
         return texts
 
     def _jumped(self, slot: Heard, who: int, by_m: Vec3) -> str:
@@ -146,7 +146,7 @@ class FleetMember:
             f"{math.hypot(*slot.jumped_m):.2f} m now, since either place may be wrong"
         )
 
-    def _refusal(self, message: Neighbour, now_s: float) -> str:
+    def _refusal(self, message: MemberStatus, now_s: float) -> str:
         if message.id not in self._index:
             return "it is no other member"
         _, stamp_s, _, (x, y, z), (vx, vy, vz), (wx, wy, wz), sigma_m, bound_s, _, claim_s, pad, moves, _ = (
@@ -168,7 +168,7 @@ class FleetMember:
         fleet = self._fleet
         if since_s > FLIGHTS_OF_OTHERS * fleet.wait_max_s:
             return True
-        messages = [slot.word for _, slot in self.slots if slot.word is not None]
+        messages = [slot.message for _, slot in self.slots if slot.message is not None]
         return all(w.intent is Intent.DOWN or now_s - w.stamp_s > fleet.silent_flight_s for w in messages)
 
     def permissions(
@@ -181,7 +181,10 @@ class FleetMember:
         pad = Pad(target.position_enu_m, target.velocity_enu_m_s) if target is not None else None
         permissions = decide(self.memory, self.slots, phase, pad, now_s, self._fleet)
         if phase is Phase.LEAVE and pad is not None and own is not None:
-            memory, messages = self.memory, [slot.word for _, slot in self.slots if slot.word is not None]
+            memory, messages = (
+                self.memory,
+                [slot.message for _, slot in self.slots if slot.message is not None],
+            )
             memory.left = True
             memory.place_enu_m = place_beside(
                 memory.place_enu_m, own.position_enu_m, pad, messages, self._fleet
@@ -203,7 +206,7 @@ class FleetMember:
         fleet, (x, y, z), found, held_back = self._fleet, own.position_enu_m, [], False
         reach_m = fleet.reach_m - fleet.radius_xy_m
         for n, slot in self.slots:
-            message = slot.word
+            message = slot.message
             if message is None:
                 continue
             part = share(slot, message, now_s, fleet)
@@ -252,6 +255,7 @@ class FleetMember:
 
     def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
         """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``."""
+        assert self._program is not None  # only neighbours have rows
         found = self._program.solve(nominal, firm, rows.rows, lower, upper, rows.basic)
         self._given_m_s = found.given_m_s
         return found.filter
@@ -277,7 +281,7 @@ class FleetMember:
     def message(
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
-    ) -> Neighbour | None:  # fmt: skip
+    ) -> MemberStatus | None:  # fmt: skip
         """Return the message to the other members after this tick; None without other members."""
         if not self._index:
             return None
@@ -287,11 +291,11 @@ class FleetMember:
         committed = intent is Intent.COMMITTED
         mine.committed_s = min(mine.committed_s, now_s) if committed else math.inf
         # the position of a silent member is unknown, so this vehicle cannot give way to it
-        yields = tuple(n for n, slot in self.slots if slot.yields and is_recent(slot.word, now_s, fleet))
+        yields = tuple(n for n, slot in self.slots if slot.yields and is_recent(slot.message, now_s, fleet))
         for n in yields:
             mine.slots[self._index[n]].yielded_s = now_s
         v, late_s = own.velocity_enu_m_s, max(0.0, now_s - own.arrival_s)
-        return Neighbour(
+        return MemberStatus(
             fleet.id,
             now_s,
             now_s,

@@ -22,7 +22,7 @@ from typing import NamedTuple
 from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import Heard
 from flightstack.core.parameters.fleet import CARRIED_AGES, HOLD_LATENCIES, ZERO_LATENCIES, Fleet
-from flightstack.core.types import ZERO, Intent, Neighbour, Vec3
+from flightstack.core.types import ZERO, Intent, MemberStatus, Vec3
 
 LEAST_M = 1e-6  # distance from the ellipsoid's centre below which the gradient has no direction, m
 # After its companion fails, a vehicle follows its last set-point until its autopilot lands it.
@@ -78,7 +78,7 @@ def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
     return most_m_s * (age_s - 0.5 * speeds_up_s), most_m_s
 
 
-def jump(before: Neighbour, message: Neighbour, fleet: Fleet) -> Vec3:
+def jump(before: MemberStatus, message: MemberStatus, fleet: Fleet) -> Vec3:
     """Return the offset of a reported position from the predicted one; zero if the position is reachable.
 
     The velocity may have changed with the fleet's maximum acceleration. Both messages may err by their
@@ -98,7 +98,7 @@ def jump(before: Neighbour, message: Neighbour, fleet: Fleet) -> Vec3:
     return away if math.hypot(x, y, z) > allowed_m else ZERO
 
 
-def faster(before_m_s2: Vec3, before: Neighbour, message: Neighbour) -> Vec3:
+def faster(before_m_s2: Vec3, before: MemberStatus, message: MemberStatus) -> Vec3:
     """Return the smoothed acceleration of another vehicle's commanded velocity."""
     t = message.stamp_s - before.stamp_s
     share = 1.0 / (t + SMOOTH_S)
@@ -107,7 +107,7 @@ def faster(before_m_s2: Vec3, before: Neighbour, message: Neighbour) -> Vec3:
 
 
 def estimate(
-    message: Neighbour, now_s: float, own_sigma_m: float, fleet: Fleet, faster_m_s2: Vec3 = ZERO
+    message: MemberStatus, now_s: float, own_sigma_m: float, fleet: Fleet, faster_m_s2: Vec3 = ZERO
 ) -> Estimate:
     """Estimate the current position of another vehicle, and the largest error of this estimate.
 
@@ -137,7 +137,7 @@ def estimate(
 
 
 def _late(
-    message: Neighbour, age_s: float, base_m: float, speed_m_s: float, fleet: Fleet, faster_m_s2: Vec3
+    message: MemberStatus, age_s: float, base_m: float, speed_m_s: float, fleet: Fleet, faster_m_s2: Vec3
 ) -> Estimate:
     """Estimate the position of a vehicle whose messages are late."""
     (x, y, z), (vx, vy, vz), (wx, wy, wz) = (
@@ -177,7 +177,7 @@ FIRM = frozenset({Intent.STANDING, Intent.COMMITTED, Intent.CLEARING, Intent.DOW
 NONE, HALF, ALL = 0.0, 0.5, 1.0
 
 
-def share(slot: Heard, message: Neighbour, now_s: float, fleet: Fleet) -> float:
+def share(slot: Heard, message: MemberStatus, now_s: float, fleet: Fleet) -> float:
     """Return the share of the avoidance that this vehicle takes: none, half or all of it."""
     if slot.yields or now_s - slot.yielded_s <= HOLD_LATENCIES * fleet.latency_max_s:
         return ALL
@@ -192,7 +192,7 @@ def share(slot: Heard, message: Neighbour, now_s: float, fleet: Fleet) -> float:
 
 
 def row(
-    part: float, h_m: float, gradient: Vec3, own_wanted_m_s: Vec3, message: Neighbour, now: Estimate,
+    part: float, h_m: float, gradient: Vec3, own_wanted_m_s: Vec3, message: MemberStatus, now: Estimate,
     fleet: Fleet,
 ) -> Row:  # fmt: skip
     """Return the constraint on this vehicle's velocity.

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from flightstack.core.memory import FleetMemory, Heard
 from flightstack.core.parameters.fleet import CIRCLE_LATENCIES, DECIDE_LATENCIES, KEPT_PART, Fleet
 from flightstack.core.safety.position_loop import clip
-from flightstack.core.types import ZERO, Intent, Neighbour, Phase, Vec3
+from flightstack.core.types import ZERO, Intent, MemberStatus, Phase, Vec3
 
 CLAIMING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
 ON_GROUND = frozenset({Intent.STANDING, Intent.DOWN})
@@ -62,13 +62,13 @@ def decide(
     fleet: Fleet,
 ) -> Permissions:  # fmt: skip
     """Update claim and right of way for one tick, and return the permissions."""
-    missing = [n for n, slot in slots if not _present(slot.word, now_s, fleet)]
+    missing = [n for n, slot in slots if not _present(slot.message, now_s, fleet)]
     if phase not in CLAIMING or pad is None:
         if phase not in CLAIMING:
             drop(memory, slots)
         text, cut_off = _names("not heard", missing), bool(missing) and _cut_off(slots, now_s, fleet)
         if phase is Phase.LANDED and pad is not None and fleet.frees_pad and not memory.left:
-            waiting = [n for n, slot in slots if _waits_for(slot.word, pad, now_s, fleet)]
+            waiting = [n for n, slot in slots if _waits_for(slot.message, pad, now_s, fleet)]
             return Permissions(
                 not missing, False, False, False, _names("waits", waiting) or text, bool(waiting)
             )
@@ -98,7 +98,7 @@ def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s:
 
     Clocks that disagree can cause a cycle of three. The member with the highest id breaks it by a new claim.
     """
-    first = [slot.word for _, slot in slots if slot.yields and slot.word is not None]
+    first = [slot.message for _, slot in slots if slot.yields and slot.message is not None]
     if not first or not all(message.yields_to and message.intent not in GOES for message in first):
         return False
     higher = sum(n > fleet.id for n, _ in slots)
@@ -113,7 +113,7 @@ def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
         slot.yields = False
 
 
-def is_recent(message: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
+def is_recent(message: MemberStatus | None, now_s: float, fleet: Fleet) -> bool:
     """Whether the newest message of a member is at most ``fleet.age_max_s`` old."""
     return message is not None and now_s - message.stamp_s <= fleet.age_max_s
 
@@ -124,17 +124,19 @@ def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> 
     If two parts of a fleet do not receive each other's messages, the larger part continues, or of two equal
     parts the one with the lowest id. Members that are down or never sent a message are not counted.
     """
-    recent = [n for n, slot in slots if is_recent(slot.word, now_s, fleet)]
-    lost = [n for n, slot in slots if n not in recent and slot.word is not None and not _is_down(slot.word)]
+    recent = [n for n, slot in slots if is_recent(slot.message, now_s, fleet)]
+    lost = [
+        n for n, slot in slots if n not in recent and slot.message is not None and not _is_down(slot.message)
+    ]
     ours = [fleet.id, *recent]
     return (len(ours), -min(ours)) < (len(lost), -min(lost, default=0))
 
 
-def _is_down(message: Neighbour | None) -> bool:
+def _is_down(message: MemberStatus | None) -> bool:
     return message is not None and message.intent is Intent.DOWN
 
 
-def _present(message: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
+def _present(message: MemberStatus | None, now_s: float, fleet: Fleet) -> bool:
     """Whether a member sends messages or is down; a landed member may stop sending."""
     return message is not None and (
         message.intent is Intent.DOWN or now_s - message.stamp_s <= fleet.age_max_s
@@ -143,7 +145,7 @@ def _present(message: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
 
 def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fleet) -> bool:
     """Return whether a member blocks this vehicle's landing; also update whether this vehicle yields."""
-    message = slot.word
+    message = slot.message
     if message is None:
         return True
     if message.intent in ON_GROUND:
@@ -180,12 +182,12 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
     return slot.yields or not gives_way
 
 
-def _distance_m(pad: Pad, message: Neighbour) -> float:
+def _distance_m(pad: Pad, message: MemberStatus) -> float:
     """Return the horizontal distance of a vehicle from a pad, m."""
     return nearest_m(pad, message.position_enu_m, message.velocity_enu_m_s, 0.0)
 
 
-def _waits_for(message: Neighbour | None, pad: Pad, now_s: float, fleet: Fleet) -> bool:
+def _waits_for(message: MemberStatus | None, pad: Pad, now_s: float, fleet: Fleet) -> bool:
     """Whether a member claims the pad on which this vehicle stands."""
     if message is None or message.pad_position_enu_m is None or now_s - message.stamp_s > fleet.age_max_s:
         return False
@@ -194,7 +196,7 @@ def _waits_for(message: Neighbour | None, pad: Pad, now_s: float, fleet: Fleet) 
 
 
 def _yields(
-    memory: FleetMemory, slot: Heard, message: Neighbour, now_s: float, fleet: Fleet, *,
+    memory: FleetMemory, slot: Heard, message: MemberStatus, now_s: float, fleet: Fleet, *,
     answered: bool, gives_way: bool,
 ) -> bool:  # fmt: skip
     goes, lower = message.intent in GOES, fleet.id < message.id
@@ -210,7 +212,7 @@ def _yields(
     return not lower and answered and not gives_way and now_s > both_s
 
 
-def _conflict(message: Neighbour, pad: Pad, ahead_s: float, fleet: Fleet) -> bool:
+def _conflict(message: MemberStatus, pad: Pad, ahead_s: float, fleet: Fleet) -> bool:
     """Whether two pads are too near to each other for two landings; a claim for an unknown pad conflicts.
 
     The horizon is shorter for a vehicle with the right of way: velocities of pads have errors, and an aborted
@@ -235,7 +237,7 @@ KEPT_M = 0.2  # reduction of the required distances for the place chosen earlier
 
 
 def place_beside(
-    kept: Vec3 | None, own_enu_m: Vec3, pad: Pad, messages: Sequence[Neighbour], fleet: Fleet
+    kept: Vec3 | None, own_enu_m: Vec3, pad: Pad, messages: Sequence[MemberStatus], fleet: Fleet
 ) -> Vec3:
     """Return the chosen place on the ground, or a new one if pads or vehicles come too near to it.
 

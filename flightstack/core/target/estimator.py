@@ -118,8 +118,8 @@ class TargetEstimator:
         memory.position_enu_m, memory.velocity_enu_m_s = (ax[0], ay[0], az[0]), (ax[1], ay[1], az[1])
         memory.acceleration_enu_m_s2 = (ax[2], ay[2], az[2])
         # mean of four normalised innovations: position and velocity on x and on y
-        innovation2 = 0.25 * (weights[0] * (ax[3] + ay[3]) + weights[1] * (ax[4] + ay[4]))
-        memory.surprise += dt_s / (dt_s + INNOVATION_TIME_S) * (innovation2 - memory.surprise)
+        now2 = 0.25 * (weights[0] * (ax[3] + ay[3]) + weights[1] * (ax[4] + ay[4]))
+        memory.innovation2 += dt_s / (dt_s + INNOVATION_TIME_S) * (now2 - memory.innovation2)
 
     @rare
     def _lose_yaw(self) -> None:
@@ -138,7 +138,7 @@ class TargetEstimator:
     def _begin(self, xy: _Noise, position_enu_m: Vec3, velocity_enu_m_s: Vec3) -> None:
         memory = self.memory
         memory.position_enu_m, memory.velocity_enu_m_s = position_enu_m, velocity_enu_m_s
-        memory.acceleration_enu_m_s2, memory.turn_rate_rad_s, memory.surprise = ZERO, 0.0, 1.0
+        memory.acceleration_enu_m_s2, memory.turn_rate_rad_s, memory.innovation2 = ZERO, 0.0, 1.0
         memory.covariance_xy, memory.covariance_z = _start(xy), _start(self.noise_z)
 
     def _jerk2_xy(self) -> float:
@@ -146,10 +146,8 @@ class TargetEstimator:
 
         A mean of 2 gives four times the jerk; noise alone rarely causes this mean.
         """
-        surprise = self.memory.surprise
-        return self.noise_xy.jerk2 * max(
-            1.0, min(self.growth2_max, surprise * surprise * surprise * surprise)
-        )
+        mean2 = self.memory.innovation2
+        return self.noise_xy.jerk2 * max(1.0, min(self.growth2_max, mean2 * mean2 * mean2 * mean2))
 
     def at(self, time_s: float) -> TargetMotion:
         """Predict the newest estimate to another time, on the sender's clock."""

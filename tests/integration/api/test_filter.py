@@ -8,9 +8,9 @@ import pytest
 
 import flightstack as fs
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.controller import Controller, state_class
+from flightstack.core.controller import Controller
 from flightstack.core.types import FilterStatus
-from flightstack.onboard.state_text import StateText
+from flightstack.onboard.state_text import state_text
 from tests.integration.runs import flightstack
 
 SMOOTH = "examples.own_filter:Smooth"
@@ -44,7 +44,7 @@ def test_one_method_flies_the_same_in_every_command(flown):
 
 def test_its_state_goes_into_a_log_and_back():
     settings = fs.scenario("lab", filter=SMOOTH).onboard
-    one, other, text = Controller(settings), Controller(settings), StateText(state_class(settings))
+    one, other, text = Controller(settings), Controller(settings), state_text(settings)
     one.strategy.state.velocity_m_s = (0.1, -0.2, 0.3)
     other.restore(text.loads(text.layout, text.dumps(one.state)))
     assert other.strategy.state == one.strategy.state

@@ -11,7 +11,7 @@ from logs.reader.flight import load_fleet
 from logs.reader.reader import LogFile
 from logs.replay.replay import replay
 from logs.schema.controller_rows import unpack_neighbours
-from logs.schema.rows import FleetWordRow
+from logs.schema.rows import MemberStatusRow
 from logs.verdict.verdict import judge_fleet
 from sim.plant import params
 from sim.px4.airframe import parameters
@@ -53,8 +53,8 @@ def second_member(kind, folder, robots, place):
 def places(log):
     """Return the reported time and position of each member, by its number."""
     told = {number: [] for number in (1, 2, 3)}
-    for message in log.messages({f"/cf{number}/fleet/word" for number in told}):
-        word = FleetWordRow.unpack(message.data)
+    for message in log.messages({f"/cf{number}/fleet/status" for number in told}):
+        word = MemberStatusRow.unpack(message.data)
         told[word.id].append((word.stamp_ns * 1e-9, *word.position_enu_m))
     return {number: np.array(rows) for number, rows in told.items()}
 

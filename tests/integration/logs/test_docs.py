@@ -149,7 +149,7 @@ def test_make_fly_lands():
 
 
 # topics that are recorded only with a certain table of the configuration, or with a fleet
-WITH_TABLE = {"/cf1/controller/power", "/cf1/controller/neighbours", "/cf1/fleet/word", "/fleet/pairs"}
+WITH_TABLE = {"/cf1/controller/power", "/cf1/controller/neighbours", "/cf1/fleet/status", "/fleet/pairs"}
 DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # line of the page that stands for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")
 PAGE = ROOT / "docs/reference/logs.md"

@@ -10,9 +10,9 @@ from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import LockstepClock, Silence
-from flightstack.core.types import Intent, Neighbour
+from flightstack.core.types import Intent, MemberStatus
 from flightstack.onboard import lockstep
-from flightstack.onboard.lockstep import LockstepWords
+from flightstack.onboard.lockstep import LockstepStatuses
 from sim.clock import NoAnswerError, TickGrid
 from sim.runners import room as words_wire
 from sim.runners.room import MemberWords, Words
@@ -34,7 +34,7 @@ def words(number=3, seed=5, **link):
     exchange = Words(replace(team_of(*[FIELD] * number), exchange=ExchangeLink(**link)), seed)
 
     def told(tick, texts):
-        outputs = [each and SimpleNamespace(own_message=Said(each)) for each in texts]
+        outputs = [each and SimpleNamespace(member_status=Said(each)) for each in texts]
         return [tuple(tuple(word) for word in heard) for heard in exchange(tick, outputs)]
 
     return told
@@ -80,7 +80,7 @@ NAMES = ("cf1", "cf2", "cf3")
 
 def word(id_, now_s, claim_s=float("nan")):
     place, away = (0.1 + id_, 1.0 / 3.0, 1.0), (1e-17, -0.0, 0.25)
-    return Neighbour(
+    return MemberStatus(
         id_, now_s, now_s, place, away, away, 0.005, 0.0, Intent.LANDING, claim_s, place, None, (1, 3)
     )
 
@@ -92,7 +92,7 @@ def ends():
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
     wait_for(lambda: zenoh_link.transports(ours) == 1)
     vehicles = [MemberWords(ours, name) for name in NAMES]
-    processes = [LockstepWords(theirs, name) for name in NAMES]
+    processes = [LockstepStatuses(theirs, name) for name in NAMES]
     for vehicle in vehicles:
         vehicle.await_listener(Stop())
     yield SimpleNamespace(vehicles=vehicles, processes=processes)
@@ -119,7 +119,7 @@ def test_an_onboard_process_goes_on_without_words_that_do_not_come(ends, monkeyp
     assert process.texts() == []
     for tick in (second, third):
         process.await_tick(tick, never)
-        assert process.words() == ()
+        assert process.statuses() == ()
     assert process.texts() == ["fleet: no messages arrived with this tick: continuing without"]
 
 

@@ -14,14 +14,14 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.config import load, path_of
 from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.fleet import Fleet
-from flightstack.core.types import Intent, Neighbour, Operator, Phase
+from flightstack.core.types import Intent, MemberStatus, Operator, Phase
 from flightstack.onboard import process
 from flightstack.onboard.fleet_wire import DRIFT, FleetWire, Offset, OtherClock
 from flightstack.onboard.process import Onboard
 from flightstack.onboard.runner import LinkedVehicle
 from logs.schema import schemas
 from logs.schema.controller_rows import unpack_neighbours
-from logs.schema.rows import FleetWordRow
+from logs.schema.rows import MemberStatusRow
 from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
 
@@ -94,7 +94,7 @@ def running(onboard):
 
 
 def word(id_, now_s):
-    return Neighbour(id_, now_s, now_s, (1.0, 2.0, 3.0), *[(0.0, 0.0, 0.0)] * 2, intent=Intent.WAITING)
+    return MemberStatus(id_, now_s, now_s, (1.0, 2.0, 3.0), *[(0.0, 0.0, 0.0)] * 2, intent=Intent.WAITING)
 
 
 def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
@@ -106,14 +106,14 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
     def placed(inputs, now_s, **named):
         """Run a tick, and add the status message, because the vehicle of this test sends no position."""
         heard.extend(inputs.neighbours)
-        return step(inputs, now_s, **named)._replace(own_message=word(3, now_s))
+        return step(inputs, now_s, **named)._replace(member_status=word(3, now_s))
 
     onboard.controller.step = placed
     theirs = []
 
     def go_on():
         runner.tick()
-        theirs.extend(other.words())
+        theirs.extend(other.statuses())
         other.say(word(7, clock()))
         return heard and theirs
 
@@ -121,11 +121,11 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
     assert {each.id for each in heard} == {7}
     assert {each.id for each in theirs} == {3}
     assert 0.0 < heard[-1].clock_bound_s < 0.1
-    topics = ("/cf3/controller/neighbours", "/cf3/fleet/word")
-    assert [feed.topics[topic] for topic in topics] == [schemas.CONTROLLER_NEIGHBOURS, schemas.FLEET_WORD]
+    topics = ("/cf3/controller/neighbours", "/cf3/fleet/status")
+    assert [feed.topics[topic] for topic in topics] == [schemas.CONTROLLER_NEIGHBOURS, schemas.MEMBER_STATUS]
     logged = [each for payload in feed.of(topics[0]) for each in unpack_neighbours(payload)]
     assert repr(logged) == repr(heard)  # repr, because NaN marks a missing claim
-    said = [FleetWordRow.unpack(payload) for payload in feed.of(topics[1])]
+    said = [MemberStatusRow.unpack(payload) for payload in feed.of(topics[1])]
     assert len(said) == len(feed.of("/cf3/controller/input"))
     assert {row.id for row in said} == {3}
 

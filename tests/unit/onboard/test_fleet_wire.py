@@ -8,10 +8,10 @@ import pytest
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.core.parameters.fleet import Fleet
-from flightstack.core.types import Intent, Neighbour
+from flightstack.core.types import Intent, MemberStatus
 from flightstack.onboard.fleet_wire import BYTES_MAX, FleetWire
-from logs.schema.controller_rows import Echo, word_row
-from logs.schema.rows import FleetWordRow
+from logs.schema.controller_rows import Echo, status_row
+from logs.schema.rows import MemberStatusRow
 from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
 
@@ -23,7 +23,7 @@ HERE, PROCESS = (1.0, 2.0, 3.0), 99
 
 
 def told(id_=7, stamp_s=1.0, **more):
-    return Neighbour(id_, stamp_s, stamp_s, HERE, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.01, **more)
+    return MemberStatus(id_, stamp_s, stamp_s, HERE, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.01, **more)
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ class Side:
     def hear(self):
         """Return the messages received within a second."""
         found = []
-        wait_for(lambda: found.extend(self.wire.words()) or found)
+        wait_for(lambda: found.extend(self.wire.statuses()) or found)
         return found
 
 
@@ -76,7 +76,7 @@ def taken(side, count=1):
         return samples
 
     with mock.patch.object(zenoh_link, "drain", drained):
-        wait_for(lambda: words.extend(side.wire.words()) or len(read) >= count)
+        wait_for(lambda: words.extend(side.wire.statuses()) or len(read) >= count)
     return words
 
 
@@ -91,7 +91,7 @@ def greet(a, b):
             pass_time(a, b)
             end_s = time.monotonic() + 0.5  # the connection may not be complete yet
             while hearer.wire._members[teller.id].heard_ns == before_ns and time.monotonic() < end_s:
-                heard.update(word.id for word in hearer.wire.words())
+                heard.update(word.id for word in hearer.wire.statuses())
                 time.sleep(0.001)
         return heard == {a.id, b.id}
 
@@ -101,7 +101,7 @@ def greet(a, b):
 @pytest.fixture
 def stranger(sessions):
     """Publishes arbitrary data under the key of vehicle 7."""
-    publisher = zenoh_link.blocking_publisher(sessions[1], "somewhere/else/fleet/word")
+    publisher = zenoh_link.blocking_publisher(sessions[1], "somewhere/else/fleet/status")
     wait_for(lambda: zenoh_link.is_matched(publisher))
     yield publisher.put
     publisher.undeclare()
@@ -136,7 +136,7 @@ def test_what_is_no_word_is_refused_and_said_on_doublings(sides, stranger):
 
 
 def sent(stranger, id_=7, stamp_s=1.5, process=PROCESS, echoes=(), **more):
-    row = word_row(told(id_, stamp_s), EPOCH_NS + AHEAD_NS, process, echoes)
+    row = status_row(told(id_, stamp_s), EPOCH_NS + AHEAD_NS, process, echoes)
     stranger(row._replace(**more).pack())
 
 
@@ -194,7 +194,7 @@ def test_a_word_counts_when_its_teller_hears_this_one(sides, stranger):
 
 def test_a_member_that_does_not_hear_this_one_is_told_once_and_the_next_time_again(sides, stranger):
     a, b = sides
-    process = FleetWordRow.unpack(b.wire.say(told(7, b.now_s))).process
+    process = MemberStatusRow.unpack(b.wire.say(told(7, b.now_s))).process
     a.hear()
     texts = []
     for n, hears in enumerate((False, False, False, True, False, False), 1):

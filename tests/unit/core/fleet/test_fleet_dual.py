@@ -24,7 +24,7 @@ from flightstack.core.fleet.program import FleetProgram
 from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import FleetMemory, Heard
 from flightstack.core.parameters.fleet import CARRIED_AGES, Fleet
-from flightstack.core.types import ZERO, Intent, Neighbour, OwnState, Phase
+from flightstack.core.types import ZERO, Intent, MemberStatus, OwnState, Phase
 from tests.unit.core.fleet.test_fleet_program import VECTORS, boxes, missing, rows
 
 FLEET = Fleet(3, (3, 7))
@@ -95,7 +95,7 @@ def test_a_row_without_a_direction_is_met_by_all_velocities_or_by_none(bound_m_s
 
 
 def word(stamp_s=0.0, velocity=ZERO, **keys):
-    return Neighbour(
+    return MemberStatus(
         7, stamp_s, stamp_s, ZERO, velocity, **{"wanted_enu_m_s": ZERO, "intent": Intent.WAITING, **keys}
     )
 

@@ -12,10 +12,10 @@ from tests.unit.core.fleet.fleet_helpers import fleet, settings_of
 def test_a_vehicle_that_does_not_know_where_it_is_says_nothing():
     controller = Controller(settings_of(3, (3, 7)))
     status = VehicleStatus(0.0, True, Mode.EXTERNAL, Landed.IN_AIR, True)
-    assert controller.step(Inputs(None, status), 0.0).own_message is None
+    assert controller.step(Inputs(None, status), 0.0).member_status is None
     own = OwnState(0.0, 0.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0)
-    assert controller.step(Inputs(own, status), 0.0).own_message.intent is Intent.WAITING
-    assert controller.step(Inputs(own, status), 1.0).own_message is None
+    assert controller.step(Inputs(own, status), 0.0).member_status.intent is Intent.WAITING
+    assert controller.step(Inputs(own, status), 1.0).member_status is None
 
 
 @pytest.mark.parametrize(

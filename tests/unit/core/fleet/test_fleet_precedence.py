@@ -21,8 +21,8 @@ from flightstack.core.types import (
     Inputs,
     Intent,
     Landed,
+    MemberStatus,
     Mode,
-    Neighbour,
     OwnState,
     Phase,
     TargetSample,
@@ -41,7 +41,7 @@ def claimed(**keys):
     """Return a member in its approach with a claim since 1 s, and this message of the other vehicle."""
     member = FleetMember(FLEET, 0.0)
     told = {"stamp_s": 1.2, "arrival_s": 1.2, "intent": Intent.WAITING, "pad_position_enu_m": ZERO, **keys}
-    word = Neighbour(7, position_enu_m=AWAY, velocity_enu_m_s=ZERO, wanted_enu_m_s=ZERO, **told)
+    word = MemberStatus(7, position_enu_m=AWAY, velocity_enu_m_s=ZERO, wanted_enu_m_s=ZERO, **told)
     member.permissions(Phase.APPROACH, HERE, 1.0)
     assert member.take([word], 1.2) == []
     return member
@@ -79,7 +79,7 @@ def test_where_both_believe_to_be_first_the_higher_id_gives_way_in_the_end():
     higher = FleetMember(replace(FLEET, id=7), 0.0)
     higher.permissions(Phase.APPROACH, HERE, 1.0)
     for now_s, yields in ((1.5, False), (1.65, False), (1.75, True)):
-        word = Neighbour(3, now_s, now_s, AWAY, ZERO, ZERO, claim_s=1.05, pad_position_enu_m=ZERO)
+        word = MemberStatus(3, now_s, now_s, AWAY, ZERO, ZERO, claim_s=1.05, pad_position_enu_m=ZERO)
         higher.take([word], now_s)
         assert not higher.permissions(Phase.APPROACH, HERE, now_s).may_land
         assert higher.memory.slots[0].yields is yields
@@ -136,9 +136,9 @@ def test_pads_that_drive_towards_each_other_come_near_within_the_time():
 )
 def test_a_word_that_says_nothing_usable_is_refused_with_the_reason(keys, why):
     member = FleetMember(FLEET, 0.0)
-    (told,) = member.take([Neighbour(7, 1.0, 1.0, AWAY, ZERO, ZERO)._replace(**keys)], 1.0)
+    (told,) = member.take([MemberStatus(7, 1.0, 1.0, AWAY, ZERO, ZERO)._replace(**keys)], 1.0)
     assert why in told
-    assert member.memory.slots[0].word is None
+    assert member.memory.slots[0].message is None
 
 
 class Claimant:
@@ -237,7 +237,7 @@ def beside(place, way, h_m):
     """Return a hovering vehicle in the direction ``way`` of ``place``, where the barrier is ``h_m``."""
     far_m = (0.75 if way[2] else 0.25) + (3.0 if way[2] else 1.0) * h_m
     at = tuple(p + far_m * w for p, w in zip(place, way, strict=True))
-    return Neighbour(7, 2 * DT_S, 2 * DT_S, at, ZERO, ZERO, intent=Intent.WAITING)
+    return MemberStatus(7, 2 * DT_S, 2 * DT_S, at, ZERO, ZERO, intent=Intent.WAITING)
 
 
 @pytest.mark.parametrize(("phase", "keys", "place", "way"), PHASES, ids=[p[0].name for p in PHASES])

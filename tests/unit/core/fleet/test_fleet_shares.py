@@ -14,7 +14,7 @@ from flightstack.core.fleet.pair import ALL, HALF, NONE, barrier, estimate, grow
 from flightstack.core.fleet.program import FleetProgram
 from flightstack.core.memory import AbortWay, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
-from flightstack.core.types import ZERO, Intent, Landed, Mode, Neighbour, OwnState, Phase, VehicleStatus
+from flightstack.core.types import ZERO, Intent, Landed, MemberStatus, Mode, OwnState, Phase, VehicleStatus
 
 TICK_S = 0.02
 A, B = Fleet(3, (3, 7)), Fleet(7, (3, 7))
@@ -50,7 +50,7 @@ class Side:
             if after is not Phase.TOUCHDOWN or told_s >= self.fleet.age_max_s + self.fleet.latency_max_s:
                 mission.phase = after
         firm = mission.phase in (Phase.TOUCHDOWN, Phase.LANDED)
-        self.part = NONE if firm or slot.word is None else share(slot, slot.word, now_s, self.fleet)
+        self.part = NONE if firm or slot.message is None else share(slot, slot.message, now_s, self.fleet)
         own = OwnState(now_s, now_s, ZERO, ZERO, 0.0)
         return self.member.message(mission, own, FLYING, ZERO, None, now_s)
 
@@ -69,7 +69,7 @@ def test_the_shares_that_two_vehicles_fly_sum_to_one_or_more(seed, lost, slowest
         words = [side.step(t_s) for side in sides]
         flown = [side.part for side in sides]
         down = [side.memory.phase in (Phase.TOUCHDOWN, Phase.LANDED) for side in sides]
-        heard = all(side.member.memory.slots[0].word is not None for side in sides)
+        heard = all(side.member.memory.slots[0].message is not None for side in sides)
         if heard and not all(down):  # the right of way keeps two descending vehicles apart
             assert sum(flown) >= 1.0, (t_s, flown, [side.memory.phase for side in sides])
         for me, other, word in ((0, 1, words[1]), (1, 0, words[0])):
@@ -84,7 +84,7 @@ def test_the_shares_that_two_vehicles_fly_sum_to_one_or_more(seed, lost, slowest
 
 
 def word_of(intent=Intent.WAITING, stamp_s=0.0, **keys):
-    return Neighbour(7, stamp_s, stamp_s, (1.0, 0.0, 1.0), ZERO, ZERO, intent=intent, **keys)
+    return MemberStatus(7, stamp_s, stamp_s, (1.0, 0.0, 1.0), ZERO, ZERO, intent=intent, **keys)
 
 
 POINT = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
@@ -112,7 +112,7 @@ def test_no_vehicle_within_its_limits_leaves_what_its_ellipsoid_grew_by(seed, sh
     rng = np.random.default_rng(seed)
     v = rng.normal(size=3)
     v *= share_of_speed * A.speed_max_m_s / np.linalg.norm(v)
-    told = Neighbour(7, 0.0, 0.0, ZERO, tuple(v.tolist()), ZERO)
+    told = MemberStatus(7, 0.0, 0.0, ZERO, tuple(v.tolist()), ZERO)
     p, at, before_m = np.zeros(3), v.copy(), 0.0
     away = rng.normal(size=3)
     for tick in range(1, round(A.silent_flight_s / 0.01)):
@@ -137,7 +137,9 @@ def test_a_vehicle_within_its_limits_never_jumps_and_one_that_lies_always_does(s
         if told is not None and rng.random() < lost:
             continue
         error = sigma_m * _towards(rng)  # the message contains a standard deviation
-        says = Neighbour(7, 0.01 * tick, 0.0, tuple((p + error).tolist()), tuple(v.tolist()), ZERO, sigma_m)
+        says = MemberStatus(
+            7, 0.01 * tick, 0.0, tuple((p + error).tolist()), tuple(v.tolist()), ZERO, sigma_m
+        )
         if told is not None:
             assert jump(told, says, A) == ZERO
             since_s = says.stamp_s - told.stamp_s

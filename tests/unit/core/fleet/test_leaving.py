@@ -14,7 +14,7 @@ from flightstack.core.fleet.member import STAYS_S, FleetMember
 from flightstack.core.fleet.precedence import APART, KEPT_M, Pad, Permissions, place_beside
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.target.track import TargetState
-from flightstack.core.types import ZERO, Intent, Neighbour, Phase
+from flightstack.core.types import ZERO, Intent, MemberStatus, Phase
 from tests.unit.core.fleet.fleet_helpers import settings_of
 
 FLEET = Fleet(3, (3, 7), frees_pad=True)
@@ -23,7 +23,7 @@ WAITS = {"intent": Intent.WAITING, "claim_s": 0.5, "pad_position_enu_m": (0.02, 
 
 
 def word(stamp_s=1.0, position=(1.2, 0.0, 1.0), **told):
-    return Neighbour(7, stamp_s, stamp_s, position, ZERO, ZERO, **told)
+    return MemberStatus(7, stamp_s, stamp_s, position, ZERO, ZERO, **told)
 
 
 def member(fleet=FLEET, **told):

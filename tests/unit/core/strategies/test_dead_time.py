@@ -7,10 +7,10 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config import load as load_config
-from flightstack.core.controller import Controller, state_class
+from flightstack.core.controller import Controller
 from flightstack.core.parameters.robust import VelocityLoop
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
-from flightstack.onboard.state_text import StateText
+from flightstack.onboard.state_text import state_text
 from flightstack.verify.certificate import checks
 from flightstack.verify.late import tick_matrix
 from tests.point_mass import World
@@ -103,7 +103,7 @@ def test_a_simulated_step_is_the_matrix():
 
 
 def test_a_flight_restored_from_its_text_goes_on_to_the_bit():
-    world, text = World(config(**LATE)), StateText(state_class(config(**LATE)))
+    world, text = World(config(**LATE)), state_text(config(**LATE))
     for _ in range(300):
         world.step()
     again = Controller(config(**LATE))

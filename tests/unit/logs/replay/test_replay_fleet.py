@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.common.pacing import EPOCH_NS, Tick
-from flightstack.core.types import Intent, Neighbour
+from flightstack.core.types import Intent, MemberStatus
 from logs.reader.reader import LogFile
 from logs.replay.replay import ReplayError, replay
 from logs.schema import schemas
@@ -66,7 +66,7 @@ FLOATS = st.floats(allow_nan=True)
 VECTORS = st.tuples(FLOATS, FLOATS, FLOATS)
 IDS = st.integers(1, 250)
 words = st.builds(
-    Neighbour, IDS, FLOATS, FLOATS, VECTORS, VECTORS, VECTORS, FLOATS, FLOATS, st.sampled_from(Intent),
+    MemberStatus, IDS, FLOATS, FLOATS, VECTORS, VECTORS, VECTORS, FLOATS, FLOATS, st.sampled_from(Intent),
     FLOATS, st.none() | VECTORS, st.none() | VECTORS, st.lists(IDS, max_size=8).map(tuple),
 )  # fmt: skip
 
@@ -81,6 +81,6 @@ def test_words_come_back_to_the_bit(told, number):
 
 
 def test_a_number_that_is_no_intent_is_refused():
-    word = Neighbour(2, 0.0, 0.0, *[(0.0, 0.0, 0.0)] * 3, intent=99)
+    word = MemberStatus(2, 0.0, 0.0, *[(0.0, 0.0, 0.0)] * 3, intent=99)
     with pytest.raises(ValueError, match="99"):
         unpack_neighbours(pack_neighbours(Tick(0, 0.0, EPOCH_NS, 0.0, 0.0), [word]))
