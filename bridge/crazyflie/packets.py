@@ -276,10 +276,7 @@ class BootClock:
         return min(self._shortest_s) < math.inf
 
     def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:
-        """Return continuous time, ms, and lateness, s; None: the packet is old or not trusted yet.
-
-        ``time_ms`` has 24 bits.
-        """
+        """Return continuous time, ms, and lateness, s, of a 24-bit time; None: old, or not trusted yet."""
         boot_ms: int | None = time_ms
         if self._last_ms is not None:
             boot_ms = self._unwrapped(time_ms, self._last_ms, at_s)
@@ -319,10 +316,7 @@ class BootClock:
 
 
 def decode_state(v: Mapping[str, int], boot_ms: int, at_s: float) -> CrazyflieState:
-    """Decode the variables of ``STATE``.
-
-    ``boot_ms``: continuous firmware time; ``at_s``: arrival time.
-    """
+    """Decode the variables of ``STATE``; ``boot_ms``: continuous firmware time; ``at_s``: arrival time."""
     x, y, z, vx, vy, vz = (v[name] / 1000.0 for name in STATE.variables[:6])
     roll, pitch, yaw = (v[f"stateEstimateZ.rate{axis}"] / 1000.0 for axis in ("Roll", "Pitch", "Yaw"))
     return CrazyflieState(

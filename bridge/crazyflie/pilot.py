@@ -59,10 +59,7 @@ class Done(Enum):
 
 
 class Pilot:
-    """Flies take-off, hold and landing: controls position and heading.
-
-    A take-off starts with the velocity of the vehicle on a moving deck.
-    """
+    """Flies take-off, hold and landing; a take-off starts with the velocity of a moving deck."""
 
     def __init__(self) -> None:
         self.begin(-math.inf)

@@ -69,10 +69,7 @@ Tap = Callable[[Direction, bytes, Peer], None]
 
 
 class Endpoint:
-    """MAVLink 2 over a UDP socket, serial line or TCP connection; not thread-safe, used by one loop.
-
-    With a key the endpoint signs every frame, and drops frames without a valid signature before decoding.
-    """
+    """MAVLink 2 over UDP, a serial line or TCP for one loop; with a key, unsigned frames are not decoded."""
 
     def __init__(
         self,
@@ -136,10 +133,7 @@ class Endpoint:
         return self._signer is not None
 
     def receive(self) -> list[Received]:
-        """Return the received frames in order of arrival; never blocks, never raises.
-
-        After the first 4 kB the call ends after 4 ms of work; the next call reads the rest of a flood.
-        """
+        """Return the received frames; never blocks or raises. After 4 kB it ends within 4 ms of work."""
         received: list[Received] = []
         size, until_s = 0, math.inf
         for _ in range(_CHUNKS_PER_CALL):

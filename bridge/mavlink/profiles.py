@@ -17,6 +17,7 @@ from operator import attrgetter
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.server.profile import PX4_CODES, Code, FlightMode
 from flightstack.core.types import Landed, Mode, Request, VehicleStatus
 
 
@@ -141,23 +142,20 @@ def _given(*params: float) -> Callable[[float], Params]:
     return lambda _altitude_m: (*params, *(None,) * (7 - len(params)))
 
 
+def _to(mode: FlightMode) -> Callable[[float], Params]:
+    return _given(_CUSTOM_MODE_ENABLED, PX4_CODES[mode].main, PX4_CODES[mode].sub)
+
+
 def _takeoff(altitude_m: float) -> Params:
     return (None, None, None, None, None, None, altitude_m)
 
 
-def _px4_mode(main: int, sub: int = 0) -> int:
-    return main << 16 | sub << 24
-
-
 _ARM = Step(_ARM_DISARM, "arm", _given(1.0, 0.0), _armed)
 _LAND = Step(_NAV_LAND, "land", _given(), _landing)
-_OFFBOARD = Step(
-    _DO_SET_MODE, "switch to OFFBOARD", _given(_CUSTOM_MODE_ENABLED, 6.0, 0.0), _external, prestream=True
-)
+_OFFBOARD = Step(_DO_SET_MODE, "switch to OFFBOARD", _to(FlightMode.OFFBOARD), _external, prestream=True)
 _HOLD = Step(
-    _DO_SET_MODE, "switch to HOLD", _given(_CUSTOM_MODE_ENABLED, 4.0, 3.0), _may_arm_in_its_mode,
-    period_s=1.0, tries=3600,
-)  # fmt: skip
+    _DO_SET_MODE, "switch to HOLD", _to(FlightMode.HOLD), _may_arm_in_its_mode, period_s=1.0, tries=3600
+)
 _OWN_TAKEOFF = (_ARM, Step(_NAV_TAKEOFF, "take off", _takeoff, _flying))
 # A forced disarm is repeated for a minute.
 _KILL = Step(_ARM_DISARM, "force disarm", _given(0.0, FORCE), lambda s: not s.armed, blind=True, tries=120)
@@ -166,11 +164,11 @@ PX4 = Profile(
     title="PX4, OFFBOARD",
     autopilot=dialect.MAV_AUTOPILOT_PX4,
     modes={
-        _px4_mode(6): Mode.EXTERNAL,  # PX4's name: OFFBOARD
-        _px4_mode(4, 2): Mode.TAKEOFF,
-        _px4_mode(4, 3): Mode.HOLD,  # PX4's name: LOITER
-        _px4_mode(4, 6): Mode.LAND,
-        _px4_mode(4, 9): Mode.LAND,  # PX4's name: PRECLAND
+        PX4_CODES[FlightMode.OFFBOARD].custom_mode: Mode.EXTERNAL,
+        PX4_CODES[FlightMode.TAKEOFF].custom_mode: Mode.TAKEOFF,
+        PX4_CODES[FlightMode.HOLD].custom_mode: Mode.HOLD,
+        PX4_CODES[FlightMode.LAND].custom_mode: Mode.LAND,
+        Code(4, 9, 0).custom_mode: Mode.LAND,  # PX4's name: PRECLAND
     },
     sequences={
         Request.NONE: (),
@@ -266,10 +264,7 @@ def found(autopilot: int) -> Profile | None:
 
 
 def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
-    """Return the reason why a vehicle with this heartbeat is not supported, or None.
-
-    ``autopilot``: its MAV_AUTOPILOT; ``type_``: its MAV_TYPE; ``chosen``: configured profile, None for auto.
-    """
+    """Return why MAV_AUTOPILOT or MAV_TYPE does not fit the chosen profile (None: auto), or None."""
     if chosen is None and found(autopilot) is None:
         known = ", ".join(f"{p.title} ({number})" for number, p in _BY_AUTOPILOT.items())
         name = named("MAV_AUTOPILOT", autopilot)

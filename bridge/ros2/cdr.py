@@ -70,10 +70,7 @@ class Odometry(NamedTuple):
             ) from error
 
     def shifted(self, offset_m: Vec3) -> Odometry:
-        """Return the odometry of the point at ``offset_m`` in the axes of the child frame.
-
-        The velocity is v + w x r, as for a rigid body. Covariances are unchanged.
-        """
+        """Return the odometry of the point at ``offset_m`` in child axes: v + w x r, same covariances."""
         (wx, wy, wz), (x, y, z) = self.angular_rad_s, offset_m
         return self._replace(
             position_m=_sum(self.position_m, world_from_body(self.orientation_wxyz, offset_m)),
@@ -102,10 +99,7 @@ def _sum(a: Vec3, b: Vec3) -> Vec3:
 
 
 def decode_odometry(payload: bytes) -> Odometry:
-    """Decode a serialised odometry message.
-
-    Bytes after the last field are ignored, because some writers add padding. Raises OdometryError.
-    """
+    """Decode odometry; padding after the last field is ignored. Raises OdometryError."""
     (stamp_ns, frame_id), child_frame_id, (pose, pose_cov), (twist, twist_cov) = _decoded(
         _unpack_odometry, payload
     )

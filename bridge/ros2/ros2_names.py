@@ -17,8 +17,8 @@ import xxhash
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import pack_attachment
 
-DOMAIN_MAX = 232  # largest domain id, which the DDS ports limit (ROS 2 documentation, "The ROS_DOMAIN_ID")
-TOPIC_LENGTH_MAX = 247  # maximum length of a topic name (rmw validate_full_topic_name.h)
+DOMAIN_MAX = 232  # ROS 2 documentation, "The ROS_DOMAIN_ID": limit of the DDS ports
+TOPIC_LENGTH_MAX = 247  # limit of rmw validate_full_topic_name.h
 NO_HASH = "TypeHashNotSupported"  # placeholder of ROS 2 Humble, which has no type hashes
 QOS_KEEP_10 = "::,10:,:,:,,"  # reliable, volatile, keep last 10; empty means rmw_zenoh's default (qos.cpp)
 _ADMIN = "@ros2_lv"
@@ -111,10 +111,7 @@ def node_token(node: Node) -> str:
 
 
 def publisher_token(node: Node, number: int, topic: str, type_name: str, type_hash: str, qos: str) -> str:
-    """Return the liveliness token of a publisher, for ``ros2 topic list``.
-
-    No other entity of the session has the same ``number``; ``qos`` has rmw_zenoh's short form.
-    """
+    """Return a publisher's liveliness token; ``number`` is unique in the session, ``qos`` short form."""
     topic_key(node.domain, topic, type_name, type_hash)  # raises ValueError if a part is malformed
     tail = [node.name, _mangle(topic), dds_type(type_name), type_hash, qos]
     return "/".join([*_begin(node, number, "MP"), *tail])
@@ -148,10 +145,7 @@ _FILES = (".json5", ".json", ".yaml", ".yml")  # suffixes of Zenoh configuration
 
 
 def open_network(where: str, domain: int) -> zenoh_link.Session:
-    """Open a session to the ROS 2 nodes of a domain; the caller closes it.
-
-    ``where``: endpoint of their router (``rmw_zenohd``, zenoh-bridge-ros2dds), or a Zenoh configuration file.
-    """
+    """Open a session for the caller, by the endpoint of a ROS 2 router or a Zenoh configuration file."""
     check_domain(domain)
     if where.endswith(_FILES):
         return zenoh_link.open_session(config_file=Path(where), role=zenoh_link.Role.CLIENT)
@@ -159,28 +153,19 @@ def open_network(where: str, domain: int) -> zenoh_link.Session:
 
 
 class Ros2Node:
-    """A node on a Zenoh session: ``ros2 node list`` shows it, and ROS 2 nodes can read its topics.
-
-    The caller owns the session.
-    """
+    """A node on the caller's Zenoh session: ``ros2 node list`` shows it, ROS 2 nodes read its topics."""
 
     def __init__(
         self, session: zenoh_link.Session, name: str, *, domain: int = 0, namespace: str = "/"
     ) -> None:
-        """Announce the node to ROS 2.
-
-        ``domain`` is the ROS_DOMAIN_ID of the other nodes; topics have full names, whatever the namespace.
-        """
+        """``domain``: ROS_DOMAIN_ID of the other nodes; topics have full names, whatever the namespace."""
         self._session = session
         self._node = Node(domain, str(session.zid()), name, namespace)
         self._tokens = [zenoh_link.liveliness_token(session, node_token(self._node))]
         self._publishers: list[Ros2Publisher] = []
 
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
-        """Announce a topic and declare its publisher.
-
-        If the type hash is wrong, ROS 2 nodes receive no samples.
-        """
+        """Announce a topic and declare its publisher; with a wrong type hash ROS 2 receives no sample."""
         number = 1 + len(self._publishers)  # the node itself has number 0
         token = publisher_token(self._node, number, check_topic(topic), type_name, type_hash, QOS_KEEP_10)
         key = topic_key(self._node.domain, topic, type_name, type_hash)

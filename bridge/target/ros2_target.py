@@ -281,10 +281,7 @@ class TargetSource:
         return True
 
     def _odometry(self, payload: bytes) -> Odometry | None:
-        """Return the odometry converted from a message.
-
-        The result is None if the message yields no odometry, or needs no conversion.
-        """
+        """Return the odometry made from a message; None: there is none, or it needs no conversion."""
         if self._spec.type is not TargetType.ODOMETRY:
             return self._followed(POSE_DECODERS[self._spec.type](payload))
         # Rejected samples are returned, too: the controller counts them, and the log stores them unchanged.

@@ -288,10 +288,7 @@ LOOK_EVERY_S = 1.0
 
 
 class ConnectionAlarm:
-    """Monitors the connection of one session; poll it in every tick.
-
-    ``whom``: endpoints to which the session connects; if empty, there is no alarm.
-    """
+    """Monitors the connection of a session to ``whom``, if any; poll it in every tick."""
 
     def __init__(self, session: Session, whom: Sequence[str], role: Role = Role.PEER) -> None:
         self._session, self._whom = session, ", ".join(whom)

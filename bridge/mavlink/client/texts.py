@@ -31,10 +31,7 @@ class TextAssembler:
         self._parts: list[str] = []
 
     def add(self, message: Message) -> list[tuple[int, str]]:
-        """Add one STATUSTEXT; return the texts (severity, text) that it completes.
-
-        An incomplete text ends with an ellipsis when the next text starts.
-        """
+        """Add a STATUSTEXT; return the completed (severity, text). A cut text ends with an ellipsis."""
         texts: list[tuple[int, str]] = []
         if self._parts and (message.id != self._id or message.chunk_seq != self._next):
             texts.append(self._take(" ..."))

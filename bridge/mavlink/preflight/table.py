@@ -70,10 +70,7 @@ class Name:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """Requirement on one setting of the vehicle under all its names, with exactly one condition.
-
-    Numbers have the rule's unit: a parameter's value times the ``scale`` of its name.
-    """
+    """Requirement on one setting; numbers have the rule's unit: a value times the ``scale`` of its name."""
 
     means: str  # this project's name for the setting; the same for all releases of the autopilot
     names: tuple[Name, ...]

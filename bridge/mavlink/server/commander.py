@@ -115,10 +115,7 @@ class Texts:
     def refuse(
         self, text: str, now_s: float, topic: str = "", severity: int = dialect.MAV_SEVERITY_WARNING
     ) -> None:
-        """Add the reason of a refusal, unless an equal reason was added in the last second.
-
-        Refusals with the same ``topic`` count as equal; without a topic the text is used.
-        """
+        """Add a refusal, unless one of the topic (default: the text) was added in the last second."""
         topic = topic or text
         if now_s - self._said_s.get(topic, -math.inf) < _SAME_GAP_S:
             return

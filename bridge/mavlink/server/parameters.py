@@ -129,10 +129,7 @@ class Parameters:
         return [self.message(name) for name in names]
 
     def set(self, name: str, wire_value: float, type_: int, *, armed: bool) -> Refused | None:
-        """Write a parameter from PARAM_SET; return the reason if it is rejected, else None.
-
-        ``wire_value`` is the message's float field, ``type_`` its MAV_PARAM_TYPE.
-        """
+        """Write PARAM_SET's float field of this MAV_PARAM_TYPE; return why it is rejected, or None."""
         parameter = self._table[self._index[name]]
         if type_ != parameter.type:
             return Refused(_OUT_OF_RANGE, f"{name}: ignored, type {type_} instead of {parameter.type}")

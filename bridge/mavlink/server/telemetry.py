@@ -195,10 +195,7 @@ class Streams(Generic[V]):
     """Intervals and due times of all messages; all peers share them, as on a PX4 port."""
 
     def __init__(self, rate_hz: float, profile: ServerProfile) -> None:
-        """Set the default rates of all messages.
-
-        No request can raise a rate above ``rate_hz``. A datagram starts with attitude and position.
-        """
+        """Set the default rates; no request raises a rate above ``rate_hz``."""
         self._period_s = 1.0 / rate_hz
         self._hidden: frozenset[int] = frozenset()
         self._default_s = dict.fromkeys(EVERY_TICK, self._period_s)

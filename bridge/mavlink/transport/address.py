@@ -135,10 +135,7 @@ EXPIRY_S = 10.0  # wall time without a heartbeat (1 Hz) after which a peer expir
 
 
 class PeerTable:
-    """Receivers of telemetry: at most ``peers_max`` senders of heartbeats, and the ``configured`` peers.
-
-    Configured peers receive all frames from the start and never expire.
-    """
+    """Receivers of telemetry: ``configured`` peers, and at most ``peers_max`` senders of heartbeats."""
 
     def __init__(self, configured: tuple[Peer, ...], peers_max: int) -> None:
         self._configured = configured
