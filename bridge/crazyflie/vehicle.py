@@ -13,7 +13,6 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.crazyflie import rules as limits
-from bridge.crazyflie.arming import Arming
 from bridge.crazyflie.condition import FIT, STUCK, Condition, stuck
 from bridge.crazyflie.packets import (
     ArmReply,
@@ -27,7 +26,7 @@ from bridge.crazyflie.packets import (
     ParamValue,
     Velocity,
 )
-from bridge.crazyflie.pilot import DESCENT_M_S, Done, Pilot, Stopped, yaw_rate
+from bridge.crazyflie.pilot import DESCENT_M_S, Arming, Done, Pilot, Stopped, yaw_rate
 from bridge.crazyflie.rules import Settings
 from bridge.mavlink.server.commander import Commander, Setpoint
 from bridge.mavlink.server.profile import FlightMode

@@ -196,13 +196,7 @@ class Ros2Publisher:
         return zenoh_link.is_matched(self._publisher)
 
     def put(self, payload: bytes, source_time_ns: int, attachment: bytes | None = None) -> None:
-        """Send a serialised message.
-
-        Args:
-            payload: the message in CDR.
-            source_time_ns: time of sending, Unix time or simulated time.
-            attachment: replaces rmw_zenoh's attachment, for keys outside of ROS 2.
-        """
+        """Send a message in CDR at a Unix or simulated time; ``attachment`` replaces rmw_zenoh's."""
         self.sequence += 1
         if attachment is None:
             attachment = pack_attachment(self.sequence, source_time_ns, self._identity)

@@ -8,7 +8,6 @@ decoded if this module made it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
@@ -234,14 +233,15 @@ class TargetSource:
         taken: list[RawSample] = []
         for sample in zenoh_link.drain(self._subscriber):
             raw = raw_sample(sample)
-            if self._spec.dialect is Dialect.RMW_ZENOH and not self._is_wanted(str(sample.key_expr)):
-                continue
             try:
+                if self._spec.dialect is Dialect.RMW_ZENOH:
+                    self._check_key(str(sample.key_expr))
                 made = self._odometry(raw.payload)
                 if made is not None:
                     raw = raw._replace(payload=made.pack(), odometry=made)
             except OdometryError as error:
-                self._refuse(f"{self._spec.text}: {error}")
+                self.refused += 1
+                self._tell(str(error))
                 continue
             if made is not None or self._spec.type is TargetType.ODOMETRY:
                 taken.append(raw)
@@ -260,25 +260,21 @@ class TargetSource:
     def close(self) -> None:
         self._subscriber.undeclare()
 
-    def _is_wanted(self, key: str) -> bool:
-        """Whether a key of the topic has the expected message type."""
+    def _check_key(self, key: str) -> None:
+        """Raise OdometryError if a key of the topic has not the expected message type."""
         found, wanted = parse_topic_key(key), ROS_TYPES[self._spec.type]
         if found is None:
-            self._refuse(f"{self._spec.text}: the key {key} is not one of rmw_zenoh")
-            return False
+            raise OdometryError(f"the key {key} is not one of rmw_zenoh")
         if found.type_name != wanted.name:
-            self._refuse(
-                f"{self._spec.text}: the topic carries {found.type_name}, {wanted.name} is needed; give "
-                "--target-type if the other type is intended"
+            raise OdometryError(
+                f"the topic carries {found.type_name}, {wanted.name} is needed; give --target-type if the "
+                "other type is intended"
             )
-            return False
         if found.type_hash not in (wanted.type_hash, NO_HASH):
-            self._refuse(
-                f"{self._spec.text}: {found.type_name} has the hash {found.type_hash}, {wanted.type_hash} is "
-                "needed: the sender was built with another definition of it"
+            raise OdometryError(
+                f"{found.type_name} has the hash {found.type_hash}, {wanted.type_hash} is needed: the sender "
+                "was built with another definition of it"
             )
-            return False
-        return True
 
     def _odometry(self, payload: bytes) -> Odometry | None:
         """Return the odometry made from a message; None: there is none, or it needs no conversion."""
@@ -300,41 +296,32 @@ class TargetSource:
         self._is_framed(odometry.frame_id)
         if odometry.child_frame_id != self._child:
             self._tell(
-                f"{self._spec.text}: child_frame_id is {odometry.child_frame_id!r}, "
+                f"child_frame_id is {odometry.child_frame_id!r}, "
                 f"checks.target_child_frame is {self._child!r}: rejected; set it if this is the robot"
             )
-        self._compare(odometry.pose_covariance, odometry.twist_covariance)
-
-    def _compare(self, pose_covariance: Sequence[float], twist_covariance: Sequence[float]) -> None:
-        text = excess_noise(pose_covariance, twist_covariance, self._link)
-        if text:
-            self._tell(f"{self._spec.text}: {text}")
+        self._tell(excess_noise(odometry.pose_covariance, odometry.twist_covariance, self._link))
 
     def _followed(self, pose: Pose) -> Odometry | None:
         if not self._is_framed(pose.frame_id):
             self.refused += 1
             return None
-        self._compare(pose.covariance, NO_COVARIANCE)
+        self._tell(excess_noise(pose.covariance, NO_COVARIANCE, self._link))
         odometry = self._track.take(pose.shifted(self._spec.offset_m))
-        if self._track.problem:
-            self._tell(f"{self._spec.text}: {self._track.problem}")
+        self._tell(self._track.problem)
         return odometry
 
     def _is_framed(self, frame_id: str) -> bool:
         if frame_id == self._frame:
             return True
         self._tell(
-            f"{self._spec.text}: frame_id is {frame_id!r}, checks.target_frame is {self._frame!r}: rejected; "
+            f"frame_id is {frame_id!r}, checks.target_frame is {self._frame!r}: rejected; "
             "set it only if that frame is the vehicle's east-north-up frame"
         )
         return False
 
-    def _refuse(self, text: str) -> None:
-        self.refused += 1
-        self._tell(text)
-
-    def _tell(self, text: str) -> None:
-        if text not in self._told and len(self._told) < TEXTS_MAX:
+    def _tell(self, problem: str) -> None:
+        text = f"{self._spec.text}: {problem}"
+        if problem and text not in self._told and len(self._told) < TEXTS_MAX:
             self._told[text] = None
             self._texts.append(text)
 
@@ -367,9 +354,12 @@ class KeySearch:
             ]
         for subscriber in self._subscribers:
             for sample in zenoh_link.drain(subscriber):
-                name = _shown(str(sample.key_expr))
+                key = str(sample.key_expr)
+                topic = parse_topic_key(key)
+                if topic is not None:
+                    key = f"ros2:{topic.topic} ({topic.type_name}, domain {topic.domain})"
                 if len(self._found) < KEYS_MAX:
-                    self._found[name] = None
+                    self._found[key] = None
         return tuple(sorted(self._found))
 
     def stop(self) -> None:
@@ -377,8 +367,3 @@ class KeySearch:
         for subscriber in self._subscribers:
             subscriber.undeclare()
         self._subscribers, self._found = [], {}
-
-
-def _shown(key: str) -> str:
-    topic = parse_topic_key(key)
-    return key if topic is None else f"ros2:{topic.topic} ({topic.type_name}, domain {topic.domain})"

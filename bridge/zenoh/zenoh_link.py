@@ -126,8 +126,8 @@ def open_session(
         if _role(config) is Role.CLIENT:
             hint = "is the router running, and does it accept us"
         raise ZenohLinkError(
-            f"cannot open a Zenoh session that listens on {_endpoints(config, 'listen') or 'nothing'} and "
-            f"connects to {_endpoints(config, 'connect') or 'nothing'}: {_reason(error)}; {hint}?"
+            f"cannot open a Zenoh session that listens on {_listed(config, 'listen')} and "
+            f"connects to {_listed(config, 'connect')}: {_reason(error)}; {hint}?"
         ) from error
     finally:
         if prompt:
@@ -176,12 +176,11 @@ def _role(config: Any) -> Role:
     return Role(json.loads(config.get_json("mode")))
 
 
-def _endpoints(config: Any, kind: str) -> str:
-    found = json.loads(config.get_json(f"{kind}/endpoints"))
-    return ", ".join(map(str, found)) if isinstance(found, list) else str(found)
+def _listed(config: Any, kind: str) -> str:
+    return ", ".join(_endpoints(config, kind)) or "nothing"
 
 
-def _endpoints_of_role(config: Any, kind: str) -> list[str]:
+def _endpoints(config: Any, kind: str) -> list[str]:
     endpoints = json.loads(config.get_json(f"{kind}/endpoints"))
     if isinstance(endpoints, dict):
         endpoints = endpoints.get(_role(config).value, [])
@@ -251,7 +250,7 @@ def dialled(
 ) -> tuple[Role, list[str]]:
     """Return the role of ``open_session`` with these arguments, and the endpoints to which it connects."""
     config = _configuration((), connect, config_file, role)
-    return _role(config), _endpoints_of_role(config, "connect")
+    return _role(config), _endpoints(config, "connect")
 
 
 def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) -> list[str]:
@@ -259,7 +258,7 @@ def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) 
     config = _configuration(listen, (), config_file, Role.PEER)
     if json.loads(config.get_json("access_control/enabled")):
         return []
-    return [one for one in _endpoints_of_role(config, "listen") if not _THIS_MACHINE.match(one)]
+    return [one for one in _endpoints(config, "listen") if not _THIS_MACHINE.match(one)]
 
 
 def knows_router(session: Session) -> bool:
@@ -303,7 +302,14 @@ class ConnectionAlarm:
             return []
         self._next_s = now_s + LOOK_EVERY_S
         if transports(self._session) == 0:
-            return self._alone(now_s)
+            self._since_s = now_s if self._since_s is None else self._since_s
+            if self._said or now_s - self._since_s < PATIENCE_S:
+                return []
+            self._said = True
+            return [
+                f"Zenoh: no connection to {self._whom} for {now_s - self._since_s:.0f} s: no reply, or it "
+                "rejects our certificate or password"
+            ]
         texts: list[str] = []
         if self._said and self._since_s is not None:
             texts.append(f"Zenoh: connected to {self._whom} after {now_s - self._since_s:.0f} s")
@@ -316,17 +322,6 @@ class ConnectionAlarm:
                 "(docs/how_to/zenoh.md)"
             )
         return texts
-
-    def _alone(self, now_s: float) -> list[str]:
-        if self._since_s is None:
-            self._since_s = now_s
-        if self._said or now_s - self._since_s < PATIENCE_S:
-            return []
-        self._said = True
-        return [
-            f"Zenoh: no connection to {self._whom} for {now_s - self._since_s:.0f} s: no reply, or it "
-            "rejects our certificate or password"
-        ]
 
 
 GID_BYTES = 16

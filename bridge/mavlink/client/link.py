@@ -141,9 +141,13 @@ class VehicleLink:
             self._held.append(message)
             if message.get_msgId() == dialect.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
                 tick_s = message.ts1 / 1e9
-                self._release(tick_s)
-        if len(self._held) > _HELD_MAX:
-            self._shorten_held()
+                held, self._held = self._held, []
+                for one in held:
+                    self._handle(one, tick_s)
+        surplus = len(self._held) - _HELD_MAX  # a vehicle that sends no TIMESYNC requests is not in lockstep
+        if surplus > 0:
+            self.counters.held_lost += surplus
+            del self._held[:surplus]
         if not self.heard:
             self._say_hello()
         elif tick_s is not None:
@@ -259,10 +263,9 @@ class VehicleLink:
 
     def _recognise(self, heartbeat: Message) -> None:
         profile = found(heartbeat.autopilot)
-        if profile is None or refusal(heartbeat.autopilot, heartbeat.type, None) is not None:
-            return
-        self.adopt(profile)
-        self._say(dialect.MAV_SEVERITY_INFO, f"its heartbeat says: {profile.title}")
+        if profile is not None and refusal(heartbeat.autopilot, heartbeat.type, None) is None:
+            self.adopt(profile)
+            self._say(dialect.MAV_SEVERITY_INFO, f"its heartbeat says: {profile.title}")
 
     def _may_stream(self, profile: Profile) -> bool:
         """Whether a set-point would neither end nor prevent a take-off of the vehicle."""
@@ -273,17 +276,6 @@ class VehicleLink:
         return self._requests.sequencer.request is not Request.TAKEOFF and (
             self.state.following or not standing
         )
-
-    def _release(self, arrival_s: float) -> None:
-        held, self._held = self._held, []
-        handle = self._handle
-        for message in held:
-            handle(message, arrival_s)
-
-    def _shorten_held(self) -> None:
-        surplus = len(self._held) - _HELD_MAX  # a vehicle that sends no TIMESYNC requests is not in lockstep
-        self.counters.held_lost += surplus
-        del self._held[:surplus]
 
     def _handle(self, message: Message, arrival_s: float) -> None:
         message_id: int = message.get_msgId()  # STATUSTEXT has a field named id, so .id cannot be used

@@ -212,12 +212,8 @@ class Server(ABC, Generic[V]):
 
     def _on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
         """Handle SET_POSITION_TARGET_LOCAL_NED; its only reply is a text after a refusal."""
-        vehicle = self.vehicle
-        setpoint = read_setpoint(message, vehicle.yaw_rad)
-        if isinstance(setpoint, str):
-            vehicle.texts.refuse(setpoint, now_s, "set-point")
-            return []
-        refused = vehicle.take_setpoint(setpoint, sender, now_s)
+        vehicle, setpoint = self.vehicle, read_setpoint(message, self.vehicle.yaw_rad)
+        refused = setpoint if isinstance(setpoint, str) else vehicle.take_setpoint(setpoint, sender, now_s)
         if refused is not None:
             vehicle.texts.refuse(refused, now_s, "set-point")
         return []
