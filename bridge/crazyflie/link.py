@@ -141,7 +141,7 @@ class CrazyflieLink:
         """Start connecting; a ``cache`` folder for tables of contents makes a second connection fast."""
         self.events_lost = 0  # number of events dropped from a full queue, oldest first
         self._uri, self._tables = uri, _Tables(rw_cache=str(cache) if cache else None)
-        self._events: deque[tuple[float, Event]] = deque()
+        self._events: deque[tuple[float, Event]] = deque(maxlen=EVENTS_MAX)
         self._lock = threading.Lock()
         self._outbox = Outbox()
         self._closing = threading.Event()
@@ -166,11 +166,9 @@ class CrazyflieLink:
 
     def poll(self) -> list[tuple[float, Event]]:
         """Return all events with their times on ``time.monotonic``, oldest first; never blocks."""
-        try:
+        with suppress(BlockingIOError):
             while os.read(self._read_fd, 4096):
                 pass
-        except BlockingIOError:
-            pass
         with self._lock:
             events = list(self._events)
             self._events.clear()
@@ -191,14 +189,10 @@ class CrazyflieLink:
     def _put(self, event: Event) -> None:
         arrived = time.monotonic(), event
         with self._lock:
-            if len(self._events) >= EVENTS_MAX:
-                self._events.popleft()
-                self.events_lost += 1
+            self.events_lost += len(self._events) == EVENTS_MAX
             self._events.append(arrived)
-        try:
+        with suppress(OSError):  # a full pipe is already readable; a closed pipe has no reader
             os.write(self._write_fd, b"\x00")
-        except (BlockingIOError, OSError):  # a full pipe is already readable; a closed pipe has no reader
-            return
 
     def _run(self) -> None:
         while not self._closing.is_set():
@@ -244,13 +238,16 @@ class CrazyflieLink:
             logs.step()
             self._pass_on(crazyflie, 0.02)
         crazyflie.param.add_update_callback(cb=lambda name, value: put(ParamValue(name, str(value))))
-        self._put(Connected(protocol, _read_params(crazyflie)))
+        groups = crazyflie.param.values
+        found = {name: groups.get(name.partition(".")[0], {}).get(name.partition(".")[2]) for name in PARAMS}
+        self._put(Connected(protocol, {name: str(n) for name, n in found.items() if n is not None}))
         while not self._ended:
             logs.step()
             packet = self._pass_on(crazyflie, 0.1)
             if packet is Order.RECONNECT:
                 return "silent"
-            if isinstance(packet, SetParam) and not _known(crazyflie, packet.name):
+            find = crazyflie.param.toc.get_element_by_complete_name
+            if isinstance(packet, SetParam) and find(packet.name) is None:
                 put(ParamValue(packet.name, None))
             elif isinstance(packet, SetParam | Pose):
                 _transmit(crazyflie, packet)
@@ -356,16 +353,6 @@ class CrazyflieLink:
 def _close_quietly(crazyflie: Any) -> None:
     with suppress(Exception):  # closing a broken link raises its error again
         crazyflie.close_link()
-
-
-def _read_params(crazyflie: Any) -> dict[str, str]:
-    values = crazyflie.param.values
-    pairs = ((name, values.get(name.partition(".")[0], {}).get(name.partition(".")[2])) for name in PARAMS)
-    return {name: str(value) for name, value in pairs if value is not None}
-
-
-def _known(crazyflie: Any, parameter: str) -> bool:
-    return crazyflie.param.toc.get_element_by_complete_name(parameter) is not None
 
 
 def _transmit(crazyflie: Any, packet: Packet) -> None:

@@ -64,15 +64,14 @@ class Arming:
         self._arm, self._arms_itself = _Request(now_s, now_s), bool(state.info & Info.AUTO_ARM)
         return [Order.ARM]
 
-    def reply(self, reply: ArmReply) -> str | None:
-        """Return the reason of a refusal; while the firmware arms itself, its refusals are ignored."""
+    def refused_by(self, reply: ArmReply) -> bool:
+        """Whether an answer ends the request; while the firmware arms itself, its refusals do not."""
         if self._arm is None or reply.accepted:
-            return None
+            return False
         self._arm.refused = True
-        if self._arms_itself:
-            return None
-        self._arm = None
-        return REFUSED
+        if not self._arms_itself:
+            self._arm = None
+        return not self._arms_itself
 
     def off(self, now_s: float, *, forced: bool) -> list[Packet]:
         """Stop the motors now; a repeated request sends the packets again, in case they were lost."""

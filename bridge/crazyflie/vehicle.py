@@ -26,7 +26,7 @@ from bridge.crazyflie.packets import (
     ParamValue,
     Velocity,
 )
-from bridge.crazyflie.pilot import DESCENT_M_S, Arming, Done, Pilot, Stopped, yaw_rate
+from bridge.crazyflie.pilot import DESCENT_M_S, REFUSED, Arming, Done, Pilot, Stopped, yaw_rate
 from bridge.crazyflie.rules import Settings
 from bridge.mavlink.server.commander import Commander, Setpoint
 from bridge.mavlink.server.profile import FlightMode
@@ -177,9 +177,8 @@ class Vehicle(Condition, Commander):
         return None
 
     def arm_reply(self, reply: ArmReply, now_s: float) -> None:
-        reason = self._arming.reply(reply)
-        if reason is not None:
-            self.texts.refuse(f"Arming refused: {reason}", now_s)
+        if self._arming.refused_by(reply):
+            self.texts.refuse(f"Arming refused: {REFUSED}", now_s)
 
     def mocap(self, problem: str | None, passed: Passed | None = None, now_s: float = -math.inf) -> None:
         """Handle a new external pose and the problem of the external poses (None if they are good)."""
