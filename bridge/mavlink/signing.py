@@ -179,7 +179,8 @@ class Signer:
         self._own = bytes((system_id, component_id))
         self._keyed = hashlib.sha256(key.secret)
         self._unix_ns, self._monotonic_ns = unix_ns, monotonic_ns
-        self._path = _state_path(key, system_id, component_id)
+        name = f"{key.path.name}.{system_id}-{component_id}-{_LINK[0]}.state" if key.path is not None else ""
+        self._path = key.path.with_name(name) if key.path is not None else None
         state = load_state(self._path) if self._path is not None else SigningState(0, 0, [])
         self._stored, self._sent = state.clock, state.sent
         # timestamp of the last accepted frame of each stream; the least recent stream is first
@@ -277,9 +278,3 @@ class Signer:
                 del self._streams[stream]
                 return True
         return False
-
-
-def _state_path(key: SigningKey, system_id: int, component_id: int) -> Path | None:
-    if key.path is None:
-        return None
-    return key.path.with_name(f"{key.path.name}.{system_id}-{component_id}-{_LINK[0]}.state")

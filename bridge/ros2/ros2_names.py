@@ -17,8 +17,8 @@ import xxhash
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import pack_attachment
 
-DOMAIN_MAX = 232  # ROS 2 documentation, "The ROS_DOMAIN_ID": limit of the DDS ports
-TOPIC_LENGTH_MAX = 247  # limit of rmw validate_full_topic_name.h
+DOMAIN_MAX = 232  # largest domain id, which the DDS ports limit (ROS 2 documentation, "The ROS_DOMAIN_ID")
+TOPIC_LENGTH_MAX = 247  # maximum length of a topic name (rmw validate_full_topic_name.h)
 NO_HASH = "TypeHashNotSupported"  # placeholder of ROS 2 Humble, which has no type hashes
 QOS_KEEP_10 = "::,10:,:,:,,"  # reliable, volatile, keep last 10; empty means rmw_zenoh's default (qos.cpp)
 _ADMIN = "@ros2_lv"
@@ -107,14 +107,15 @@ def bridge_key(topic: str) -> str:
 
 def node_token(node: Node) -> str:
     """Return the liveliness token of a node, for ``ros2 node list``. Raises ValueError: bad name."""
-    return "/".join([*_begin(node, 0, "NN"), node.name])
+    return _token(node, 0, "NN")
 
 
-def publisher_token(node: Node, number: int, topic: str, type_name: str, type_hash: str, qos: str) -> str:
+def publisher_token(
+    node: Node, number: int, topic: str, type_name: str, type_hash: str, qos: str = QOS_KEEP_10
+) -> str:
     """Return a publisher's liveliness token; ``number`` is unique in the session, ``qos`` short form."""
     topic_key(node.domain, topic, type_name, type_hash)  # raises ValueError if a part is malformed
-    tail = [node.name, _mangle(topic), dds_type(type_name), type_hash, qos]
-    return "/".join([*_begin(node, number, "MP"), *tail])
+    return _token(node, number, "MP", _mangle(topic), dds_type(type_name), type_hash, qos)
 
 
 def publisher_id(token: str) -> bytes:
@@ -123,18 +124,15 @@ def publisher_id(token: str) -> bytes:
     return digest[::-1]
 
 
-def _begin(node: Node, number: int, kind: str) -> list[str]:
+def _token(node: Node, number: int, kind: str, *tail: str) -> str:
     if node.namespace != "/":
         check_topic(node.namespace)
     if not _TOKEN.fullmatch(node.name):
         raise ValueError(
             f"ROS 2 node name {node.name!r}: letters, digits and underscores are allowed, no digit first"
         )
-    enclave = "%"  # "%" stands for no enclave
-    return [
-        _ADMIN, str(check_domain(node.domain)), node.session, "0", str(number), kind, enclave,
-        _mangle(node.namespace),
-    ]  # fmt: skip
+    begin = (_ADMIN, str(check_domain(node.domain)), node.session, "0", str(number), kind)
+    return "/".join((*begin, "%", _mangle(node.namespace), node.name, *tail))  # "%" stands for no enclave
 
 
 def _mangle(name: str) -> str:
@@ -167,7 +165,7 @@ class Ros2Node:
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
         """Announce a topic and declare its publisher; with a wrong type hash ROS 2 receives no sample."""
         number = 1 + len(self._publishers)  # the node itself has number 0
-        token = publisher_token(self._node, number, check_topic(topic), type_name, type_hash, QOS_KEEP_10)
+        token = publisher_token(self._node, number, topic, type_name, type_hash)
         key = topic_key(self._node.domain, topic, type_name, type_hash)
         publisher = Ros2Publisher(zenoh_link.dropping_publisher(self._session, key), publisher_id(token))
         self._tokens.append(zenoh_link.liveliness_token(self._session, token))

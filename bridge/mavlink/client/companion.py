@@ -209,8 +209,7 @@ class CommandSequencer:
         self._profile = profile
         self._target = (target_system, target_component)
         self._height_m = takeoff_height_m
-        self._stream_start_s: float | None = None
-        self._stream_last_s = -math.inf
+        self._stream_start_s = self._stream_last_s = -math.inf
         # height of home above sea level, for autopilots with that datum; None: requested before arming
         self.home_amsl_m: float | None = None
         # arrival time, s, and newest height above home, m, for autopilots with that datum; arming moves home
@@ -244,7 +243,7 @@ class CommandSequencer:
 
     def note_setpoint(self, now_s: float) -> None:
         """Record that a set-point is sent now; some autopilots need a stream before a mode change."""
-        if self._stream_start_s is None or now_s - self._stream_last_s > _STREAM_GAP_S:
+        if now_s - self._stream_last_s > _STREAM_GAP_S:
             self._stream_start_s = now_s
         self._stream_last_s = now_s
 
@@ -280,7 +279,7 @@ class CommandSequencer:
         if datum is not None:
             return self._ask_datum(datum, now_s)
         period_s = max(step.period_s, _WORKING_S) if self._working else step.period_s
-        if (step.prestream and not self._streaming(now_s)) or now_s - self._last_try_s < period_s:
+        if (step.prestream and not self._streams(now_s)) or now_s - self._last_try_s < period_s:
             return []
         if self._tries >= step.tries or (self._finals >= _FINALS and not step.blind):
             self.failed = self._reason(step, now_s)
@@ -325,11 +324,10 @@ class CommandSequencer:
         )
         return next(filter(needed, steps), None)
 
-    def _streaming(self, now_s: float) -> bool:
-        start_s = self._stream_start_s
-        if start_s is None or now_s - self._stream_last_s > _STREAM_GAP_S:
-            return False
-        return now_s - start_s >= self._profile.prestream_s - 1e-9
+    def _streams(self, now_s: float) -> bool:
+        """Whether set-points have been sent for long enough without a pause."""
+        lasts_s = now_s - self._stream_start_s if now_s - self._stream_last_s <= _STREAM_GAP_S else -math.inf
+        return lasts_s >= self._profile.prestream_s - 1e-9
 
     def _message(self, step: Step) -> Message:
         if self._tries == 1:

@@ -172,11 +172,6 @@ def _arguments(cls: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]]:
     return arguments
 
 
-def _wire_kinds(cls: Any) -> list[str]:
-    kind_of = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
-    return [kind_of[name] for name in cls.ordered_fieldnames]
-
-
 _MARKER = b"\xfd"
 _HEADER_BYTES = 10
 _HEAD = struct.Struct("6B").pack  # fields: length, two flag bytes, sequence number, system id, component id
@@ -202,11 +197,13 @@ def pack(message: Message, sequence: int, system_id: int, component_id: int) -> 
 
 def _payload(cls: Any) -> Payload:
     # pymavlink stores the bytes of a string beside the text
-    pairs = zip(cls.ordered_fieldnames, _wire_kinds(cls), strict=True)
-    names = [f"_{name}_raw" if kind == "char" else name for name, kind in pairs]
+    strings = {name for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True) if kind == "char"}
+    names = [f"_{name}_raw" if name in strings else name for name in cls.ordered_fieldnames]
     pack_values = cls.unpacker.pack
+    read = attrgetter(*names)
+    if len(names) == 1 and cls.lengths == [1]:
+        return lambda message: pack_values(read(message))
     if all(length == 1 for length in cls.lengths):
-        read = _all_of(names)
         return lambda message: pack_values(*read(message))
     fields = [
         (attrgetter(name), itemgetter(*range(length)) if length > 1 else None)
@@ -223,12 +220,6 @@ def _payload(cls: Any) -> Payload:
         return pack_values(*values)  # type: ignore[no-any-return]
 
     return payload
-
-
-def _all_of(names: list[str]) -> Callable[[Message], tuple[Any, ...]]:
-    """Return a function that reads these attributes as a tuple, also a single one, unlike ``attrgetter``."""
-    read = attrgetter(*names)
-    return read if len(names) > 1 else lambda message: (read(message),)
 
 
 _PACKERS: dict[int, tuple[bytes, bytes, Payload]] = {
