@@ -17,7 +17,7 @@ from operator import attrgetter
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.server.profile import PX4_CODES, Code, FlightMode
+from bridge.mavlink.server.profile import FORCE, PX4_CODES, Code, FlightMode
 from flightstack.core.types import Landed, Mode, Request, VehicleStatus
 
 
@@ -75,7 +75,6 @@ class Profile:
 
 
 AUTO = "auto"  # the heartbeat selects the profile
-FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM that forces a disarm
 
 _DO_SET_MODE = 176
 _NAV_LAND = 21

@@ -167,12 +167,8 @@ class MocapVehicle:
 
     @property
     def origin_missing(self) -> bool:
-        return (
-            self.needs is not None
-            and self.needs.needs_origin
-            and self._origin is None
-            and not self._origin_known
-        )
+        needed = self.needs is not None and self.needs.needs_origin
+        return needed and self._origin is None and not self._origin_known
 
     def heard(self, now_s: float) -> bool:
         return now_s - self._heard_s <= SILENT_S

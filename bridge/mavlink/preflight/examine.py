@@ -88,17 +88,14 @@ class ParameterReader:
 
     def step(self, now_s: float) -> list[Message]:
         """Return the requests to send now; list parameters without a reply as missing."""
-        most = self._tries_max
-        for name in [n for n in self._open if self._tries[n] >= most and self._waited(n, now_s)]:
+        most, waited = self._tries_max, [n for n in self._open if now_s - self._asked_s[n] >= _READ_PERIOD_S]
+        for name in [name for name in waited if self._tries[name] >= most]:
             self._close(name, f"no answer to {most} requests in {most * _READ_PERIOD_S:g} s")
-        due = [name for name in self._open[:_AT_ONCE] if self._waited(name, now_s)]
+        due = [name for name in self._open[:_AT_ONCE] if name in waited]
         for name in due:
             self._tries[name] += 1
             self._asked_s[name] = now_s
         return [dialect.MAVLink_param_request_read_message(*self._target, name.encode(), -1) for name in due]
-
-    def _waited(self, name: str, now_s: float) -> bool:
-        return now_s - self._asked_s[name] >= _READ_PERIOD_S
 
     def _value(self, message: Message) -> None:
         name = parameter_name(message.param_id)

@@ -286,17 +286,17 @@ class Commander(ABC):
         self._enter(FlightMode.TAKEOFF, now_s)
         return None
 
-    def land(self, now_s: float) -> None:
+    def land(self, now_s: float) -> str | None:
         """Land at the present position; never refused, without effect on the ground."""
         if self.armed:
             self._enter(FlightMode.LAND, now_s)
+        return None
 
     def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
         if mode is FlightMode.TAKEOFF:
             return self.take_off(None, now_s)
         if mode is FlightMode.LAND:
-            self.land(now_s)
-            return None
+            return self.land(now_s)
         reason = self._why_no_mode(mode, now_s)
         if reason is None and mode is FlightMode.OFFBOARD and not self._streamed(now_s):
             reason = "no set-points"

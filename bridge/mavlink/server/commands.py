@@ -15,9 +15,8 @@ from typing import Any, Generic, NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.profiles import FORCE
 from bridge.mavlink.server.commander import Right, Sender
-from bridge.mavlink.server.profile import FlightMode, mode_of, why_no_mode
+from bridge.mavlink.server.profile import FORCE, FlightMode, mode_of, why_no_mode
 from bridge.mavlink.server.telemetry import Builder, Snapshot, Streams, V
 from flightstack.core.types import Vec3
 
@@ -138,10 +137,8 @@ class Commands(Generic[V]):
             m.MAV_CMD_COMPONENT_ARM_DISARM: Entry(self._arm_disarm, owner, right_of=_right_to_arm),
             m.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND),
             m.MAV_CMD_RUN_PREARM_CHECKS: Entry(self._prearm_checks, anybody),
-            m.MAV_CMD_GET_MESSAGE_INTERVAL: Entry(self._get_interval, anybody),
-            m.MAV_CMD_SET_MESSAGE_INTERVAL: Entry(
-                self._set_interval, anybody, right_of=self._right_to_interval
-            ),
+            m.MAV_CMD_GET_MESSAGE_INTERVAL: Entry(self._interval, anybody),
+            m.MAV_CMD_SET_MESSAGE_INTERVAL: Entry(self._interval, anybody, right_of=self._right_to_interval),
             m.MAV_CMD_REQUEST_MESSAGE: Entry(self._request_message, anybody),
             m.MAV_CMD_REQUEST_CAMERA_INFORMATION: Entry(lambda _: Answer(UNSUPPORTED, "No camera"), anybody),
             **own,
@@ -206,8 +203,7 @@ class Commands(Generic[V]):
         return answer(self._vehicle.take_off(z_m, command.now_s))
 
     def _land(self, command: Command) -> Answer:
-        self._vehicle.land(command.now_s)
-        return Answer()
+        return answer(self._vehicle.land(command.now_s))
 
     def _set_mode(self, command: Command) -> Answer:
         base, main, sub = command.given(1) or 0.0, command.given(2), command.given(3) or 0.0
@@ -230,30 +226,20 @@ class Commands(Generic[V]):
             self._vehicle.texts.refuse(f"Preflight fail: {problem}", command.now_s)
         return Answer()
 
-    def _stream(self, command: Command) -> int | None:
-        """Return the message id in param1; None: the message has no stream."""
-        message_id = integer(command.given(1))
-        return message_id if message_id is not None and self._streams.known(message_id) else None
-
-    def _set_interval(self, command: Command) -> Answer:
-        message_id = self._stream(command)
-        if message_id is None:
-            return _no_stream(command)
-        self._streams.set_interval(message_id, command.given(2) or 0.0, command.now_s)
-        return Answer()
+    def _interval(self, command: Command) -> Answer:
+        message_id, streams = integer(command.given(1)), self._streams
+        if message_id is None or not streams.known(message_id):
+            return Answer(FAILED, f"Message {message_id} has no rate to set")  # as PX4, even for HEARTBEAT
+        if command.number == dialect.MAV_CMD_SET_MESSAGE_INTERVAL:
+            streams.set_interval(message_id, command.given(2) or 0.0, command.now_s)
+            return Answer()
+        interval_us = streams.interval_us(message_id)
+        return Answer(messages=(dialect.MAVLink_message_interval_message(message_id, interval_us),))
 
     def _right_to_interval(self, command: Command) -> Right:
         """Return the required right: peers share the rates, so only the sender in control may lower them."""
-        message_id = self._stream(command)
-        rarer = message_id is not None and self._streams.rarer(message_id, command.given(2) or 0.0)
+        rarer = self._streams.rarer(integer(command.given(1)), command.given(2) or 0.0)
         return Right.OWNER if rarer else Right.ANYBODY
-
-    def _get_interval(self, command: Command) -> Answer:
-        message_id = self._stream(command)
-        if message_id is None:
-            return _no_stream(command)
-        interval_us = self._streams.interval_us(message_id)
-        return Answer(messages=(dialect.MAVLink_message_interval_message(message_id, interval_us),))
 
     def _request_message(self, command: Command) -> Answer:
         message_id = integer(command.given(1))
@@ -274,9 +260,3 @@ def _degrees(scaled: int) -> float:
 def _right_to_arm(command: Command) -> Right:
     kill = command.given(1) is not None and round(command.params[0]) == 0 and command.given(2) == FORCE
     return Right.OWNER_OR_GROUND if kill else Right.OWNER
-
-
-def _no_stream(command: Command) -> Answer:
-    return Answer(
-        FAILED, f"Message {integer(command.given(1))} has no rate to set"
-    )  # the result of PX4, even for HEARTBEAT

@@ -81,6 +81,7 @@ CAPABILITIES = (
     | _M.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 )
 VERSION = 1 << 24 | 18 << 16 | 255  # AUTOPILOT_VERSION.flight_sw_version: 1.18.0, official
+FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM that forces a disarm
 # Messages of every tick in the order of a datagram: clients use a position with the attitude before it.
 EVERY_TICK = (_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 # Indoors there is no GPS, but clients recognise a good position only by its bit (MAVSDK telemetry_impl.cpp).

@@ -232,8 +232,9 @@ class Streams(Generic[V]):
             stream.due_s = now_s if interval_s < _OFF else _OFF
             self._sort()
 
-    def rarer(self, message_id: int, interval_us: float) -> bool:
-        return self._interval_s(message_id, interval_us) > self._streams[message_id].interval_s
+    def rarer(self, message_id: int | None, interval_us: float) -> bool:
+        stream = self._streams.get(message_id) if message_id is not None else None
+        return stream is not None and self._interval_s(stream.message_id, interval_us) > stream.interval_s
 
     def _interval_s(self, message_id: int, interval_us: float) -> float:
         if interval_us < 0.0:
