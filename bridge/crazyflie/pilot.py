@@ -56,7 +56,7 @@ class Arming:
         return self._arm is not None or self._off is not None or self._notices > 0
 
     def ask(self, state: CrazyflieState, now_s: float) -> list[Packet]:
-        """Start arming and return the packets; firmware that arms itself needs no packet."""
+        """Start to arm the vehicle and return the packets; firmware that arms itself needs no packet."""
         self._off, self._notices = None, 0
         if state.info & Info.ARMED:
             self.armed = True
@@ -74,7 +74,7 @@ class Arming:
         return not self._arms_itself
 
     def off(self, now_s: float, *, forced: bool) -> list[Packet]:
-        """Stop the motors now; a repeated request sends the packets again, in case they were lost."""
+        """Return the packets that stop the motors; a repeated call returns them again, if they were lost."""
         self.armed, self._arm = False, None
         since_s = self._off.since_s if self._off is not None and self._off.forced else now_s
         self._off = _Request(since_s, now_s, forced or (self._off is not None and self._off.forced))
@@ -116,7 +116,7 @@ class Arming:
         self, request: _Request, state: CrazyflieState | None, now_s: float
     ) -> tuple[list[Packet], str | None]:
         after_s = now_s - request.since_s
-        fresh = state is not None and state.at_s > request.since_s + REPEAT_S  # measured after the request
+        fresh = state is not None and state.at_s > request.since_s + REPEAT_S  # later than the request
         if fresh and state is not None and not state.info & Info.FLYING:
             self._off, self._latched = None, False
             # If the notice is lost, the supervisor reports a lost link two seconds later.
