@@ -175,7 +175,7 @@ def validate(options: ValidateOptions) -> None:
 
     def write_page(path: Path) -> None:
         from logs.report.page import write
-        from sim.validation.page import validation_page
+        from sim.validation.run import validation_page
 
         write(path, validation_page(found))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -191,8 +193,6 @@ def view(log_file: Path, save: Path | None, web: bool, member: str | None, force
         raise without_rerun(error, "view") from error
     recording = Recording(log_file, member)
     if save is not None:
-        from logs.files import new_file
-
         with new_file(save, force=force) as part:
             recording.save(part)
         click.echo(plain(f"{save}: open it with `rerun {save}`"))
@@ -207,3 +207,19 @@ def view(log_file: Path, save: Path | None, web: bool, member: str | None, force
                     "Rerun did not open; without a display use --web, or --save and another machine"
                 )
     sys.exit(BROKEN if problem else DONE)
+
+
+@contextmanager
+def new_file(path: Path, *, force: bool) -> Iterator[Path]:
+    """Yield a temporary name next to ``path``; after success the file gets its final name."""
+    if path.exists() and not force:
+        raise FileExistsError(f"{path} exists and is not overwritten; give another name or --force")
+    part = path.with_name(f".{path.name}.part")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as error:
+        error.filename = error.filename or str(path)  # a full disk has no name of a file
+        raise
+    finally:
+        part.unlink(missing_ok=True)

@@ -28,7 +28,7 @@ HERE = Path(__file__).parent
 SOURCES = (
     "flightstack/core/**/*.py",
     "bridge/frames.py",
-    "sim/autopilot/watches.py",
+    "sim/autopilot/flight.py",
     *(f"sim/{room}/*.py" for room in ("plant", "world", "firmware", "vehicle", "robot", "validation")),
     *(f"sim/runners/{name}.py" for name in ("ticks", "robot", "room")),
 )

@@ -28,7 +28,6 @@ import numpy as np
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
-from logs.files import of_file
 from logs.report.page import Page, Panel, details, need_libraries, table, write
 from logs.verdict.types import VIOLATION_LIMIT_M
 from sim.campaign.rows import (
@@ -242,6 +241,17 @@ def _interrupts() -> Iterator[list[int]]:
         yield came
     finally:
         signal.signal(signal.SIGINT, previous)
+
+
+@contextmanager
+def of_file(path: Path) -> Iterator[None]:
+    """Add the name of the file to an error of the system, such as a full disk."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno is not None:
+            error.filename = str(path)
+        raise
 
 
 @contextmanager

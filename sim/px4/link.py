@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.framing import FrameCounters, NoFrame, frame_end, version_1_end
 from bridge.mavlink.codec.messages import Message, decode, pack
 from bridge.mavlink.transport.address import resolve
-from sim.px4.sensors import COMPONENT_ID, SYSTEM_ID
+from sim.px4.plant import COMPONENT_ID, SYSTEM_ID
 
 _MARKER_V2 = 0xFD
 FRAME_MAX = 280  # maximum bytes of a frame: header, payload, checksum and signature

@@ -1,24 +1,38 @@
-"""The simulated vehicle without firmware: computes the true state from rotor speeds in steps of 1 ms.
+"""The vehicle that a real PX4 flies: true state from rotor speeds, sensor readings, and the messages of both.
 
-World, rotors, battery, wind, ground effect and deck use the functions of ``VehicleSim``; PX4 replaces the
-firmware. The result depends only on scenario, seed and commands.
+World, rotors, battery, wind, ground effect and deck use the functions of ``VehicleSim`` in steps of 1 ms; PX4
+replaces the firmware. The result depends only on scenario, seed and commands. World NED, body FRD. The IMU is
+read every 4 ms (250 Hz, IMU_INTEG_RATE of px4-rc.simulator). A reading has the mean acceleration since the
+last reading and the current rates, both unfiltered, because PX4 filters them. The messages follow the PX4
+docs (Simulator MAVLink API) and SimulatorMavlink.cpp.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.frames import body_from_world, frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from bridge.mavlink.codec.messages import Message
+from bridge.mocap.checks import Passed
+from bridge.mocap.process import odometry
+from bridge.ros2.cdr import Pose
 from flightstack.common.strict_toml import ConfigError
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Cell
 from flightstack.core.types import Vec3
+from sim.autopilot.telemetry import degrees_e7
 from sim.plant.params import Params
 from sim.plant.rotors import speed_limit
-from sim.plant.states import Truth
+from sim.plant.sensors import Imu, MeasurementChannel, NoiseRows
+from sim.plant.states import Truth, rotation_axes
 from sim.scenarios.scenario import Scenario
-from sim.scenarios.tables import StartKind
+from sim.scenarios.tables import OdometryLink, StartKind
 from sim.vehicle.physics import (
     CONTROL_EVERY_MS,
     Physics,
@@ -112,3 +126,236 @@ class Px4Plant:
     def truth(self) -> Truth:
         """Return the current true state, and extremes and contacts since the last call; reset the latter."""
         return self._physics.truth(self._ms)
+
+
+STEP_MS = 4  # time between two IMU readings, ms
+SLOW_EVERY = 5  # number of IMU readings per reading of magnetometer and barometer: 50 Hz
+GPS_EVERY = 25  # number of IMU readings per satellite fix: 10 Hz
+
+# World magnetic model 2020 at the room's origin, 47.397742 N 8.545594 E, interpolated from PX4's tables
+# (geo_magnetic_tables.hpp, 2023.6), with which EKF2 compares the magnetometer.
+DECLINATION_RAD = 0.05713
+INCLINATION_RAD = 1.10208
+STRENGTH_GAUSS = 0.48197
+MAG_NOISE_GAUSS = 0.003  # Bosch BMM150 data sheet: 0.3 uT rms
+
+SEA_LEVEL_HPA, SEA_LEVEL_K, LAPSE_K_M, EXPONENT = 1013.25, 288.15, 0.0065, 5.25588  # values of ISO 2533
+ZERO_CELSIUS_K = 273.15
+BARO_NOISE_HPA = 0.012  # Bosch BMP388 data sheet: 1.2 Pa rms
+
+# assumed standard deviations of a receiver with base station (RTK fix), which a pad of 0.1 m requires, m
+GPS_NOISE_M = (0.010, 0.010, 0.020)
+GPS_NOISE_M_S = (0.03, 0.03, 0.05)
+
+ACCEL_MAX_M_S2 = 156.8  # range of 16 g, stored as a 16 bit number in PX4 (SimulatorMavlink.cpp)
+GYRO_MAX_RAD_S = math.radians(1999.9)  # range of 2000 deg/s, stored as a 16 bit number in PX4
+
+
+@dataclass(frozen=True, slots=True)
+class Slow:
+    """Readings of magnetometer and barometer."""
+
+    mag_frd_gauss: Vec3
+    pressure_hpa: float
+    pressure_altitude_m: float
+    temperature_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    latitude_e7: int
+    longitude_e7: int
+    altitude_amsl_m: float
+    velocity_ned_m_s: Vec3
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """New values at one IMU reading; None for a sensor without a new value."""
+
+    accel_frd_m_s2: Vec3
+    gyro_frd_rad_s: Vec3
+    slow: Slow | None
+    fix: Fix | None
+
+
+def field_ned_gauss() -> Vec3:
+    """Return the earth's magnetic field in the room, NED."""
+    level = STRENGTH_GAUSS * math.cos(INCLINATION_RAD)
+    return (
+        level * math.cos(DECLINATION_RAD),
+        level * math.sin(DECLINATION_RAD),
+        STRENGTH_GAUSS * math.sin(INCLINATION_RAD),
+    )
+
+
+_NORTH, _EAST, _DOWN = field_ned_gauss()
+_FIELD_ENU: Vec3 = (_EAST, _NORTH, -_DOWN)
+
+
+def temperature_k(altitude_m: float) -> float:
+    """Return the temperature of the standard atmosphere below 11 km."""
+    return SEA_LEVEL_K - LAPSE_K_M * altitude_m
+
+
+def pressure_hpa(altitude_m: float) -> float:
+    """Return the pressure of the standard atmosphere below 11 km."""
+    return float(SEA_LEVEL_HPA * (temperature_k(altitude_m) / SEA_LEVEL_K) ** EXPONENT)
+
+
+def pressure_altitude_m(hpa: float) -> float:
+    """Return the altitude for a pressure (inverse of ``pressure_hpa``)."""
+    return float(SEA_LEVEL_K / LAPSE_K_M * (1.0 - (hpa / SEA_LEVEL_HPA) ** (1.0 / EXPONENT)))
+
+
+def _within(v: Vec3, limit: float) -> Vec3:
+    x, y, z = (max(-limit, min(limit, c)) for c in v)
+    return (x, y, z)
+
+
+class Px4Sensors:
+    """All sensors of one vehicle, which starts at rest; call ``read`` every ``STEP_MS``."""
+
+    def __init__(self, params: Params, body: Body, seed: int) -> None:
+        raw = replace(params.imu, gyro_filter_hz=math.inf, accel_filter_hz=math.inf)
+        gravity = params.contact.gravity_m_s2
+        self._imu = Imu(raw, gravity, STEP_MS * 1e-3, seed)
+        self._imu.settle(body.velocity_enu_m_s, body_from_world(body.quaternion, (0.0, 0.0, gravity)))
+        self._mag = NoiseRows((MAG_NOISE_GAUSS,) * 3, seed, "px4.mag")
+        self._baro = NoiseRows((BARO_NOISE_HPA,), seed, "px4.baro")
+        self._gps = NoiseRows((*GPS_NOISE_M, *GPS_NOISE_M_S), seed, "px4.gps")
+        self._count = 0
+
+    def read(self, body: Body) -> Readings:
+        """Return the readings that are due now."""
+        count = self._count
+        self._count += 1
+        self._imu.measure(
+            body.velocity_enu_m_s, body.angular_velocity_flu_rad_s, rotation_axes(body.quaternion)
+        )
+        return Readings(
+            _within(frd_from_flu(self._imu.accel), ACCEL_MAX_M_S2),
+            _within(frd_from_flu(self._imu.gyro), GYRO_MAX_RAD_S),
+            self._read_slow(body) if count % SLOW_EVERY == 0 else None,
+            self._read_gps(body) if count % GPS_EVERY == GPS_EVERY - 1 else None,  # PX4's clock runs by then
+        )
+
+    def _read_slow(self, body: Body) -> Slow:
+        x, y, z = frd_from_flu(body_from_world(body.quaternion, _FIELD_ENU))
+        nx, ny, nz = self._mag.take()
+        height = body.position_enu_m[2]
+        hpa = pressure_hpa(height) + self._baro.take()[0]
+        temperature_c = temperature_k(height) - ZERO_CELSIUS_K
+        return Slow((x + nx, y + ny, z + nz), hpa, pressure_altitude_m(hpa), temperature_c)
+
+    def _read_gps(self, body: Body) -> Fix:
+        nx, ny, nz, nu, nv, nw = self._gps.take()
+        x, y, z = body.position_enu_m
+        vx, vy, vz = body.velocity_enu_m_s
+        latitude, longitude = degrees_e7(x + nx, y + ny)
+        return Fix(latitude, longitude, z + nz, ned_from_enu((vx + nu, vy + nv, vz + nw)))
+
+
+RATE_MAX_HZ = 50.0  # maximum rate of poses, Hz; equal to the mocap bridge's
+_SIGMA_MIN_M, _SIGMA_MIN_RAD = 1e-4, 1e-3  # minimum standard deviations; EKF2 needs a variance
+
+
+class Px4Mocap:
+    """Poses from motion capture; call ``poll`` at every step."""
+
+    def __init__(self, link: OdometryLink, seed: int) -> None:
+        link = replace(link, rate_hz=min(link.rate_hz, RATE_MAX_HZ))
+        sigmas = (*[link.position_noise_m] * 3, link.yaw_noise_rad, 0.0, 0.0, 0.0, 0.0)
+        self._channel = MeasurementChannel(link, sigmas, seed, "px4.mocap")
+        place = max(link.position_noise_m, _SIGMA_MIN_M) ** 2
+        turn = max(link.yaw_noise_rad, _SIGMA_MIN_RAD) ** 2
+        diagonal = (place, place, place, turn, turn, turn)
+        self._covariance = tuple(diagonal[i] if i == j else 0.0 for i in range(6) for j in range(6))
+
+    def poll(self, body: Body, now_ns: int, now_us: int) -> list[Message]:
+        """Measure when a sample is due; return ODOMETRY messages for the samples that have arrived.
+
+        ``now_ns``: simulated time; ``now_us``: PX4's clock.
+        """
+        channel = self._channel
+        if now_ns >= channel.due_ns:
+            channel.sample(now_ns, (*body.position_enu_m, 0.0, *body.quaternion))
+        if now_ns < channel.release_ns:
+            return []
+        return [self._odometry(values, now_us) for _, values in channel.release(now_ns)]
+
+    def _odometry(self, values: Sequence[float], now_us: int) -> Message:
+        x, y, z, yaw, w, i, j, k = values
+        c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)  # a yaw error rotates the whole attitude
+        attitude = (c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w)
+        pose = Pose(now_us * 1000, "", (x, y, z), attitude, self._covariance)
+        return odometry(Passed(pose, now_us * 1e-6, 0), now_us)
+
+
+SYSTEM_ID, COMPONENT_ID = 1, 200  # ids of the simulator; PX4 ignores both
+
+# bits of HIL_SENSOR.fields_updated; PX4 requires each group as a whole (SimulatorMavlink.hpp, SensorSource)
+ACCEL, GYRO, MAG, BARO = 0b111, 0b111000, 0b111000000, 0b1101000000000
+
+HIL_STATE_QUATERNION = 115
+_ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
+_LOCKSTEP = 1  # bit of HIL_ACTUATOR_CONTROLS.flags that shows lockstep
+_EPH_CM, _EPV_CM, _SATELLITES = 2, 4, 20
+_INT16 = 32767
+_COG_UNKNOWN = 65535
+_COG_MIN_M_S = 0.2  # speed below which the course over ground is noise
+
+
+class Answer(NamedTuple):
+    """Content of one HIL_ACTUATOR_CONTROLS message."""
+
+    time_us: int  # time on PX4's clock
+    controls: tuple[float, ...]  # outputs 1 to 16
+    armed: bool
+    lockstep: bool  # whether PX4's clock is the simulator's clock
+
+
+def answer_of(message: Message) -> Answer:
+    armed, lockstep = bool(message.mode & _ARMED), bool(message.flags & _LOCKSTEP)
+    return Answer(int(message.time_usec), tuple(message.controls), armed, lockstep)
+
+
+def hil_sensor(time_us: int, readings: Readings) -> Message:
+    """Return HIL_SENSOR with the new readings."""
+    slow = readings.slow
+    mag, hpa, altitude, celsius = (0.0, 0.0, 0.0), 0.0, 0.0, 0.0
+    if slow is not None:
+        mag, hpa = slow.mag_frd_gauss, slow.pressure_hpa
+        altitude, celsius = slow.pressure_altitude_m, slow.temperature_c
+    fields = ACCEL | GYRO | (MAG | BARO if slow is not None else 0)
+    return dialect.MAVLink_hil_sensor_message(
+        time_us, *readings.accel_frd_m_s2, *readings.gyro_frd_rad_s, *mag, hpa, 0.0, altitude, celsius, fields
+    )
+
+
+def hil_gps(time_us: int, fix: Fix) -> Message:
+    north, east, _ = fix.velocity_ned_m_s
+    speed = math.hypot(north, east)
+    course = round(math.degrees(math.atan2(east, north)) % 360.0 * 100.0) % 36000
+    return dialect.MAVLink_hil_gps_message(
+        time_us, dialect.GPS_FIX_TYPE_RTK_FIXED,
+        fix.latitude_e7, fix.longitude_e7, round(fix.altitude_amsl_m * 1e3), _EPH_CM, _EPV_CM,
+        min(65534, round(speed * 100.0)), *_int16(fix.velocity_ned_m_s, 100.0),
+        course if speed > _COG_MIN_M_S else _COG_UNKNOWN, _SATELLITES,
+    )  # fmt: skip
+
+
+def hil_state(time_us: int, body: Body, accel_frd_m_s2: Vec3, gravity_m_s2: float) -> Message:
+    """Return HIL_STATE_QUATERNION, the true state; PX4 only logs it."""
+    speed_cm_s = min(65535, round(math.hypot(*body.velocity_enu_m_s) * 100.0))
+    x, y, z = body.position_enu_m
+    return dialect.MAVLink_hil_state_quaternion_message(
+        time_us, ned_frd_from_enu_flu(body.quaternion), *frd_from_flu(body.angular_velocity_flu_rad_s),
+        *degrees_e7(x, y), round(z * 1e3), *_int16(ned_from_enu(body.velocity_enu_m_s), 100.0),
+        speed_cm_s, speed_cm_s, *_int16(accel_frd_m_s2, 1000.0 / gravity_m_s2),
+    )  # fmt: skip
+
+
+def _int16(v: Vec3, scale: float) -> tuple[int, int, int]:
+    a, b, c = (max(-_INT16, min(_INT16, round(x * scale))) for x in v)
+    return (a, b, c)

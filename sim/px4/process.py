@@ -23,8 +23,7 @@ from sim.clock import NS_PER_S, run_process
 from sim.options import Px4SimOptions
 from sim.plant.states import Truth
 from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
-from sim.px4.plant import Px4Plant
-from sim.px4.sensors import STEP_MS, Px4Mocap
+from sim.px4.plant import STEP_MS, Px4Mocap, Px4Plant
 from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
 from sim.runners.log import VehicleLog
 from sim.runners.robot import RealTimeDeck

@@ -16,12 +16,12 @@ from flightstack.common.hangup import Stop
 from sim.clock import NoAnswerError
 from sim.px4.airframe import rotor_speeds
 from sim.px4.link import SLICE_S, Px4Link
-from sim.px4.plant import Px4Plant
-from sim.px4.sensors import (
+from sim.px4.plant import (
     HIL_STATE_QUATERNION,
     STEP_MS,
     Answer,
     Px4Mocap,
+    Px4Plant,
     Px4Sensors,
     answer_of,
     hil_gps,

@@ -17,8 +17,7 @@ from flightstack.core.controller import Controller, Landing
 from flightstack.core.numeric import NotOrdinary, twin
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import OwnState, Vec3
-from sim.autopilot import watches
-from sim.autopilot.watches import PERIOD_S, Watches, WatchRecord
+from sim.autopilot.flight import PERIOD_S, Watches, WatchRecord, smoothed
 from sim.clock import NS_PER_S
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.firmware.setpoint import ROOM, WIDTH, InboxRecord
@@ -49,7 +48,7 @@ class RulesRecord(Record):
     watch: WatchRecord
 
 
-_smoothed = twin(watches.smoothed, jitted)
+_smoothed = twin(smoothed, jitted)
 
 
 @jitted

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.server.parameters import INT32, Parameters
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.autopilot import px4_parameters
+from sim.autopilot.flight import Watches
 from sim.autopilot.telemetry import degrees_e7
-from sim.autopilot.watches import Watches
 from sim.plant.params import load
 from sim.plant.rotors import BatteryModel, drain
 from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle, Rig, set_int, set_real

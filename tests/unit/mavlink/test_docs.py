@@ -15,7 +15,7 @@ from sim.autopilot.flight import STREAM_LOST
 from sim.autopilot.telemetry import PX4
 from sim.plant.params import load
 from sim.px4.airframe import parameters
-from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
+from sim.px4.plant import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
 from tests.unit.autopilot.autopilot_fakes import Rig
 
 DOCS = Path(__file__).parents[3] / "docs"

@@ -13,12 +13,12 @@ from click.testing import CliRunner
 
 from bridge.mavlink.transport.address import parse_peer, parse_url
 from bridge.zenoh import zenoh_link
+from flightstack.cli.logs import new_file
 from flightstack.cli.main import main
 from flightstack.common.processes import socket_folder
 from flightstack.common.strict_toml import ConfigError, decoded, parse_toml, read_toml
 from flightstack.compiled import jit
 from flightstack.config import options
-from logs.files import new_file
 from logs.report.page import Page, ReportError, write
 from tests.integration.sim_processes import COMMAND
 

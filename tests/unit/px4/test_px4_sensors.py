@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from sim.autopilot.telemetry import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 from sim.plant.params import load
-from sim.px4.plant import Body
-from sim.px4.sensors import (
+from sim.px4.plant import (
+    Body,
     Px4Mocap,
     Px4Sensors,
     field_ned_gauss,

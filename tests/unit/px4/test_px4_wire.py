@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mav
 
 from sim.px4.link import FRAME_MAX, FrameStream, parse_endpoint
-from sim.px4.plant import Body
-from sim.px4.sensors import Answer, Fix, Readings, Slow, hil_gps, hil_sensor, hil_state
+from sim.px4.plant import Answer, Body, Fix, Readings, Slow, hil_gps, hil_sensor, hil_state
 from sim.px4.session import FIRST_US, Lockstep
 
 SENDER = mav.MAVLink(None, 1, 1)
