@@ -76,7 +76,7 @@ class Watch:
             for name in ("controller/step", "loop/timing", "health")
         }
         self.step: ControllerStepRow | None = None  # newest controller step; ``None`` before the first
-        self.health: HealthRow | None = None  # newest health
+        self.health: HealthRow | None = None  # newest health message; None before the first
         self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)  # loop timing of the last second
         self.new_steps: list[ControllerStepRow] = []  # steps of the last poll
         self.new_timings: list[LoopTimingRow] = []  # loop timing of the last poll
@@ -116,7 +116,7 @@ class Watch:
 
     @property
     def health_fresh(self) -> bool:
-        """Whether the newest health is fresh."""
+        """Whether the newest health message arrived within the last ``STALE_S``."""
         return self._clock() - self._health_s <= STALE_S  # also False for a NaN
 
     @property

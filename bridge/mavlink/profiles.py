@@ -137,7 +137,7 @@ def _may_arm_in_its_mode(status: VehicleStatus) -> bool:
 
 
 def _given(*params: float) -> Callable[[float], Params]:
-    """Return a function that gives the first parameters and leaves the others unset."""
+    """Return a function that returns seven parameters of a command: ``params``, then None (unset)."""
     return lambda _altitude_m: (*params, *(None,) * (7 - len(params)))
 
 

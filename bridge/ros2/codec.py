@@ -83,7 +83,7 @@ def fields_of_text(text: str) -> tuple[Field, ...]:
 
 
 def standard(schema: str) -> tuple[Field, ...] | None:
-    """Return the fields of a standard type; None: the table does not have it."""
+    """Return the fields of a standard ROS 2 type, or None if ``_STANDARD`` does not have it."""
     return fields_of_text(_STANDARD[schema]) if schema in _STANDARD else None
 
 

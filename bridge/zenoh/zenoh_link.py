@@ -282,7 +282,7 @@ def _key(key: str) -> Any:
         ) from error
 
 
-PATIENCE_S = 3.0  # time without a connection before a warning; a restarted router needs less
+PATIENCE_S = 3.0  # time without a connection before a warning, s; a restarted router is back sooner
 LOOK_EVERY_S = 1.0
 
 

@@ -77,7 +77,7 @@ class FastClock:
 
 
 class Tick(NamedTuple):
-    """Number and time of one controller tick, and the accuracy of that time."""
+    """Number and time of one controller tick, and how accurately the tick kept its time."""
 
     number: int
     now_s: float  # time on the stack's clock

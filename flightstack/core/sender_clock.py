@@ -85,9 +85,8 @@ class SenderClock:
         if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also rejects NaN
             return Reading.UNUSABLE
         if stamp_s > memory.stamp_s:
-            known = (
-                arrival_s - memory.began_s >= self._proof_s
-            )  # earlier samples may come from a queue that is being emptied
+            # earlier samples may come from a queue that is being emptied
+            known = arrival_s - memory.began_s >= self._proof_s
             if known and transit_s < memory.floor_s - self.ahead_max_s:
                 reading = Reading.AHEAD
             elif transit_s - memory.offset_s > self._late_max_s or self._goes_on_late(transit_s, arrival_s):

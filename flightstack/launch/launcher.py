@@ -121,7 +121,7 @@ class Launcher:
     def view(self, where: str, endpoint: str, config: Path, namespace: str = NAMESPACE) -> None:
         """Start the 3-D view and wait until it is ready. It only subscribes; the flight never waits for it.
 
-        ``where``: value of the option ``--view``; the others are those of the onboard process.
+        ``where``: value of ``--view``; ``endpoint``, ``config``, ``namespace``: those of the onboard process.
         """
         watch = self.start(
             "watch",

@@ -191,7 +191,7 @@ class FleetWire(NoFleet):
         self._epoch_ns, self._now_s = epoch_ns, now_s
 
     def namesake(self) -> str:
-        """Listen for another process with this vehicle's id; messages received in that time are dropped."""
+        """Listen for another process with this vehicle's id; messages received meanwhile are dropped."""
         time.sleep(max(0.0, self._opened_s + NAMESAKE_S - time.monotonic()))
         for row in self._rows():
             if row.id == self._fleet.id and row.process != self._process:

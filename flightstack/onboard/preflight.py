@@ -49,7 +49,7 @@ def check(
 ) -> Report:
     """Request the vehicle's parameters and check them.
 
-    ``autopilot``: name of a profile, or ``auto``; the others are those of ``examine``.
+    ``autopilot``: name of a profile, or ``auto``; the other arguments are those of ``examine``.
     """
     accepted = config.vehicle.accepted_parameters
     try:

@@ -99,7 +99,7 @@ def describe(
 ) -> None:
     """Write the metadata with which the log can be read and replayed, except those of the onboard process.
 
-    ``fleet``: metadata of all flights; ``attachments``: files (TOML) by name.
+    ``fleet``: metadata of all flights; ``attachments``: TOML files by name.
     """
     feed = Feed.connect(str(recorder), "launcher", lossless=True)
     feed.metadata(FLEET, {"members": ",".join(flight.names.member for flight in flights), **fleet})

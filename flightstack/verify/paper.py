@@ -23,7 +23,7 @@ FASTER = 1.4  # required ratio of the vehicle's speed to the target's
 # landings touched the pad's edge, at 1.6 none.
 CENTRES = 1.5
 QUARTER = Span(0.0, math.pi / 2.0)  # checked directions; by symmetry of box and target they cover all
-ANYWHERE = Span(0.0, math.inf)  # checked distances
+ANYWHERE = Span(0.0, math.inf)  # checked horizontal distances, m
 
 
 def shortfall(

@@ -169,7 +169,7 @@ def _kind(message: Message) -> str:
 def _unpacked(
     messages: Sequence[Message], unpack: Unpack, origin_ns: int, damage: list[str]
 ) -> tuple[list[Any], Floats]:
-    """Return the readable messages and their times since the origin, s, (n,); report the number of others."""
+    """Return the readable messages and their times since the origin, s, (n,); report how many are not."""
     rows, times_ns, refused = [], [], []
     for message in messages:
         try:

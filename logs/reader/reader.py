@@ -108,7 +108,7 @@ class MemberView:
         return rest if owner in (None, self._member) and name != FLEET else None
 
     def values(self, name: str, values: dict[str, str]) -> dict[str, str]:
-        """Return the values of a metadata record; lost records only of this member and shared processes."""
+        """Return a metadata record's values; those of ``LOSSES`` only of this member and shared processes."""
         if name != LOSSES:
             return values
         whose = {who: self._members.split(who, ".") for who in values}

@@ -14,7 +14,7 @@ from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import MARKER_ARRAY, packer
 
 ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
-LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz; a marker that is not sent again disappears
+LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz, s; a marker that is not sent again disappears
 PATH_POINTS = 200  # maximum number of points of a path; a full path loses every second point
 PATH_PERIOD_NS = 100_000_000  # initial period of path points, 10 Hz
 REACH = 2.5  # drawn radius of the barrier surface, divided by the distance of its peak from the axis

@@ -69,9 +69,8 @@ class FlightInputs:
             raise ReplayError(str(error)) from error
         # metadata of the onboard process; empty if the log has none
         self.onboard = self.log.metadata().get("onboard", {})
-        self.preflight = self.log.metadata().get(
-            "preflight", {}
-        )  # metadata of the preflight check; empty if the log has none
+        # metadata of the preflight check; empty if the log has none
+        self.preflight = self.log.metadata().get("preflight", {})
         self.space = self._space()  # first part of the topics, for example ``/cf1``
         data = self.log.attachment(ATTACHMENT)
         if data is None:

@@ -22,7 +22,7 @@ from sim.autopilot.pilot import Event, Pilot
 from sim.vehicle.vehicle import VehicleSim
 
 PERIOD_S = 0.1 - 1e-6  # time between two checks, s
-_SMOOTH_S = 1.0  # time constant of the low-pass filter
+_SMOOTH_S = 1.0  # time constant of the low-pass filter, s
 
 
 @numeric
@@ -89,8 +89,8 @@ def throttle(vehicle: VehicleSim) -> float:
     return (m1 + m2 + m3 + m4) / 4.0  # not sum(), whose rounding changed in Python 3.12
 
 
-_CONTACT_S = 0.3  # time of unbroken contact after which the vehicle counts as standing; bounces are shorter
-_NO_CONTACT_S = 0.1  # time without contact after which the vehicle counts as flying
+_CONTACT_S = 0.3  # unbroken contact after which the vehicle counts as standing, s; bounces are shorter
+_NO_CONTACT_S = 0.1  # time without contact after which the vehicle counts as flying, s
 
 
 class Standing:

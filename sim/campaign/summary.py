@@ -56,7 +56,7 @@ def count(rows: Sequence[Row]) -> Counts:
 
 
 def kinds(row: Row) -> list[str]:
-    """Return the names under which a progress bar counts a landing."""
+    """Return the names under which a progress bar counts a landing: its outcome, perhaps ``violations``."""
     return [row.outcome, *(["violations"] if row.violation else [])]
 
 
@@ -176,13 +176,13 @@ _LINES: tuple[tuple[str, str, str, str, float], ...] = (
 
 
 def apart(told: dict[str, Any]) -> list[str]:
-    """Return the lines on landings outside the proven envelope, or judged with a different barrier."""
+    """Return sentences about landings outside the proven envelope, or judged with a different barrier."""
     outside = told["outside_envelope"] and f"outside the proven envelope: {told['outside_envelope']}"
     return [line for line in (outside, told["judged_apart"]) if line]
 
 
 def lines(told: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Return the lines of a summary: name, value, unit."""
+    """Return the rows of the printed summary: name, value as text, unit."""
     found = []
     for key, part, name, unit, factor in _LINES:
         if key in told:

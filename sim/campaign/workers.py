@@ -47,9 +47,9 @@ _PACKAGES = ("flightstack", "bridge", "sim", "logs")
 DEATHS_MAX = 2  # number of workers that may die with one seed before its row gets the outcome "error"
 STARTS_MAX = 3  # maximum number of consecutive workers that end before they are ready
 SLOWEST = 0.05  # smallest ratio of simulated to wall time; a slower worker is ended
-START_S = 1800.0  # time-out of a worker's start, including compilation on a slow computer
-_LOOK_S = 1.0  # wall time between two checks of the time-outs
-_END_S = 5.0  # time-out of a worker's end, wall time
+START_S = 1800.0  # time-out of a worker's start, including compilation on a slow computer, s
+_LOOK_S = 1.0  # wall time between two checks of the time-outs, s
+_END_S = 5.0  # time-out of a worker's end, s of wall time
 
 
 @lru_cache(maxsize=4)
@@ -160,9 +160,9 @@ def _work(
 ) -> None:
     """Fly seeds until the pipe is closed; Ctrl-C is handled by the parent.
 
-    ``pipe``: receives seeds, sends rows; ``scenario_toml``: the scenario; ``not_its_own``: the parent's ends
-    of pipes that a fork inherits, closed here because a pipe closes only when no process holds its other end;
-    ``given``: pickled class of a filter that is in no module.
+    The worker receives seeds by ``pipe`` and sends rows. It closes ``not_its_own``, the parent's ends of
+    pipes that a fork inherits, because a pipe closes only when no process holds its other end. ``given``:
+    pickled class of a filter that is in no module.
     """
     if given:
         give(pickle.loads(given))
@@ -264,7 +264,7 @@ class Workers:
         return error_row(seed, f"{what} {DEATHS_MAX} times")
 
 
-CONNECT_S = 10.0  # time-out for the scheduler and the first worker, wall time
+CONNECT_S = 10.0  # time-out for the scheduler and the first worker, s of wall time
 AHEAD = 4  # number of submitted seeds per thread of the cluster; further seeds wait in this process
 
 

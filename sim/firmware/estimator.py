@@ -36,7 +36,7 @@ GYRO_RAD_S = 0.1  # gyro noise: measNoiseGyro
 POSITION_STD_M = 0.01  # position noise: extPosStdDev
 YAW_STD_RAD = 2.0 * 4.5e-3  # yaw noise: twice extQuatStdDev
 TILT_STD_RAD = 4.5e-3  # tilt noise: extQuatStdDev (mm_pose.c)
-INNOVATION_AGE_MAX_S = 0.5  # time without a sample after which the estimate is invalid
+INNOVATION_AGE_MAX_S = 0.5  # time without a sample after which the estimate is invalid, s
 
 
 @cache

@@ -154,8 +154,8 @@ def _roll_pitch(r: Recording) -> Floats:
 
 
 BAND_HZ = (0.5, 6.0)  # frequency band of a Crazyflie's attitude; above it the attitude's derivative is noise
-WINDOW_S = 4.0  # time window of one lag estimate
-LAG_MAX_S = 0.25  # largest lag of the search
+WINDOW_S = 4.0  # time window of one lag estimate, s
+LAG_MAX_S = 0.25  # largest lag of the search, s
 CORRELATION_MIN = 0.7  # correlation below which the lag counts as unknown
 
 
@@ -202,17 +202,17 @@ Mask = NDArray[np.bool_]
 
 GAP_FACTOR = 5.0  # sample distance that counts as a gap, in periods
 SPEED_MAX_M_S = 6.0  # largest speed between two motion-capture samples; no Crazyflie in a room is faster
-FROZEN_S = 0.05  # duration after which a repeated pose counts as frozen: motion capture lost the body
+FROZEN_S = 0.05  # duration after which a repeated pose counts as frozen, s; motion capture lost the body
 ESTIMATE_OFF_M = 0.3  # distance from motion capture above which an estimate has diverged; good flights: 0.2 m
 CLOCKS_OFF_S = 0.05  # allowed clock offset, s; at 1 m/s it causes 5 cm, as much as the compared errors
-CLOCKS_S = 0.5  # minimum duration of a clock offset; a shorter offset is chance
+CLOCKS_S = 0.5  # minimum duration of a clock offset, s; a shorter offset is chance
 VOLTAGE_V = (2.5, 4.4)  # voltage range of one LiPo cell under load
 ABOVE_GROUND_M = 0.15  # height of flight without ground effect (3 propeller diameters)
-START_S = 0.5  # time after lift-off and before landing in which contact is possible
-MARGIN_S = 0.1  # excluded time on both sides of a marked sample
+START_S = 0.5  # time after lift-off and before landing in which contact is possible, s
+MARGIN_S = 0.1  # excluded time on both sides of a marked sample, s
 DAMAGED_MAX = 0.05  # largest allowed fraction of damaged time in the air; gaps do not count
 PIECE_MIN_S = 2.0
-FLIGHT_MIN_S = 3.0  # minimum usable time in the air
+FLIGHT_MIN_S = 3.0  # minimum usable time in the air, s
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ DELAY_S = (-0.1, 0.2)  # range of an estimate's delay; outside it the clocks dif
 SPEED_MIN_M_S = 0.3  # rms speed below which a delay has no visible effect
 SLOW_M_S = 0.1  # speed below which the flight's mean delay is used, and the remaining error is an offset
 STILL_M_S = (0.16, 0.54)  # speeds s in: error along / across the velocity = fraction * (speed + s); fitted
-CUT_S = 0.3  # time cut from both ends of a piece, because there the delayed truth is outside the piece
+CUT_S = 0.3  # time cut from both ends of a piece, s, because there the delayed truth is outside the piece
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from sim.scenarios.tables import VEHICLE_FILES, VehicleSpec
 Four = tuple[float, float, float, float]
 
 STEP_S = 0.001  # time step of the physics, s
-CONTROL_STEP_S = 0.002  # period of the control loops; firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
+CONTROL_STEP_S = 0.002  # period of the control loops, s; firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
 
 
 @dataclass(frozen=True, slots=True)

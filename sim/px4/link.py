@@ -64,7 +64,7 @@ class FrameStream:
 _ENDPOINT = re.compile(r"^([^:/\s]+):(\d{1,5})$")
 _ENDPOINT_HELP = "allowed is HOST:PORT, PORT up to 65535 (0 takes a free one), for example 127.0.0.1:4560"
 _CHUNK = 65536  # maximum bytes per read
-_SEND_MAX_S = 5.0  # maximum time for which PX4's receive buffer may be full
+_SEND_MAX_S = 5.0  # maximum time for which PX4's receive buffer may be full, s
 SLICE_S = 0.1  # longest wait for the socket, s
 
 

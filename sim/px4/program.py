@@ -19,7 +19,7 @@ from flightstack.common.processes import LaunchError, ended, tied
 from sim.autopilot.telemetry import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 
 INSTANCES = range(10)  # instance numbers; above 9, PX4 sends all MAVLink to one port (px4-rc.mavlink)
-BOOT_MAX_S = 90.0  # default time-out of wait_ready, wall time
+BOOT_MAX_S = 90.0  # default time-out of ``wait_ready``, s of wall time
 CONSOLE_MAX_S = 10.0  # time-out of one command at PX4's console, s
 END_MAX_S = 5.0  # time-out of PX4's orderly end, s
 # latitude and longitude, degrees, altitude, m: the floor of px4-sim, origin of HIL_GPS and barometer

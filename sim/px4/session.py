@@ -93,9 +93,9 @@ class Lockstep:
 
 STEP_US = STEP_MS * 1000
 STEP_S = STEP_MS * 1e-3
-HELLO_MAX_S = 10.0  # time-out of PX4's first message, wall time; PX4 sends it on connection
-BOOT_MAX_S = 60.0  # time-out of PX4's first motor outputs, wall time
-NUDGE_S = 1.0  # wall time after which one step runs without an answer: PX4 may wait for a sensor
+HELLO_MAX_S = 10.0  # time-out of PX4's first message, s of wall time; PX4 sends it on connection
+BOOT_MAX_S = 60.0  # time-out of PX4's first motor outputs, s of wall time
+NUDGE_S = 1.0  # wall time after which one step runs without an answer, s; PX4 may wait for a sensor
 STATE_MAX_US = 1_000_000  # maximum interval of HIL_STATE_QUATERNION; a longer interval turns the message off
 _BEHIND_MAX_S = 0.1  # largest delay that simulated time catches up, s
 

@@ -29,9 +29,9 @@ from sim.runners.robot import Robot
 from sim.runners.room import Room
 from sim.runners.vehicle_node import VehicleNode
 
-_WAIT_S = 0.05  # wall time between two checks for signals
-_REPEAT_S = 0.5  # wall time after which a request is repeated
-_REPEAT_UNHEARD_S = 0.05  # wall time after which a request is repeated before the companion's first message
+_WAIT_S = 0.05  # wall time between two checks for signals, s
+_REPEAT_S = 0.5  # wall time after which an unanswered request is repeated, s
+_REPEAT_UNHEARD_S = 0.05  # the same, s, before the companion's first message
 _FLUSH_EVERY = 10  # period of the log flush, ticks; a shorter one would wake up the recorder more often
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT

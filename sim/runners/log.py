@@ -45,7 +45,7 @@ _CONTACTS = {
     ContactBit.TUMBLED.value: (Severity.ERROR, "tumbled"),
     ContactBit.VEHICLE.value: (Severity.ERROR, "collision with another vehicle"),
 }
-_CONTACT_GAP_S = 0.5  # time without contact after which the next contact is a new event
+_CONTACT_GAP_S = 0.5  # time without contact after which the next contact is a new event, s
 
 
 class EventLog:

@@ -32,7 +32,7 @@ from sim.scenarios.scenario import Scenario
 DRIVES_TICKS = 64  # maximum number of computed future ticks; on average half of them are unused at the end
 WorldSample = tuple[float, str, str, Vec3, Vec3, float, float]  # a target sample without its arrival time
 
-STALE_S = 0.5  # age of the newest true pose after which the deck stops
+STALE_S = 0.5  # age of the newest true pose after which the deck stops, s
 _PULL_1_S = 5.0  # correcting velocity divided by position error, 1/s; a jump would throw the vehicle off
 _SNAP_M = 0.3  # position error above which the deck jumps, m; timing cannot cause a larger error
 

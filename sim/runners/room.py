@@ -1,7 +1,7 @@
 """Interactions between the vehicles of a room: jets, collisions, distances and messages.
 
 Each call of ``Air.blow`` updates the rotor jets, which stay constant until the next call. A vehicle's motion
-therefore acts on the others one tick later. Jets have no transport delay, and wind does not move them.
+therefore acts on other vehicles one tick later. Jets have no transport delay, and wind does not move them.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Air:
         self.jets = np.zeros((len(self._team), JET))
 
     def blow(self) -> None:
-        """Apply to each vehicle the current jets of the others, until the next call."""
+        """Apply to each vehicle the current jets of all other vehicles, until the next call."""
         if len(self._team) < 2:
             return
         for number, each in enumerate(self._team):

@@ -35,7 +35,7 @@ from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
 
-_PAUSE_S = 0.1  # wall time between two checks for signals when all flights are over
+_PAUSE_S = 0.1  # wall time between two checks for signals when all flights are over, s
 
 
 def world_main(team: Scenario, options: VehicleOptions) -> int:

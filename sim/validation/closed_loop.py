@@ -31,7 +31,7 @@ SETTLE_S = 0.2  # time on the floor before the first set-point, s
 AWAY_M = 100.0  # distance of the ground robot to the east, out of reach
 SATURATED = 1.0 - 1e-6  # duty cycle from which a motor counts as saturated
 SIDEWAYS_M = 0.005  # horizontal change of the set-point that ends the take-off
-KNOWN_S = 8.0  # length of the compared time from which the airframe is identified
+KNOWN_S = 8.0  # length of the compared time from which the airframe is identified, s
 
 
 class Flown(NamedTuple):
@@ -167,9 +167,8 @@ def _airframe(r: Recording, start: int, compared: Mask, params: Params) -> Plant
     current_a = battery.idle_current_a + battery.hover_current_a * power
     rest_v = float(r.battery_v[first].mean()) + battery.resistance_ohm * current_a
     charge = (rest_v - battery.empty_v) / (battery.full_v - battery.empty_v)
-    charge += (
-        current_a * (r.time_s[first].mean() - r.time_s[start]) / battery.charge_a_s
-    )  # charge used in the take-off
+    # charge used in the take-off
+    charge += current_a * (r.time_s[first].mean() - r.time_s[start]) / battery.charge_a_s
     return Plant(thrust=thrust, motors=(m1, m2, m3, m4), battery_charge=charge)
 
 

@@ -152,7 +152,7 @@ def judge(flights: Sequence[Compared]) -> list[Verdict]:
 
 
 def _word(criterion: Criterion, found: Estimate | None, part_covered: bool) -> str:
-    """Return the result; without flights: ``OPEN``, or ``MISSED`` if the whole part has no flights."""
+    """Return the criterion's result; without flights ``OPEN``, or ``MISSED`` if its part has no flights."""
     if found is None:
         return OPEN if part_covered else MISSED
     if criterion.low <= found.value <= criterion.high:

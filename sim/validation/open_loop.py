@@ -36,7 +36,7 @@ from sim.world.bodies import move_body
 
 HORIZONS_S = (0.1, 0.25, 0.5)
 EVERY_S = 0.1
-SAMPLE_S = 0.01  # period to which recordings are resampled
+SAMPLE_S = 0.01  # period to which recordings are resampled, s
 STEPS = 10  # plant steps per sample
 CALIBRATION_S = 1.0
 BACK = round(CALIBRATION_S / SAMPLE_S)

@@ -204,7 +204,7 @@ def _flown(scenario: Scenario) -> list[Check]:
     link, spec, wind = scenario.odometry, scenario.vehicle, scenario.wind
     mocap, charge = spec.mocap, spec.battery_charge[0]
     discharged = 0.08 if scenario.onboard.reserve is not None else 1.0  # only tier room has low batteries
-    # key, value, worst value in a tier, unit; where a smaller value is worse, both values are negative
+    # key, value, worst value in a tier, unit, tier; where a smaller value is worse, both values are negative
     rows = [
         ("wind.mean_m_s", wind.mean_m_s, 2.0, "m/s"),  # storm
         ("odometry.loss", link.loss, 0.2, ""),  # storm

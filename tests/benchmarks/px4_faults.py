@@ -25,8 +25,8 @@ from tests.processes.started import StartedChild
 from tests.px4_place import PX4_PLACE, px4_place
 
 SCENARIO = "large"
-PHASE_MAX_S = 90.0  # time-out for the phase of the fault
-DOWN_MAX_S = 180.0  # time-out for motors off after the fault
+PHASE_MAX_S = 90.0  # time-out for the phase of the fault, s
+DOWN_MAX_S = 180.0  # time-out for motors off after the fault, s
 REST_M_S = 0.1  # largest vertical velocity that PX4 estimates for a vehicle on the ground
 FLOOR_M = 0.25  # largest height on the floor (feet at 0.12 m, plus drift); on the robot it is 0.62 m
 LOOK_S = 0.02

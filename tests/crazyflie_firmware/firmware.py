@@ -15,8 +15,8 @@ from tests.crazyflie_firmware.tables import CODE, LOGS, Param, log_toc, param_to
 
 STOP, VELOCITY_WORLD = 0, 8
 UP = (0.0, 0.0, 1.0)
-SILENT_S = 1.0  # time without any packet after which the log blocks are deleted (crtp.c, log.c)
-START_S = 3.0  # duration of a start; the firmware arms itself 3.1 s after power-on
+SILENT_S = 1.0  # time without any packet after which the log blocks are deleted, s (crtp.c, log.c)
+START_S = 3.0  # duration of a start, s; the firmware arms itself 3.1 s after power-on
 
 
 @dataclass
@@ -190,10 +190,11 @@ class Firmware:
     def _values(self) -> dict[str, Any]:
         plant = self.plant
         position, velocity = plant.estimate
+        # truncated towards zero, and to 16 bits (stabilizer.c, compressState)
         (x, y, z), (vx, vy, vz), (p, q, r) = (
             [(int(1000 * e) + (1 << 15)) % (1 << 16) - (1 << 15) for e in vector]
             for vector in (position, velocity, plant.rates)
-        )  # truncated towards zero, and to 16 bits (stabilizer.c, compressState)
+        )
         attitude = plant.quaternion
         if self.needs_poses and self.poses:  # the filter copies the tilt of the poses
             x_, y_, z_, w_ = self.poses[-1][1][3:]

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-TAU_S = 0.12  # time constant of the firmware's PID velocity loop
+TAU_S = 0.12  # time constant of the firmware's PID velocity loop, s
 G = 9.81
 DRAG_1_S = 0.46  # deceleration at level attitude by drag alone
 

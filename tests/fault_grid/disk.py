@@ -29,10 +29,10 @@ from tests.fault_grid.flight import Flight
 from tests.fault_grid.table import Way
 
 SLOW_B_S = 1e6  # write speed of a slow disk, bytes/s; a memory card is ten times faster
-LATE_S = 0.2  # delay of a late disk before each block of data
+LATE_S = 0.2  # delay of a late disk before each block of data, s
 BLOCK_B = 4096
 CLOSE_S = 0.3  # time-out of the feed for a disk that hangs, s
-END_S = 30.0  # time-out for the recorder's end, wall time
+END_S = 30.0  # time-out for the recorder's end, s of wall time
 
 
 class Disk(io.RawIOBase):

@@ -73,7 +73,7 @@ class Radio:
 
 
 POLL_S = 0.02
-ABORT_MAX_S = 40.0  # time-out from an abort to its end
+ABORT_MAX_S = 40.0  # time-out from an abort to its end, s
 
 
 class Companion:

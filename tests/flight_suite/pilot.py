@@ -18,12 +18,12 @@ from flightstack.core.types import ZERO, Landed, Mode, OwnState, Request, Vec3, 
 from tests.flight_suite.room import LIMITS, Limits, Room
 
 RATE_HZ = 50
-STATE_AGE_MAX_S = 2.0  # maximum state age; large, because the vehicle holds position by its own estimate
+STATE_AGE_MAX_S = 2.0  # maximum state age, s; large, because the vehicle holds position by its own estimate
 WALL_FACTOR = 5.0  # ratio of wall time to a limit; a simulated vehicle's clock pauses with its machine
 HEARTBEAT_AGE_MAX_S = 3.5
-CONNECT_MAX_S = 60.0  # time-out from boot to a valid position estimate
-DOWN_MAX_S = 30.0  # time-out from the end of a step to standing with motors off
-KILL_AFTER_S = 20.0  # time-out of a landing near the ground
+CONNECT_MAX_S = 60.0  # time-out from boot to a valid position estimate, s
+DOWN_MAX_S = 30.0  # time-out from the end of a step to standing with motors off, s
+KILL_AFTER_S = 20.0  # time-out of a landing near the ground, s
 LOW_M = 0.1
 CLIMB_M_S = 0.5
 

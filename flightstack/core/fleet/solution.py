@@ -173,7 +173,7 @@ def _impossible(
     worst: int, active: Sequence[int], parts: Sequence[float], bounds: Sequence[float],
     lengths: Sequence[float],
 ) -> Found:  # fmt: skip
-    """Return the result if a constraint contradicts a sum of others: no velocity meets all of them."""
+    """Return ``Found`` without a velocity: one constraint contradicts a sum of the active ones."""
     multipliers, lacking_m_s = [0.0] * len(lengths), bounds[worst]
     if worst < len(lengths):
         multipliers[worst] = 1.0 / lengths[worst]

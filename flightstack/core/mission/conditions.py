@@ -161,15 +161,14 @@ def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float
         flags |= C.PHASE_TIME_OVER
     if memory.phase is Phase.TOUCHDOWN and memory.contact:
         flags |= C.ON_PAD
-    if (
-        memory.phase is Phase.LAND and memory.contact
-    ):  # a vehicle that stands off the pad's centre has h < 0, where no touchdown rule applies
+    # a vehicle that stands off the pad's centre has h < 0, where no touchdown rule applies
+    if memory.phase is Phase.LAND and memory.contact:
         flags |= C.TOUCH
     return flags
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
-    """Whether all inputs were good and renewed for long enough, and a heartbeat has arrived in that time.
+    """Whether, for long enough, all inputs were good and renewed, and a heartbeat arrived meanwhile.
 
     An input that arrives rarely, or in bursts, counts as good until it is too old.
     """

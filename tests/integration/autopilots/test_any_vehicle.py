@@ -20,10 +20,10 @@ from tests.integration.runs import flightstack
 
 pytestmark = pytest.mark.vehicle
 STANDING_M_S = 0.15  # largest estimated speed of a vehicle that stands on the ground
-STOPPED_S = 2.0  # time-out from the emergency stop to motors off
+STOPPED_S = 2.0  # time-out from the emergency stop to motors off, s
 AWAY_M_S = 0.3  # speed at which the pilot flies away from the start
 FLIGHT_MAX_S = 90.0
-LANDED_MAX_S = 40.0  # time-out from the loss of the companion to motors off by the vehicle itself
+LANDED_MAX_S = 40.0  # time-out from the loss of the companion to motors off by the vehicle itself, s
 
 
 @pytest.fixture

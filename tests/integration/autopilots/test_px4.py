@@ -91,8 +91,8 @@ def test_places_without_a_px4_are_refused_with_what_is_missing(tmp_path):
 
 FLIGHTS = 2
 SPEED = 4.0  # largest ratio to real time
-FLIGHT_MAX_S = 120.0  # time-out of a flight, wall time, also on slow machines
-LOST_S = 10.0  # time-out of PX4's fail-safe, wall time: COM_OF_LOSS_T = 1.0 s simulated, heartbeat 1 Hz
+FLIGHT_MAX_S = 120.0  # time-out of a flight, s of wall time, also on slow machines
+LOST_S = 10.0  # time-out of PX4's fail-safe, s of wall time; COM_OF_LOSS_T = 1.0 s simulated, heartbeat 1 Hz
 LANDED_MAX_S = 60.0
 RECORDED_MAX_S = 60.0
 ROBOT_M_S = 0.2
@@ -102,8 +102,8 @@ KILLED_M = 0.2  # height above the ground, in the climb: PX4 climbs about 0.8 m 
 ERROR_M = 0.25  # allowed touchdown error on a pad of 0.5 m
 STANDS_M = 0.12  # height of the vehicle's reference point on the pad
 NEAR_M = 0.05
-TWITCH_S = 0.1  # a shorter run of the motors is no flight; 12 ms was observed once
-CARRIED_S = 2.0  # time after motors off in which the robot carries the vehicle
+TWITCH_S = 0.1  # duration below which a run of the motors is no flight, s; 12 ms was observed once
+CARRIED_S = 2.0  # time after motors off in which the robot carries the vehicle, s
 
 
 def scenario_file(folder):

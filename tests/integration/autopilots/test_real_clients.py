@@ -22,8 +22,8 @@ from tests.processes.ports import free_port
 pytestmark = pytest.mark.xdist_group("real-time")
 
 PAGE = (ROOT / "docs" / "how_to" / "clients.md").read_text()
-READY_MAX_S = 240.0  # time-out of the start; the simulator may have to be compiled
-STEP_MAX_S = 60.0  # time-out of one step on a busy machine
+READY_MAX_S = 240.0  # time-out of the start, s; the simulator may have to be compiled
+STEP_MAX_S = 60.0  # time-out of one step on a busy machine, s
 EXAMPLE_MAX_S = 180.0
 OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000  # codes of px4_custom_mode.h
 LEG_M, SPEED_M_S = 0.5, 0.3

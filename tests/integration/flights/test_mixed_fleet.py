@@ -25,7 +25,7 @@ from tests.px4_place import px4_or_skip
 
 TEAM = ROOT / "examples" / "mixed_fleet.toml"
 SEED, SECOND, CRAZYFLIE = 1, 2, 3
-READY_S = 200.0  # time-out until PX4 can arm, also on a busy machine
+READY_S = 200.0  # time-out until PX4 can arm, s, also on a busy machine
 
 
 @contextlib.contextmanager

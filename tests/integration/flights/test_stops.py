@@ -31,7 +31,7 @@ from tests.integration.sim_processes import Client, is_a
 from tests.integration.wires.bridge_processes import KEY, Mocap, fly, plain_vehicle, verb
 from tests.processes.bounded import PATIENCE_S, wait_for
 
-STOPPED_S = 0.3  # time-out from the emergency stop to motors off
+STOPPED_S = 0.3  # time-out from the emergency stop to motors off, s
 # fault that causes the phases that an undisturbed flight does not have
 LOST = Fault(What.TARGET_ODOMETRY, Kind.OFF)
 AT_ONCE, LATER_S = 0.0, 0.3

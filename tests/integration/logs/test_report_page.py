@@ -123,9 +123,8 @@ def test_the_page_of_a_fleet_is_drawn_without_a_complaint(tmp_path, browse, monk
     assert seen.tags["canvas"] >= 1  # 3-D figure of the paths in the room
     for words in ("All landed", "cf1–cf3", "cf3 right of way", "time since the log began [s]"):
         assert words in seen.text.replace("\N{WORD JOINER}", "")
-    assert {each.name for member, each in pages.items() if member} <= set(
-        seen.sources
-    )  # links to the pages of the members
+    # the main page links to the page of each member
+    assert {each.name for member, each in pages.items() if member} <= set(seen.sources)
     assert len(pages[""].read_text(encoding="utf-8")) < SIZE_MAX
 
 

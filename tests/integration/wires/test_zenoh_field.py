@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[3]
 FILES = ROOT / "docs" / "how_to" / "zenoh"
 USERS = {"robot": "change me", "companion": "to land", "watcher": "to see"}
 TARGET, STEP = "cf1/target/odom", "cf1/controller/step"
-BACK_MAX_S = 0.5  # time-out after the router's return, from docs/how_to/zenoh.md
+BACK_MAX_S = 0.5  # time-out after the router's return, s, from docs/how_to/zenoh.md
 
 
 def recipe():

@@ -113,9 +113,8 @@ def test_it_takes_off_after_inputs_that_were_good_without_a_gap(own, status, tar
         if out.phase is not Phase.WAIT:
             began.append(tick * TICK_S)
             break
-    assert began == (
-        [] if starts_s is None else [pytest.approx(starts_s, abs=0.06)]
-    )  # the tolerance includes the target's delay
+    # the tolerance includes the target's delay
+    assert began == ([] if starts_s is None else [pytest.approx(starts_s, abs=0.06)])
 
 
 def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():

@@ -9,9 +9,8 @@ from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, names, tick
 
-CALM = config(
-    touchdown={"calm_wait_s": 12.0, "calm_speed_m_s": 0.05, "calm_height_m": 0.3}
-)  # the robot drives at 0.1 m/s
+# the robot of these tests drives at 0.1 m/s
+CALM = config(touchdown={"calm_wait_s": 12.0, "calm_speed_m_s": 0.05, "calm_height_m": 0.3})
 
 
 def touches_s(settings):

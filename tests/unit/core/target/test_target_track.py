@@ -46,10 +46,8 @@ def track():
         (later(0.01, source_time_s=999.9), Verdict.OUT_OF_ORDER),
         (later(0.01, velocity_enu_m_s=(1.6, 0.0, 0.0)), Verdict.TOO_FAST),
         (later(0.01, position_enu_m=(2.001, 2.0, 0.2)), Verdict.JUMP),
-        (
-            later(0.01, position_enu_m=(1.2009, 2.0, 0.2)),
-            Verdict.ACCEPTED,
-        ),  # the sample is 0.2 m from the expected position
+        # the sample is 0.2 m from the expected position
+        (later(0.01, position_enu_m=(1.2009, 2.0, 0.2)), Verdict.ACCEPTED),
         (later(0.01, position_enu_m=(1.202, 2.0, 0.2)), Verdict.JUMP),
     ],
 )

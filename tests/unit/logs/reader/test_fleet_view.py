@@ -30,7 +30,7 @@ def curve(rrd, entity):
 
 
 def values(rrd, entity, column):
-    """Return the values of an entity's column over time."""
+    """Return the values of one column of a Rerun entity, in the order of time."""
     found = [
         value
         for chunk in chunks(rrd)

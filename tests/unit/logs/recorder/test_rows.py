@@ -46,7 +46,7 @@ ROWS = {name: getattr(rows, rows.class_name(name, "Row")) for name in rows.ROWS}
 
 
 def values_of(field):
-    """Return the values of a field in the form of a row."""
+    """Return a strategy for the values of a message field, as a row holds them."""
     if field.length == 0 and field.kind == "uint8":
         return st.binary(max_size=4)
     if field.length is not None:
