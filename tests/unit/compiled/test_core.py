@@ -129,6 +129,7 @@ def test_without_numba_and_mujoco_the_onboard_process_misses_nothing(asked, stat
     assert said in done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_the_machine_code_of_other_sources_or_another_filter_is_not_warm(tmp_path, monkeypatch):
     monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
     robust, paper = (load("lab").with_filter(name).onboard for name in ("robust", "paper"))

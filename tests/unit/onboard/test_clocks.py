@@ -199,7 +199,6 @@ def test_a_long_wait_says_what_it_waits_for_once(monkeypatch, capsys):
 COMPILES = """
 import numpy as np
 from flightstack.compiled import jit
-from tests.processes.bounded import PATIENCE_S, wait_for
 functions = []
 for n in range(10):
     scope = {}

@@ -142,15 +142,6 @@ EXITS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def handlers():
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
-    before = [signal.getsignal(number) for number in numbers]
-    yield
-    for number, handler in zip(numbers, before, strict=True):
-        signal.signal(number, handler)
-
-
 def flown(exits, name="APPROACH", duration_s=None, **more):
     """Fly one phase from its start until the exit; return the result of the flight."""
     phase, seen, remembered = PHASES[name]

@@ -5,24 +5,28 @@ import pytest
 
 from logs.reader.flight import load_fleet
 
-pytest.importorskip("rerun", reason="needs the extra [view]")
-from rerun.chunk import RrdReader
-
-from logs.view.view import Recording
-
 pytestmark = [pytest.mark.xdist_group("fleet_log"), pytest.mark.slow]
 MEMBERS = ("cf1", "cf2", "cf3")
 
 
 @pytest.fixture(scope="module")
-def saved(fleet, tmp_path_factory):
-    out = tmp_path_factory.mktemp("view") / "fleet.rrd"
-    Recording(fleet.log).save(out)
-    return out
+def save(fleet, tmp_path_factory):
+    """Return a function that writes the recording of the fleet, or of a member, and returns its path."""
+    pytest.importorskip("rerun", reason="needs the extra [view]")  # loading takes a second
+    from logs.view.view import Recording
+
+    def recorded(*member):
+        out = tmp_path_factory.mktemp("view") / "fleet.rrd"
+        Recording(fleet.log, *member).save(out)
+        return out
+
+    return recorded
 
 
-def chunks(rrd, **which):
-    return RrdReader(rrd).store(**which).stream().to_chunks()
+def chunks(rrd):
+    from rerun.chunk import RrdReader
+
+    return RrdReader(rrd).store().stream().to_chunks()
 
 
 def curve(rrd, entity):
@@ -40,7 +44,8 @@ def values(rrd, entity, column):
     return [each[0] if each else None for each in found]
 
 
-def test_each_member_is_in_the_scene_at_its_place(fleet, saved):
+def test_each_member_is_in_the_scene_at_its_place(fleet, save):
+    saved = save()
     entities = {chunk.entity_path for chunk in chunks(saved)}
     read_log = load_fleet(fleet.log)
     for member in MEMBERS:
@@ -60,8 +65,7 @@ def test_each_member_is_in_the_scene_at_its_place(fleet, saved):
     assert not {e for e in entities if e.startswith(("/world/vehicle", "/world/target", "/safety", "/phase"))}
 
 
-def test_a_member_alone_is_as_a_single_flight(fleet, tmp_path):
-    Recording(fleet.log, "cf2").save(tmp_path / "one.rrd")
-    entities = {chunk.entity_path for chunk in chunks(tmp_path / "one.rrd")}
+def test_a_member_alone_is_as_a_single_flight(save):
+    entities = {chunk.entity_path for chunk in chunks(save("cf2"))}
     assert {"/world/vehicle/body", "/safety/h/controller", "/phase", "/events", "/run"} <= entities
     assert not {e for e in entities if "cf" in e}
