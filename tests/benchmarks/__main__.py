@@ -10,7 +10,6 @@ from importlib import import_module
 
 BENCH = {  # name: module in this folder and its function
     "campaign_speed": "speed:campaign_speed",
-    "codec": "speed:codec_times",
     "control_step": "speed:control_step",
     "environment": "speed:environment",
     "lockstep": "speed:lockstep",

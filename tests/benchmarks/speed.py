@@ -1,4 +1,4 @@
-"""Measures the time of a control step, its solver, a message, a lockstep run, a campaign, the environment.
+"""Measures the time of a control step, its solver, a lockstep run, a campaign, the environment.
 
 ``paper_runs`` flies the paper's four runs for docs/reference/paper_runs.md.
 """
@@ -8,15 +8,12 @@ from __future__ import annotations
 import gc
 import math
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import velocity_setpoint
 from bridge.mavlink.client.link import COMPONENT_ID
@@ -38,15 +35,9 @@ from flightstack.core.types import (
     Vec3,
     VehicleStatus,
 )  # fmt: skip
-from logs.schema import schemas
-from logs.schema.controller_rows import TickInputs, pack_controller_input
-from logs.schema.mavlink import pack_mavlink
-from logs.schema.rows import ControllerStepRow
-from logs.schema.schemas import codec
 from sim.runners.landing import land, warm_up
 from sim.scenarios.scenario import Scenario, load
 from tests.integration.runs import flightstack
-from tests.synthetic_flight import landing
 
 ROUNDS, TICKS = 5, 4000
 APPROACHES, STEPS_MAX, WARM_STEPS = 8, 3000, 50
@@ -117,51 +108,6 @@ def control_step() -> None:
     print(f"closed form alone {closed_form():.1f} us")
 
 
-PACK_ROUNDS, CALLS = 100, 200
-STAMP_NS = 1_577_836_800_000_000_000
-
-
-def best_us(calls) -> dict[str, float]:
-    """Return the shortest time per call of each function, us; the functions are called alternately."""
-    best = dict.fromkeys(calls, float("inf"))
-    for _ in range(PACK_ROUNDS):
-        for name, call in calls.items():
-            started = time.perf_counter()
-            for _ in range(CALLS):
-                call()
-            best[name] = min(best[name], (time.perf_counter() - started) / CALLS * 1e6)
-    return best
-
-
-def codec_times() -> None:
-    """Measure the packing of a message, us: generated from the definition, hand-written, and by rosbags."""
-    store = schemas.typestore()
-    row, given = landing().steps[500], TickInputs(STAMP_NS, 1, 0.01, inputs(1), False)
-    step, taken = row.pack(), pack_controller_input(given)
-    frame = dialect.MAVLink_local_position_ned_message(5, *[1.0] * 6).pack(dialect.MAVLink(None, 1, 1))
-    record = pack_mavlink(STAMP_NS, frame, b"p00")
-    pack_record, unpack_record = codec(schemas.MAVLINK, frame_id=None)
-    values = unpack_record(record)
-    generic = {
-        name: store.deserialize_cdr(data, name)
-        for name, data in (
-            (schemas.CONTROLLER_STEP, step),
-            (schemas.CONTROLLER_INPUT, taken),
-            (schemas.MAVLINK, record),
-        )
-    }
-    calls = {
-        "step, made": row.pack,
-        "step, unpacked": lambda: ControllerStepRow.unpack(step),
-        "inputs with a target sample, made": lambda: pack_controller_input(given),
-        "MAVLink frame, by hand": lambda: pack_mavlink(STAMP_NS, frame, b"p00"),
-        "MAVLink frame, made, fields known": lambda: pack_record(values),
-        **{f"{name}, rosbags": lambda m=m, n=name: store.serialize_cdr(m, n) for name, m in generic.items()},
-    }
-    for name, took_us in best_us(calls).items():
-        print(f"{name:42} {took_us:6.2f} us")
-
-
 def sitl(folder: str | Path, scenario: str, seed: int = 0, *more: str) -> dict:
     """Run ``flightstack sitl`` once; return its result."""
     words = ["sitl", "--json", "--no-report", "--out", folder, "--scenario", scenario, "--seed", seed, *more]
@@ -179,29 +125,8 @@ def lockstep() -> None:
     print(f"{statistics.median(factors):.1f} x real time (asked 30); runs {runs}")
 
 
-CRAZYFLOW = """
-import time
-import gymnasium, numpy as np
-import crazyflow.envs
-for worlds in (1, 64, 1024):
-    env = gymnasium.make_vec("DroneReachVel-v0", num_envs=worlds, freq=100)
-    env.reset(seed=1)
-    action = np.zeros(env.action_space.shape, np.float32)
-    env.step(action)  # compiles
-    steps, began_s, cpu_s = 200 if worlds < 1000 else 40, time.perf_counter(), time.process_time()
-    for _ in range(steps):
-        np.asarray(env.step(action)[1])
-    wall_s, cpu_s = time.perf_counter() - began_s, time.process_time() - cpu_s
-    rates = [steps * worlds / took_s for took_s in (cpu_s, wall_s)]
-    print("crazyflow, {} worlds: {:,.0f} steps/s of CPU time, {:,.0f} of wall time".format(worlds, *rates))
-"""
-
-
 def environment() -> None:
-    """Print steps per second of this Gymnasium environment, of Pendulum-v1, and of crazyflow if requested.
-
-    Argument: path of a Python interpreter with crazyflow installed, which is measured with steps of 0.01 s.
-    """
+    """Print steps per second of the Gymnasium environment, and of Pendulum-v1 for comparison."""
     import gymnasium
 
     import flightstack as fs
@@ -223,8 +148,6 @@ def environment() -> None:
         print(f"landing, filter {name}: {statistics.median(rates):,.0f} steps/s of CPU time")
     pendulum = gymnasium.make("Pendulum-v1")
     print(f"Pendulum-v1: {flown(pendulum, range(20), pendulum.action_space.sample):,.0f} steps/s of CPU time")
-    for python in sys.argv[1:]:
-        subprocess.run([python, "-W", "ignore", "-c", CRAZYFLOW], check=True, timeout=600)
 
 
 PAPER_RUNS = ("paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2")
