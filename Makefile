@@ -36,10 +36,10 @@ test: $(VENV)/.test
 	$(call CHECK,($(WARM) && $(COLLECT)))
 	$(BIN)/python -m pytest -n auto --dist loadgroup --max-worker-restart 1 -q
 
-# the unit tests without those marked slow; one worker a core, as none of them flies in real time
+# the unit tests without those marked slow, with fewer random examples; one worker a core, as none flies in real time
 quick: $(VENV)/.test
 	$(call CHECK,$(WARM))
-	$(BIN)/python -m pytest -n logical --dist loadgroup -q -m "not slow" tests/unit
+	$(BIN)/python -m pytest -n logical --dist loadgroup -q -m "not slow" --hypothesis-profile=quick tests/unit
 
 # the documentation site, into build/site; a broken link fails
 docs: | $(VENV)/bin/python

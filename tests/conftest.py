@@ -14,6 +14,7 @@ import pytest
 
 from bridge.mavlink.profiles import AUTO, CHOICES
 from flightstack.config import path_of
+from tests.examples import QUICK
 from tests.real_time import in_real_time, repeated_after_a_pause
 from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 
@@ -29,6 +30,7 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup lets processes ignore a cl
 # --hypothesis-profile="new examples"
 hypothesis.settings.register_profile("new examples", deadline=None)
 hypothesis.settings.register_profile("same examples", deadline=None, derandomize=True)
+hypothesis.settings.register_profile(QUICK, deadline=None, derandomize=True, max_examples=25)
 hypothesis.settings.load_profile("same examples")
 
 

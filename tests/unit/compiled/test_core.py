@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.compiled import core, jit
@@ -17,6 +17,7 @@ from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import Phase
 from sim.runners.landing import Flights
 from sim.scenarios.scenario import load
+from tests.examples import examples
 
 numbers = st.floats(-3.0, 3.0)
 any_numbers = st.one_of(numbers, st.sampled_from((math.nan, math.inf, -math.inf, 0.0)))
@@ -87,7 +88,7 @@ def test_ordinary_ticks_of_a_landing_are_compiled_and_all_others_are_pythons(mon
 
 
 @given(vectors, any_numbers, vectors, any_numbers, vectors, st.tuples(sides, sides, sides))
-@settings(max_examples=500)
+@examples(500)
 def test_any_program_is_answered_alike(nominal, h_m, gradient, dh_dt_m_s, lower, size):
     upper = tuple(low + each for low, each in zip(lower, size, strict=True))
     by_python, by_machine = both((nominal, h_m, gradient, dh_dt_m_s, lower, upper))
@@ -129,9 +130,9 @@ def test_without_numba_and_mujoco_the_onboard_process_misses_nothing(asked, stat
     assert said in done.stdout + done.stderr
 
 
-@pytest.mark.slow
 def test_the_machine_code_of_other_sources_or_another_filter_is_not_warm(tmp_path, monkeypatch):
     monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    monkeypatch.setattr("flightstack.compiled.tick.CompiledController", Controller)  # compiles nothing
     robust, paper = (load("lab").with_filter(name).onboard for name in ("robust", "paper"))
     assert chosen_core(Core.AUTO, robust, lockstep=False) is Core.PLAIN
     compiled(robust)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.safety.barrier import Barrier, RobustBarrier
@@ -22,6 +22,7 @@ from flightstack.core.safety.gate import (
 )
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, SafetyFilter
 from flightstack.core.types import ZERO, FilterStatus
+from tests.examples import examples
 
 CONE = Barrier(1.0, 1.5)
 BOX = (0.2, 0.3, 0.5)
@@ -203,7 +204,7 @@ speeds = st.floats(-1.5, 1.5)
     st.tuples(speeds, speeds, speeds), st.tuples(speeds, speeds, st.floats(-0.3, 0.3)),
     st.sampled_from((0.2, 1.0, 2.0)),
 )  # fmt: skip
-@settings(max_examples=400)
+@examples(400)
 def test_no_valid_result_of_the_filter_is_refused(
     cone, margin, fade, rate_hz, omega, d, angle, above, nominal, target, most
 ):

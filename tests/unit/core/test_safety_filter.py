@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from osqp import OSQP, ext_builtin
 from scipy import sparse
@@ -19,6 +19,7 @@ from flightstack.core.safety.osqp import Osqp
 from flightstack.core.safety.projection import EMPTY, best_corner, project, projected
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus
+from tests.examples import examples
 
 FILTER = SafetyFilter(0.7)
 BOX = (0.2, 0.2, 0.5)
@@ -67,7 +68,7 @@ def by_active_sets(nominal, g, b, lower, upper):
 
 
 @given(velocities, any_gradients, st.floats(-3.0, 3.0), boxes)
-@settings(max_examples=300)
+@examples(300)
 def test_the_exact_projection_agrees_with_a_search_of_all_active_sets(nominal, g, b, box):
     lower, upper = box
     most = max(dot(g, corner) for corner in itertools.product(*zip(lower, upper, strict=True)))
@@ -113,7 +114,7 @@ def test_exact_cases_of_the_projection():
 
 
 @given(velocities, st.floats(-1, 1), gradients, st.floats(-0.5, 0.5), boxes)
-@settings(max_examples=300)
+@examples(300)
 def test_never_outside_the_box_and_never_below_the_barrier_unless_it_says_so(
     nominal, h, gradient, dh_dt, box
 ):

@@ -1,12 +1,13 @@
 """Tests the effects of vehicle faults: flights end as physics predicts, or continue after recovery."""
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from sim.scenarios.fault_spec import TABLE, Kind, What
 from sim.scenarios.tables import Start, VelocityLoop
 from sim.vehicle.vehicle import VehicleSim
+from tests.examples import examples
 from tests.unit.faults.fault_helpers import CELLS, aloft, fault, hold, off_home
 from tests.unit.vehicle.vehicle_sim_helpers import scenario
 
@@ -30,7 +31,7 @@ def test_a_stuck_motor_turns_on_after_disarming():
     assert not sim.motors_running  # without a command the motors do not restart
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@examples(25, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(
     cell=st.sampled_from(FOR_HALF_A_SECOND),
     start_s=st.floats(0.1, 1.0),

@@ -113,10 +113,10 @@ def never():
 
 def test_an_onboard_process_goes_on_without_words_that_do_not_come(ends, monkeypatch):
     process = ends.processes[2]
-    monkeypatch.setattr(lockstep, "LOST_RUN_MAX_S", 0.0)
     first, second, third = ticks(3)
     process.await_tick(first, never)
     assert process.texts() == []
+    monkeypatch.setattr(lockstep, "LOST_RUN_MAX_S", 0.0)
     for tick in (second, third):
         process.await_tick(tick, never)
         assert process.statuses() == ()

@@ -8,12 +8,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sim.flights.recording import COLUMNS, PWM_MAX, RecordingError, read_columns
 from sim.flights.screening import clock_lag_s, load, screen
+from tests.examples import examples
 from tests.unit.flights.test_recording import COLUMN_TABLE, RATE_HZ, flight, read
 
 
@@ -105,7 +106,7 @@ def test_the_unit_that_is_named_makes_the_flight_usable(tmp_path):
     assert load(path, read_columns(table)).usable
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(late_s=st.floats(-0.2, 0.2))
 def test_the_lag_of_the_log_is_found(tmp_path_factory, late_s):
     found = clock_lag_s(read(tmp_path_factory.mktemp("late"), wobbling(late_s=late_s)))

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from sim.autopilot.telemetry import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
@@ -17,6 +17,7 @@ from sim.px4.plant import (
     pressure_altitude_m,
 )
 from sim.scenarios.tables import OdometryLink
+from tests.examples import examples
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)  # attitude with the nose to the east
 G = 9.81
@@ -62,7 +63,7 @@ def mean(rows):
     return np.mean(np.array(list(rows)), axis=0)
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(ANGLE, st.floats(-1.5, 1.5), ANGLE)
 def test_at_rest_in_any_attitude_accelerometer_and_magnetometer_show_the_world_turned_into_the_body(
     yaw, pitch, roll
@@ -99,7 +100,7 @@ def test_barometer_shows_the_height(height):
     assert np.std([s.pressure_altitude_m for s in slow]) == pytest.approx(0.10, abs=0.02)  # m; 1.2 Pa
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(*[st.floats(-50.0, 50.0)] * 2, st.floats(0.0, 50.0), *[st.floats(-5.0, 5.0)] * 3)
 def test_fix_shows_position_and_velocity(x, y, z, vx, vy, vz):
     fixes = [r.fix for r in many(body(position=(x, y, z), velocity=(vx, vy, vz)), 250) if r.fix is not None]
@@ -150,7 +151,7 @@ def test_comes_after_the_delay_with_the_pose_of_before():
     assert [m.time_usec for _, m in found] == [12000, 32000]
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(st.tuples(*[st.floats(-10.0, 10.0)] * 3), st.tuples(*[st.floats(-1.0, 1.0)] * 4))
 def test_shows_the_pose_of_frd_in_ned(position, raw):
     assume(math.hypot(*raw) > 0.1)

@@ -5,7 +5,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
@@ -20,6 +20,7 @@ from bridge.ros2.cdr import (
 )
 from bridge.target.odometry import RawSample, sample_of
 from bridge.zenoh.zenoh_link import parse_attachment
+from tests.examples import examples
 from tests.unit.target.ros2_helpers import pose_covariance, pose_stamped
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -62,13 +63,13 @@ def odometries(draw):
     return Odometry(stamp, draw(names), draw(names), n(3), n(4), n(3), n(3), n(36), n(36))
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(odometries())
 def test_encoding_is_byte_equal_with_rosbags(odometry):
     assert odometry.pack() == bytes(STORE.serialize_cdr(ros_message(odometry), NAME))
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(odometries())
 def test_decoding_what_rosbags_wrote_gives_the_same_values(odometry):
     decoded = decode_odometry(bytes(STORE.serialize_cdr(ros_message(odometry), NAME)))
@@ -118,7 +119,7 @@ def test_malformed_payload_says_what_is_wrong(payload, words):
         sample_of(RawSample(payload), 0.0)
 
 
-@settings(max_examples=500)
+@examples(500)
 @given(st.binary(max_size=80), st.integers(0, 715), st.integers(0, 715))
 def test_damaged_payload_never_raises_anything_else(noise, start, stop):
     payload = usual()
@@ -174,13 +175,13 @@ numbers = st.floats(-1e6, 1e6)
 positions = st.tuples(numbers, numbers, numbers)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(frame_names, positions)
 def test_a_pose_of_another_library_is_read(frame, position):
     assert decode_pose(pose_stamped(STAMP, frame, position, Q)) == Pose(STAMP, frame, position, Q)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(frame_names, positions, st.lists(numbers, min_size=36, max_size=36))
 def test_a_pose_with_covariance_is_read(frame, position, covariance):
     found = decode_pose_with_covariance(pose_covariance(STAMP, frame, position, covariance, Q))
@@ -205,7 +206,7 @@ def test_what_is_refused_and_why(decode, payload, words):
         decode(payload)
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(st.binary(max_size=60), st.integers(0, 240), st.integers(0, 240))
 def test_damage_raises_nothing_else(noise, start, stop):
     whole = pose_covariance(STAMP, "map", (1.0, 2.0, 3.0), [0.0] * 36, Q)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.flights.screening import Reason
@@ -16,6 +16,7 @@ from sim.options import ValidateOptions
 from sim.validation import closed_loop, open_loop, sensing
 from sim.validation.criteria import causes, judge, over_flights, summary
 from sim.validation.run import VEHICLE, Compared
+from tests.examples import examples
 
 PLAN = ValidateOptions(folder=Path("flights"), vehicle=VEHICLE)
 FLOWN = closed_loop.Flown(0.1, 0.02, 0.85, 0.05, 0.1, 0.2, 0.01)
@@ -136,7 +137,7 @@ def test_the_summary_is_json_and_counts_every_flight_once():
     assert told["causes"] == []
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(values=st.lists(st.floats(0.01, 100.0), min_size=2, max_size=20))
 def test_an_interval_holds_the_median_and_lies_within_the_flights(values):
     found = over_flights(np.median, [*values, float("nan")])

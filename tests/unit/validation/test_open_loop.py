@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.flights.screening import screen
 from sim.plant.params import load
 from sim.validation.open_loop import HORIZONS_S, commanded_rpm, compare
 from sim.validation.sensing import Trace, analyse
+from tests.examples import examples
 from tests.unit.validation.test_closed_loop import AIRFRAME, recorded
 
 ROOM = load("crazyflie21_room")
@@ -87,7 +88,7 @@ def trace(seconds, delay_s=0.0, offset=(0.0, 0.0, 0.0), noise=None, speed=0.6):
     return Trace(STEP_S, truth, estimate, np.linalg.norm(velocity[:, :2], axis=1))
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(
     delay_s=st.floats(-0.08, 0.15),
     offset=st.tuples(*[st.floats(-0.1, 0.1)] * 3),

@@ -4,7 +4,7 @@ import math
 import random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.safety.barrier import RobustBarrier
@@ -17,6 +17,7 @@ from flightstack.verify.envelope import extremes
 from flightstack.verify.paper import shortfall
 from flightstack.verify.robust import demand, demand_change, outside
 from flightstack.verify.types import Need
+from tests.examples import examples
 from tests.unit.verify.certificate_helpers import config, one, rooms
 
 pytestmark = pytest.mark.slow
@@ -178,7 +179,7 @@ TIGHTER = [
 
 
 @pytest.mark.parametrize(("section", "key", "names", "most"), TIGHTER)
-@settings(max_examples=5, deadline=None)
+@examples(5)
 @given(shares=st.tuples(st.floats(0.05, 1.0), st.floats(0.05, 1.0)))
 def test_more_of_what_is_bad_never_leaves_more_room(section, key, names, most, shares):
     less, more = sorted(share * most for share in shares)

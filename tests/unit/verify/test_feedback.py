@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.safety.barrier import Barrier
@@ -14,6 +14,7 @@ from flightstack.verify.certificate import problems
 from flightstack.verify.envelope import extremes
 from flightstack.verify.feedback import SLACK, _piece_m, decay_1_s, follow_m, linear
 from sim.scenarios.scenario import load
+from tests.examples import examples
 from tests.unit.core.strategies.loop_helpers import BASE, FEEDBACK, fed_back, flown_behind
 from tests.unit.verify.certificate_helpers import config, one
 
@@ -23,7 +24,7 @@ STORM = load("storm").onboard
 
 
 @given(st.floats(0.6, 1.0), st.floats(1.0, 1.6), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_no_vehicle_within_decays_slower_than_proven(low, high, stiff, damped):
     """The factors of rate and damping differ by little, as within the rectangles of the proof."""
     proven, _ = decay_1_s(STORM, low, high)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.cli.check import check as check_verb
@@ -18,6 +18,7 @@ from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
 from flightstack.verify.fleet import anywhere_m, crowd, one_short_m_s, team_checks, up_the_slope_m_s
 from sim.scenarios import scenario
+from tests.examples import examples
 from tests.unit.verify.certificate_helpers import config
 
 pytestmark = pytest.mark.slow
@@ -133,7 +134,7 @@ def pad_of(share_of_speed, angle):
     return speed * math.cos(angle), speed * math.sin(angle)
 
 
-@settings(max_examples=400, deadline=None)
+@examples(400)
 @given(SLOPE, ANGLE, UNIT, ANGLE, CLIMB, st.lists(st.tuples(AWAY, UNIT), min_size=1, max_size=8))
 def test_any_number_of_neighbours_leaves_a_common_point_from_far_enough(slope, n, w, pad, climb, others):
     from_m = anywhere_m(CONFIG, CONFIG.fleet, CROWD)
@@ -145,7 +146,7 @@ def test_any_number_of_neighbours_leaves_a_common_point_from_far_enough(slope, n
 SHORT = one_short_m_s(CONFIG, CROWD, up_the_slope_m_s(CONFIG, CROWD), -math.pi / 2.0)
 
 
-@settings(max_examples=400, deadline=None)
+@examples(400)
 @given(SLOPE, ANGLE, UNIT, ANGLE, CLIMB, AWAY)
 def test_one_neighbour_leaves_a_common_point_from_where_it_is_said(slope, n, w, pad, climb, away):
     row = neighbour_row(away, SHORT[0] / CONFIG.fleet.rate_1_s, CONFIG.fleet.speed_max_m_s)

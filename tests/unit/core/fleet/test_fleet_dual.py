@@ -4,7 +4,7 @@ import math
 import random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from flightstack.core.fleet import solution
 from flightstack.core.fleet.member import HELD_BACK_M_S, FleetMember
@@ -25,6 +25,7 @@ from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import FleetMemory, Heard
 from flightstack.core.parameters.fleet import CARRIED_AGES, Fleet
 from flightstack.core.types import ZERO, Intent, MemberStatus, OwnState, Phase
+from tests.examples import examples
 from tests.unit.core.fleet.test_fleet_program import VECTORS, boxes, missing, rows
 
 FLEET = Fleet(3, (3, 7))
@@ -70,7 +71,7 @@ def test_a_program_that_the_active_set_method_does_not_confirm_is_solved_by_all_
     assert max(row.missing_m_s(found.filter.velocity_enu_m_s) for row in made) <= 1e-6
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(VECTORS, rows(), boxes())
 def test_the_active_set_method_finds_the_point_that_all_sets_give(nominal, found, box):
     quick, slow = solution.by_active_set(nominal, found, *box), solution.by_all_sets(nominal, found, *box)

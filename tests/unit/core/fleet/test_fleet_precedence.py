@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.controller import Controller
@@ -28,6 +28,7 @@ from flightstack.core.types import (
     TargetSample,
     VehicleStatus,
 )
+from tests.examples import examples
 from tests.unit.core.fleet.fleet_helpers import DT_S, settings_of
 
 TICK_S = 0.05
@@ -168,7 +169,7 @@ class Claimant:
         return self.member.message(self.memory, own, FLYING, ZERO, HERE, t_s)
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(
     st.integers(0, 2**32), st.integers(2, 4), st.sampled_from([0.0, 0.1, 0.5, 0.8]),
     st.floats(0.0, 0.05), st.floats(0.0, 1.0),

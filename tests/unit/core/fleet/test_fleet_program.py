@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -14,6 +14,7 @@ from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus
+from tests.examples import examples
 
 PROGRAM = FleetProgram()
 SPEED = st.floats(-1.5, 1.5)
@@ -70,7 +71,7 @@ ROUNDED, BESIDE = Row((1.0, -2.220446049250313e-16, 0.0), 0.5), ((-0.5, 0.5, -0.
 LEVEL, AGAINST = Row((1.0, 0.0, 4.2e-145), 0.0), ((-0.04, -0.5, -0.5), (0.0, 0.5, 0.5))
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(VECTORS, rows(), boxes())
 @example((0.0, 0.0, -1.0), FLAT, UNIT_BOX)
 def test_the_exact_solution_is_that_of_scipy(nominal, found, box):
@@ -95,7 +96,7 @@ def test_the_exact_solution_is_that_of_scipy(nominal, found, box):
         assert abs(r) <= scale or (r > 0.0 and p >= hi - 1e-7) or (r < 0.0 and p <= lo + 1e-7)
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(VECTORS, rows(1, 1), rows(0), boxes())
 @example((0.0, 0.0, -1.0), FLAT[:1], FLAT[1:], UNIT_BOX)
 @example((0.0, 0.0, 0.0), [Row((1.0, 0.0, 0.0), 0.0)], [ROUNDED], BESIDE)
@@ -118,7 +119,7 @@ def test_the_program_holds_barrier_and_box_and_gives_way_no_more_than_it_must(no
         assert missing([*firm, *soft], lower, upper, point) <= 1e-6
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(VECTORS, rows(1, 1), boxes())
 def test_with_the_landing_row_alone_it_is_the_filter_of_a_lone_vehicle(nominal, firm, box):
     lower, upper = box

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.fleet.member import FleetMember
@@ -15,6 +15,7 @@ from flightstack.core.fleet.program import FleetProgram
 from flightstack.core.memory import AbortWay, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import ZERO, Intent, Landed, MemberStatus, Mode, OwnState, Phase, VehicleStatus
+from tests.examples import examples
 
 TICK_S = 0.02
 A, B = Fleet(3, (3, 7)), Fleet(7, (3, 7))
@@ -55,7 +56,7 @@ class Side:
         return self.member.message(mission, own, FLYING, ZERO, None, now_s)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     st.integers(0, 2**32), st.sampled_from([0.0, 0.1, 0.5, 0.8]), st.floats(TICK_S, A.latency_max_s),
     st.floats(0.0, 0.05),
@@ -90,7 +91,7 @@ def word_of(intent=Intent.WAITING, stamp_s=0.0, **keys):
 POINT = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(POINT, POINT)
 def test_the_barrier_is_convex_with_the_gradient_of_finite_differences(p, q):
     h_m, g = barrier(p, 0.25, 0.75)
@@ -106,7 +107,7 @@ def test_the_barrier_is_convex_with_the_gradient_of_finite_differences(p, q):
             assert slope == pytest.approx(g[axis], abs=1e-5)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(st.integers(0, 2**32), st.floats(0.0, 1.0))
 def test_no_vehicle_within_its_limits_leaves_what_its_ellipsoid_grew_by(seed, share_of_speed):
     rng = np.random.default_rng(seed)
@@ -125,7 +126,7 @@ def test_no_vehicle_within_its_limits_leaves_what_its_ellipsoid_grew_by(seed, sh
         before_m = now.anywhere_m
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(st.integers(0, 2**32), st.floats(0.0, 1.0), st.floats(0.0, 0.05))
 def test_a_vehicle_within_its_limits_never_jumps_and_one_that_lies_always_does(seed, lost, sigma_m):
     rng = np.random.default_rng(seed)
@@ -186,7 +187,7 @@ PROGRAM = FleetProgram()
 BOX = ((-1.0,) * 3, (1.0,) * 3)
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.integers(0, 2**32), st.sampled_from([(HALF, HALF), (ALL, NONE), (NONE, ALL), (ALL, HALF)]))
 def test_two_points_that_follow_their_rows_never_come_too_near(seed, parts):
     rng = np.random.default_rng(seed)

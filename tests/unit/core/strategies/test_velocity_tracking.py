@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.parameters.robust import VelocityFeedback
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.core.types import ZERO
+from tests.examples import examples
 from tests.unit.core.strategies.loop_helpers import AXES, LOOP, T_S, WIDE, Plant, constant, flown
 
 FEEDBACK = VelocityFeedback(horizontal=True)
@@ -38,7 +39,7 @@ def test_a_vehicle_that_answers_otherwise_than_modelled_still_flies_what_is_want
     """With 30 % model error and a constant push, no error or oscillation remains; the push is estimated."""
 
     @given(wanted, rates, dampings, pushes)
-    @settings(max_examples=40)
+    @examples(40)
     def flies(reference, rate, damping, push):
         plant = Plant(rate=rate, damping=damping, push=push)
         tracking, setpoints, velocities = flown(constant(reference), plant, made())
@@ -85,7 +86,7 @@ def test_all_of_its_state_is_its_memory(made):
 
 @pytest.mark.parametrize("period_s", [0.1, 0.02, 0.002])
 @given(damping=st.floats(0.1, 2.0), axis=st.sampled_from(AXES), start=st.floats(-1.0, 1.0))
-@settings(max_examples=20)
+@examples(20)
 def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period_s, damping, axis, start):
     def left(share):
         """Return how much of a disturbance of the model remains, with vehicle and set-point at rest."""

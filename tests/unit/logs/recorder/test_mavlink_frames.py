@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as everything
 from pymavlink.dialects.v20 import ardupilotmega as mav
@@ -26,6 +26,7 @@ from logs.schema.mavlink import (
     unpack_mavlink,
 )
 from logs.schema.schemas import codec
+from tests.examples import examples
 
 STORE = schemas.typestore()
 stamps = st.integers(0, (2**31 - 1) * 10**9)
@@ -135,7 +136,7 @@ def test_every_message_of_the_dialect():
 
 
 @given(st.binary(max_size=50))
-@settings(max_examples=60)
+@examples(60)
 def test_text_of_any_bytes_stays_readable(raw):
     text = raw.partition(b"\x00")[0].decode("utf-8", "replace")
     frame = framed(253, bytes([4]) + raw.ljust(50, b"\x00") + b"\x01\x00\x02")

@@ -6,7 +6,7 @@ from enum import Enum
 from typing import Any, get_args, get_origin, get_type_hints
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.common.pacing import Tick
@@ -17,6 +17,7 @@ from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import ZERO, MemberStatus, Operator
 from flightstack.onboard.state_text import StateText, StateTextError
 from logs.schema.controller_rows import step_row
+from tests.examples import examples
 from tests.point_mass import World, each_sample
 from tests.unit.core.test_bad_input import TARGET_FAULTS
 from tests.unit.logs.recorder.test_rows import FLOATS, TEXTS
@@ -89,7 +90,7 @@ def step_bytes(tick, now_s, out):
     return step_row(Tick(tick, now_s, tick, 0.0, 0.0), out).pack(), events
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(
     fault=st.sampled_from(sorted(FAULTS)),
     at_s=st.floats(0.0, 3.0),
