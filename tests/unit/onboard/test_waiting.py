@@ -153,6 +153,12 @@ def test_lockstep_is_with_the_simulated_target(wires, target, kind):
         wires(target, kind, lockstep=True)
 
 
+@pytest.fixture(scope="module")
+def router():
+    with ros.network(0) as (endpoint, _):
+        yield endpoint
+
+
 ONBOARD = ("onboard", "--vehicle", "udpout:127.0.0.1:9", "--config", "crazyflie")
 CLIENT = ("--zenoh-config", "docs/how_to/zenoh/client.json5")
 
@@ -173,9 +179,8 @@ CLIENT = ("--zenoh-config", "docs/how_to/zenoh/client.json5")
         (("watch", "--once", "--zenoh-config", "no.json5"), 2, "does not exist"),
     ],
 )  # fmt: skip
-def test_wrong_words_are_refused_with_what_is_allowed(words, status, said):
-    with ros.network(0) as (endpoint, _):
-        done = called(*(word.replace("{router}", endpoint) for word in words), cwd=ROOT)
+def test_wrong_words_are_refused_with_what_is_allowed(router, words, status, said):
+    done = called(*(word.replace("{router}", router) for word in words), cwd=ROOT)
     assert done.code == status, done.err
     assert said in done.err
 

@@ -20,7 +20,7 @@ MEMBERS = ("cf1", "cf2", "cf3")
 
 
 def test_the_verdict_on_the_log_is_that_of_the_campaign(fleet):
-    assert judge_fleet(load_fleet(fleet.log)) == fleet.verdict
+    assert judge_fleet(fleet.read) == fleet.verdict
     assert fleet.verdict.outcome is Outcome.LANDED
 
 
@@ -52,7 +52,7 @@ def test_the_members_together_are_the_fleet(fleet):
     counts = {member: sum(1 for _ in part.messages()) for member, part in parts.items()}
     shared = ("/tf", "/tf_static", "/fleet/pairs")
     assert sum(counts.values()) == sum(m.topic not in shared for m in LogFile(fleet.log).messages())
-    read = load_fleet(fleet.log)
+    read = fleet.read
     assert read.ids == {1: "cf1", 2: "cf2", 3: "cf3"}
     assert sorted(read.pairs) == [(1, 2), (1, 3), (2, 3)]
     assert read.metadata["fleet"]["scenario"] == "fleet_3"
@@ -77,7 +77,7 @@ def test_what_needs_one_flight_names_the_members(fleet, tmp_path):
 
 
 def test_one_member_of_whom_records_are_missing_is_the_fleet_s_outcome(fleet):
-    read = load_fleet(fleet.log)
+    read = fleet.read
     lossy = replace(read.flights["cf2"], truth=None, metadata={"losses": {"vehicle": "0", "onboard": "7"}})
     lossy = replace(lossy, steps=None)
     read = replace(read, flights={**read.flights, "cf2": lossy}, metadata={"losses": {"cf2.onboard": "7"}})
@@ -105,7 +105,7 @@ def test_a_broken_log_gives_what_is_before_the_break(fleet, tmp_path):
 
 
 def test_one_object_has_all_members(fleet):
-    read = load_fleet(fleet.log)
+    read = fleet.read
     told = result(read, judge_fleet(read))
     assert (told["scenario"], told["seed"], told["filter"]) == ("fleet_3", 1, "robust")
     assert list(told["vehicles"]) == list(MEMBERS)
@@ -134,7 +134,7 @@ def test_without_the_end_of_a_pair_nothing_is_safe():
 
 @pytest.mark.parametrize("missing", ["none", "late", "absent"])
 def test_pairs_have_to_be_followed_to_the_end(fleet, missing):
-    read = load_fleet(fleet.log)
+    read = fleet.read
     pairs = dict(read.pairs)
     if missing == "late":
         pairs[1, 2] = pairs[1, 2]._replace(stamp_ns=pairs[1, 2].stamp_ns - 300_000_000)

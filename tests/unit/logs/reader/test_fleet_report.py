@@ -22,7 +22,7 @@ MEMBERS = ("cf1", "cf2", "cf3")
 
 @pytest.fixture(scope="module")
 def read(fleet):
-    return load_fleet(fleet.log)
+    return fleet.read
 
 
 @pytest.fixture(scope="module")

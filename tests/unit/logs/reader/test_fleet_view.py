@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from logs.reader.flight import load_fleet
-
 pytestmark = [pytest.mark.xdist_group("fleet_log"), pytest.mark.slow]
 MEMBERS = ("cf1", "cf2", "cf3")
 
@@ -47,7 +45,7 @@ def values(rrd, entity, column):
 def test_each_member_is_in_the_scene_at_its_place(fleet, save):
     saved = save()
     entities = {chunk.entity_path for chunk in chunks(saved)}
-    read_log = load_fleet(fleet.log)
+    read_log = fleet.read
     for member in MEMBERS:
         for what in (
             "vehicle/body", "vehicle/ellipsoid", "target/pad", "target_spot/barrier", "vehicle_path",
