@@ -14,8 +14,8 @@ import time
 
 import pytest
 
-from flightstack.common.forked import hand_on_niceness
 from flightstack.common.pacing import keep_memory
+from flightstack.common.processes import hand_on_niceness
 
 REPEATS = 4
 PAUSE_S = 0.1  # a longer delay is a pause, s: half of the age limit of a vehicle state (checks.own_age_max_s)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from flightstack.api.frames import frame
 from flightstack.api.scenario import Changes, FilterLike, scenario, whole
-from flightstack.common.forked import may_fork
+from flightstack.common.processes import may_fork
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.terminal import Bar, Terminal
 from flightstack.core.parameters.filters import given

@@ -31,8 +31,6 @@ PASSED, FAILED = 0, 1
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignOptions(shared.Result):
-    """Options of ``campaign``."""
-
     scenario: Annotated[str, Option("SCENARIO")]
     runs: Annotated[int, Option("--runs", "Landings.", span=(1, 10_000_000))] = 1000
     first_seed: Annotated[int, Option("--seed", "First seed.", span=(0, 2**62))] = 0

@@ -31,8 +31,6 @@ STEP_S = 0.01  # time between two calls of the robot's function, s
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions:
-    """Options of ``check``."""
-
     config: Annotated[str, Option("CONFIG")]
     filter: Annotated[
         str | None, shared.safety_filter("Check it for this safety filter; default: the configuration's")

@@ -90,8 +90,6 @@ def key(file: Path) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class RouterOptions:
-    """Options of ``router``."""
-
     listen: Annotated[tuple[str, ...], Option(
         "--listen", "Endpoint to listen on; default: the configuration's, or tcp/127.0.0.1:7447; repeatable.",
         "ENDPOINT"

@@ -2,7 +2,7 @@
 
 Stack time is seconds since the start of the process (monotonic clock) or simulated time. ``unix_ns`` converts
 it to the time in the log. In lockstep this is simulated time after a fixed date, so that equal seeds give
-equal logs. Functions for priority, memory and garbage collection, which prevent late ticks, are at the end.
+equal logs.
 
 A simulator that paces itself shares its clock with the processes of its run in a file. It writes its time,
 which the processes use instead of wall time. Each process (follower) writes the time until which it sleeps,
@@ -62,11 +62,9 @@ class FastClock:
     speed: float = 1.0
 
     def monotonic(self) -> float:
-        """Return the seconds since an arbitrary time in the past."""
         return time.monotonic() * self.speed
 
     def sleep(self, seconds: float) -> None:
-        """Sleep for this number of seconds of the clock."""
         time.sleep(seconds / self.speed)
 
     def unix_ns(self) -> int:
@@ -191,17 +189,13 @@ class SimulationClock:
 
         A follower that needs more than half a second of wall time is ignored until it returns.
         """
-        cells = self._cells
+        cells, until_s = self._cells, time.monotonic() + _FOLLOWER_MAX_S
         cells[_NOW] = now_ns
-        until_s: float | None = None
         while not stopped():
             behind = [f for f in Follower if _ABSENT < cells[_FIRST + f] <= now_ns]
             if not behind:
                 return
-            wall_s = time.monotonic()
-            if until_s is None:
-                until_s = wall_s + _FOLLOWER_MAX_S
-            elif wall_s > until_s:
+            if time.monotonic() > until_s:
                 for follower in behind:
                     cells[_FIRST + follower] = _ABSENT
                 return
@@ -212,8 +206,7 @@ class FollowedClock:
     """A follower's side of the clock.
 
     After 2.5 s without a step the simulator counts as stopped. Time then passes as wall time, so that
-    time-outs of the follower still end. The same applies if ``stopped`` says that this process ends. Raises
-    OSError: there is no such file; ValueError: the file is no clock.
+    time-outs of the follower still end. The same applies if ``stopped`` says that this process ends.
     """
 
     def __init__(self, path: Path, follower: Follower, stopped: Callable[[], bool] = lambda: False) -> None:
@@ -264,12 +257,7 @@ def chosen_clock(
     *,
     lockstep: bool = False,
 ) -> Clock:
-    """Return the clock that the options of a process select.
-
-    ``speed``: ratio of stack time to wall time; ``file``: file of a simulator's clock, None for wall time;
-    ``lockstep``: whether the simulator sends the ticks.
-    Raises ValueError: options exclude each other, or the file is invalid; OSError: there is no such file.
-    """
+    """Return the clock that ``--speed``, ``--clock`` and ``--lockstep`` of a process select."""
     given = {"--speed": speed != 1.0, "--clock": file is not None, "--lockstep": lockstep}
     names = [name for name, is_given in given.items() if is_given]
     if len(names) > 1:

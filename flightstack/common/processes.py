@@ -1,25 +1,34 @@
-"""Child processes of one run: start, supervision, and end in order; each wait is bounded."""
+"""Child processes of one run, by fork or as programs: start, supervision, and end in order."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import fcntl
+import gc
 import os
 import random
+import select
 import selectors
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
+from multiprocessing import process
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import IO, Any, Protocol
 
-from flightstack.common.forked import PR_SET_PDEATHSIG, Forked, hand_on_niceness, may_fork
-
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_PR_SET_NAME = 15
+_NAME_BYTES = 15  # maximum length of a thread name that Linux stores, bytes
+_LAST_STREAM = 2  # file descriptor of standard error
 # Limits for the start of a child, s: wall time in which it does not compute, and processor time. A slow
 # computer needs minutes to load and compile.
 START_TIME_MAX_S, START_WORK_MAX_S = 120.0, 1800.0
@@ -30,7 +39,7 @@ _WRONG_INPUT = 2  # exit status of every command after wrong input
 # A function between fork and exec could wait without end for locks of the parent's threads (Zenoh).
 # Therefore a small Python program calls the kernel before it executes the child's program.
 _TIE = (
-    f"import ctypes, os, sys; ctypes.CDLL(None).prctl({PR_SET_PDEATHSIG}, int(sys.argv[1])); "
+    f"import ctypes, os, sys; ctypes.CDLL(None).prctl({_PR_SET_PDEATHSIG}, int(sys.argv[1])); "
     "os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
 )
 END_TIME_MAX_S = 10.0  # time from SIGTERM to SIGKILL of a child, s
@@ -69,8 +78,7 @@ class Running(Protocol):
     """A running process, as its launcher uses it."""
 
     @property
-    def name(self) -> str:
-        """Name of the process."""
+    def name(self) -> str: ...
 
     def alive(self) -> bool: ...
 
@@ -92,14 +100,9 @@ class Child:
     """
 
     def __init__(
-        self,
-        name: str,
-        arguments: Sequence[str],
-        folder: Path,
-        *,
-        program: Sequence[str] | None = None,
+        self, name: str, arguments: Sequence[str], folder: Path, *, program: Sequence[str] | None = None,
         works_in: Path | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.name = name
         self.output = folder / f"{name}.txt"
         with self.output.open("wb") as errors:
@@ -107,31 +110,21 @@ class Child:
                 run = partial(import_module(CLI).main, list(arguments), prog_name="flightstack")
                 self.process: subprocess.Popen[bytes] | Forked = Forked(name, run, errors)
             else:
-                self.process = self._program(arguments, program, works_in, errors)
+                self.process = subprocess.Popen(
+                    [*tied(program or [sys.executable, "-m", CLI]), *arguments],
+                    cwd=works_in,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=errors,
+                    start_new_session=True,  # only the launcher receives Ctrl-C; it ends all in order
+                )
+                hand_on_niceness(self.process.pid)
         assert self.process.stdout is not None
         assert self.process.pid is not None
         self.pid = self.process.pid
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
         self._read: list[str] = []  # lines that arrived in one read with the ``ready`` line
-
-    def _program(
-        self,
-        arguments: Sequence[str],
-        program: Sequence[str] | None,
-        works_in: Path | None,
-        errors: IO[bytes],
-    ) -> subprocess.Popen[bytes]:
-        process = subprocess.Popen(
-            [*tied(program or [sys.executable, "-m", CLI]), *arguments],
-            cwd=works_in,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            start_new_session=True,  # only the launcher receives Ctrl-C; it ends the children in order
-        )
-        hand_on_niceness(process.pid)
-        return process
 
     def yield_to_others(self, steps: int) -> None:
         """Lower the priority of the process, so that it does not delay the flight."""
@@ -244,5 +237,117 @@ class Port:
         return f"tcp/127.0.0.1:{self.number}"
 
     def close(self) -> None:
-        """Release the port."""
         self._reservation.close()
+
+
+def may_fork() -> bool:
+    """Whether a fork is safe: only on Linux and without other threads; a child cannot release their locks."""
+    if sys.platform != "linux" or threading.current_thread() is not threading.main_thread():
+        return False
+    return len(list(Path("/proc/self/task").iterdir())) == 1
+
+
+def hand_on_niceness(pid: int) -> None:
+    """Apply the niceness of this process to the session of a child, or to its own session.
+
+    Linux schedules sessions before processes (sched(7), autogroup), and a new session has niceness 0: without
+    this, ``nice`` would have no effect on other programs.
+    """
+    steps = os.getpriority(os.PRIO_PROCESS, 0)
+    if steps > 0:
+        with contextlib.suppress(OSError):  # no autogroups, or a second change within 0.1 s without root
+            Path(f"/proc/{pid}/autogroup").write_text(str(steps))
+
+
+class Forked(ForkProcess):
+    """Forked process with those methods of ``subprocess.Popen`` that this package uses.
+
+    The process has its own session, signal handlers, standard streams and files.
+
+    ``name``: name that the system shows; ``run``: function of the process, which ends like a Python program,
+    with SystemExit or an exception; ``errors``: file for its standard error.
+    """
+
+    def __init__(self, name: str, run: Callable[[], object], errors: IO[bytes]) -> None:
+        super().__init__(target=run, name=name)
+        output, self._output = os.pipe()
+        self._errors = errors.fileno()
+        # signals are blocked until the child has its own handlers
+        self._blocked = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+        try:
+            self.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
+        os.close(self._output)
+        # the owner ends the child in bounded time; multiprocessing would wait for it at exit without a limit
+        process._children.discard(self)  # type: ignore[attr-defined]
+        self.stdout: IO[bytes] | None = os.fdopen(output, "rb")  # standard output of the child
+
+    def run(self) -> None:
+        """Run the function in the child; the kernel ends the child if its parent is killed."""
+        kernel = ctypes.CDLL(None)
+        kernel.prctl(_PR_SET_NAME, self.name.encode()[:_NAME_BYTES])  # the name that ``ps -e`` shows
+        kernel.prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
+        if os.getppid() != self._parent_pid:  # type: ignore[attr-defined]  # the parent was already killed
+            os._exit(1)
+        leave_parent(self._output, self._errors)
+        signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
+        gc.freeze()  # the collector does not scan shared memory, so it is not copied
+        super().run()
+
+    @property
+    def returncode(self) -> int | None:
+        """Exit status; negative: number of the signal that ended the process; None: it still runs."""
+        return self.exitcode
+
+    def poll(self) -> int | None:
+        return self.exitcode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the exit status. Raises subprocess.TimeoutExpired: after ``timeout`` seconds."""
+        if self.exitcode is None and self.pid is not None:  # ``join`` cannot wait: its pipe is closed
+            end = os.pidfd_open(self.pid)
+            select.select((end,), (), (), timeout)
+            os.close(end)
+        if (code := self.exitcode) is None:
+            raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
+        return code
+
+    def send_signal(self, number: int) -> None:
+        if self.exitcode is None and self.pid is not None:
+            os.kill(self.pid, number)
+
+
+def leave_parent(output: int, errors: int) -> None:
+    """Give a forked child its own session, signal handlers, files, and these descriptors as its output."""
+    os.setsid()
+    hand_on_niceness(os.getpid())
+    forget_handlers()
+    _own_streams(output, errors)
+
+
+def forget_handlers() -> None:
+    """Set the signal handling of a new Python process; signals that the parent ignores remain ignored."""
+    signal.set_wakeup_fd(-1)
+    for number in signal.valid_signals():
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _own_streams(output: int, errors: int) -> None:
+    """Give the child an empty standard input and these outputs, and close all other files of its parent."""
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    # if the parent had no standard streams, these descriptors may have their numbers
+    for place, number in enumerate([_above(each) for each in (nothing, output, errors)]):
+        os.dup2(number, place)
+    os.closerange(_LAST_STREAM + 1, os.sysconf("SC_OPEN_MAX"))
+    sys.stdin = os.fdopen(0, closefd=False)
+    sys.stdout = os.fdopen(1, "w", closefd=False)
+    sys.stderr = os.fdopen(2, "w", buffering=1, errors="backslashreplace", closefd=False)
+
+
+def _above(number: int) -> int:
+    """Duplicate a descriptor to a number above 2, the last standard stream; return this number."""
+    return fcntl.fcntl(number, fcntl.F_DUPFD, _LAST_STREAM + 1)

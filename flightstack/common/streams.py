@@ -59,18 +59,15 @@ def guard() -> bool:
             continue
         raw = Stream(number, "w", closefd=False)
         at_once = old is not None and old.write_through
-        setattr(
-            sys,
-            name,
-            io.TextIOWrapper(
-                raw if at_once else io.BufferedWriter(raw),
-                encoding=old.encoding if old is not None else "utf-8",
-                # characters outside the terminal's encoding must not raise an error
-                errors=old.errors if old is not None and old.errors != "strict" else "backslashreplace",
-                line_buffering=number == 2 or (old is not None and old.line_buffering),
-                write_through=at_once,
-            ),
+        stream = io.TextIOWrapper(
+            raw if at_once else io.BufferedWriter(raw),
+            encoding=old.encoding if old is not None else "utf-8",
+            # characters outside the terminal's encoding must not raise an error
+            errors=old.errors if old is not None and old.errors != "strict" else "backslashreplace",
+            line_buffering=number == 2 or (old is not None and old.line_buffering),
+            write_through=at_once,
         )
+        setattr(sys, name, stream)
     return isinstance(_raw(sys.stdout), Stream)
 
 

@@ -67,7 +67,7 @@ class Files(Generic[T]):
         raise not_found(self._kind, path, self.names(), self._hint)
 
     def load(self, name_or_file: str | Path) -> T:
-        """Read and check a file. Raises ConfigError: the text gives file, key, value and allowed values."""
+        """Read and check a file."""
         path = self.path_of(name_or_file)
         table = self.table(path)
         try:
@@ -76,10 +76,7 @@ class Files(Generic[T]):
             raise ConfigError(f"{path}: {error}") from None
 
     def table(self, path: Path) -> dict[str, Any]:
-        """Parse a file; missing keys are taken from the file that its key ``base`` names.
-
-        Raises ConfigError: a file is missing, is not TOML, or is its own base.
-        """
+        """Parse a file; missing keys are taken from the file that its key ``base`` names."""
         return self.over_base(path, read_toml(path))
 
     def over_base(self, path: Path, table: dict[str, Any], above: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -92,10 +89,7 @@ class Files(Generic[T]):
         return over(self.over_base(base, read_toml(base), (*above, path.resolve())), table)
 
     def named(self, path: Path, key: str, name: object) -> Path:
-        """Return the file that the key of a file names: a file in its folder, a known name, or a path.
-
-        Raises ConfigError: there is no such file.
-        """
+        """Return the file that the key of a file names: a file in its folder, a known name, or a path."""
         if not isinstance(name, str):
             raise ConfigError(
                 f"{path}: {key}: found {name!r}, the name of a {self._kind} or a file is needed"
@@ -171,10 +165,7 @@ _MARKS = (
 
 
 def from_table(cls: type[T], table: object, where: str = "") -> T:
-    """Build the dataclass ``cls`` from a TOML table, with checks of every key, type and range.
-
-    Raises ConfigError: unknown or missing key, wrong unit or type, out of range, or from ``__post_init__``.
-    """
+    """Build the dataclass ``cls`` from a TOML table, with checks of every key, type and range."""
     places = dict(_places(type_info(cls), table, where))  # type: ignore[arg-type]  # a class is hashable
     try:
         return msgspec.convert(table, cls)
@@ -191,10 +182,7 @@ type_info = cache(inspect.type_info)
 
 
 def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, tuple[inspect.Type, object]]]:
-    """Yield type and value at each place of a table, such as ``fault[0].start_s``.
-
-    Raises ConfigError: a key is unknown or missing, or a number is not finite.
-    """
+    """Yield type and value at each place of a table, such as ``fault[0].start_s``."""
     if isinstance(kind, inspect.UnionType):
         kinds = tuple(each for each in kind.types if not isinstance(each, inspect.NoneType))
         kind = kinds[0] if len(kinds) == 1 else inspect.UnionType(kinds)  # an optional type, or several types
@@ -205,12 +193,8 @@ def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, t
         known = {field.name: field for field in kind.fields}
         for key in value:
             if key not in known:
-                inside = [
-                    f"{name}.{key}"
-                    for name, field in known.items()
-                    if isinstance(field.type, inspect.DataclassType)
-                    and any(key == each.name for each in field.type.fields)
-                ]
+                tables = {n: f.type for n, f in known.items() if isinstance(f.type, inspect.DataclassType)}
+                inside = [f"{n}.{key}" for n, kind in tables.items() if key in {f.name for f in kind.fields}]
                 raise ConfigError(_unknown(key, list(known), inside, at))
         for name, field in known.items():
             below = f"{at}.{name}" if at else name

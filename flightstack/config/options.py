@@ -18,26 +18,19 @@ CORES = ("auto", "plain", "compiled")
 WATCHED = "tcp/127.0.0.1:7448"  # Zenoh endpoint of the onboard process in README and docs
 
 
-def _number(text: str) -> float | None:
-    """Return a text as a finite number; None: the text is no finite number."""
-    try:
-        found = float(text)
-    except ValueError:
-        return None
-    return found if math.isfinite(found) else None
-
-
 def numbers(given: tuple[str, ...]) -> Mapping[str, float]:
     """Return a table from texts NAME=VALUE. Raises BadOptionError: a text is not NAME=VALUE."""
     found = {}
     for text in given:
-        name, equals, value = text.partition("=")
-        number = _number(value)
-        if not equals or number is None:
+        name, _, value = text.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            found[name] = math.nan
+        if not math.isfinite(found[name]):
             raise BadOptionError(
                 f"found {text!r}; NAME=VALUE with a finite number is needed, for example COM_OF_LOSS_T=0.5"
             )
-        found[name] = number
     return found
 
 
@@ -51,27 +44,19 @@ def _filter_name(given: str) -> str:
 
 
 def _configuration(given: str) -> Path:
-    """Return the path of a configuration that is given by name or path."""
     from flightstack.config import path_of
 
     return path_of(given)
 
 
 def safety_filter(help: str) -> Option:
-    """Return the option ``--filter``."""
     return Option("--filter", f"{help}: {ALLOWED}.", metavar="NAME", read=_filter_name)
 
 
 def config(help: str = "Configuration (TOML)") -> Option:
-    """Return the option ``--config``."""
     return Option(
         "--config", f"{help}: a name (see `config`) or a file.", metavar="NAME_OR_FILE", read=_configuration
     )
-
-
-def json(help: str = "Print one JSON object.") -> Option:
-    """Return the option ``--json``."""
-    return Option("--json", help)
 
 
 def seconds(name: str, help: str, low: float | None = None, high: float | None = None) -> Option:
@@ -126,7 +111,7 @@ OneMember = Annotated[int | None, Option(
 Member = Annotated[
     str | None, Option("--member", "Take the flight of this member of a fleet, e.g. cf2.", metavar="NAME")
 ]
-AsJson = Annotated[bool, json()]
+AsJson = Annotated[bool, Option("--json", "Print one JSON object.")]
 Workers = Annotated[int | None, Option(
     "--workers", "Worker processes; default: one for each processor.", span=(1, 1024)
 )]  # fmt: skip
@@ -144,8 +129,6 @@ class Simulated:
 
 @dataclass(frozen=True, kw_only=True)
 class Zenoh:
-    """Connections of a process to Zenoh."""
-
     connect: Connect = ()
     listen: Annotated[tuple[str, ...], Option(
         "--listen", "Zenoh endpoint to listen on; default: a free port of loopback.", "ENDPOINT"
@@ -178,8 +161,6 @@ class Piloted:
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
-    """Options to reach a vehicle over MAVLink."""
-
     vehicle_url: Annotated[str, Option(
         "--vehicle",
         "MAVLink URL: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD], by default "
@@ -190,8 +171,6 @@ class Vehicle:
 
 @dataclass(frozen=True, kw_only=True)
 class Clocked:
-    """Options for the clock of a process in real time."""
-
     speed: Speed = 1.0
     clock: Annotated[Path | None, Option(
         "--clock",
@@ -210,8 +189,6 @@ class Signing:
 
 @dataclass(frozen=True, kw_only=True)
 class Ros2:
-    """Options to publish a flight to ROS 2."""
-
     ros2_where: Annotated[str | None, Option(
         "--ros2",
         "Show the flight to ROS 2: endpoint of its router, as tcp/127.0.0.1:7447, or a Zenoh configuration.",
@@ -250,12 +227,10 @@ def repeated(described: Mapping[str, str]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Options for the files and output of a flight."""
-
     out: Annotated[Path | None, Option(
         "--out", "Folder for log and report; default: a new folder in runs/.", path="folder"
     )] = None  # fmt: skip
-    as_json: Annotated[bool, json("Print one JSON object as the last line.")] = False
+    as_json: Annotated[bool, Option("--json", "Print one JSON object as the last line.")] = False
     with_report: Annotated[bool, Option("--report/--no-report", "Write the HTML report.")] = True
 
 
@@ -293,8 +268,6 @@ class FlightOptions(Signing, Ros2, Zenoh, Piloted, Vehicle):
 
 @dataclass(frozen=True, kw_only=True)
 class OnboardOptions(Clocked, FlightOptions):
-    """All options of the onboard process."""
-
     recorder: Recorder = None
     lockstep: Lockstep = False
 
@@ -313,7 +286,9 @@ class WatchOptions:
     once: Annotated[
         bool, Option("--once", "Show the state once and end; exit status 1 if no fresh data arrive.")
     ] = False
-    as_json: Annotated[bool, json("Print one JSON object a line, two a second (--once: one).")] = False
+    as_json: Annotated[
+        bool, Option("--json", "Print one JSON object a line, two a second (--once: one).")
+    ] = False
     timeout_s: Annotated[float, seconds("--timeout", "Longest wait of --once.", 0.1, 3600.0)] = 5.0
     view: View = None
     config_file: Annotated[

@@ -42,8 +42,6 @@ def _program(flies: Flies, help: str) -> Option:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
-    """Options of ``sitl``."""
-
     filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the configuration's")] = None
     config_file: Annotated[Path | None, shared.config(
         "Configuration instead of the scenario's, or of the one for an autopilot"
@@ -128,6 +126,4 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
 
 @dataclass(frozen=True, kw_only=True)
 class FlyOptions(shared.Result, FlightOptions):
-    """Options of ``flightstack fly``."""
-
     view: shared.View = None

@@ -31,9 +31,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from flightstack.common.forked import forget_handlers, may_fork
 from flightstack.common.pacing import quiet_garbage_collector
-from flightstack.common.processes import LaunchError
+from flightstack.common.processes import LaunchError, forget_handlers, may_fork
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import pip_install
 from flightstack.core.parameters.filters import failed_in, give

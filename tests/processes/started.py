@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from flightstack.cli.main import main
-from flightstack.common.forked import leave_parent
-from flightstack.common.processes import Child
+from flightstack.common.processes import Child, leave_parent
 
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(["tests.processes.loaded"])

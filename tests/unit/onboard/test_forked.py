@@ -14,7 +14,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux 
 BEGIN = """
 import os, signal, sys, threading, time
 from pathlib import Path
-from flightstack.common.forked import Forked
+from flightstack.common.processes import Forked
 from flightstack.common.processes import Child
 folder = Path(sys.argv[1])
 def forked(run):
