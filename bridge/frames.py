@@ -94,24 +94,19 @@ def body_from_world(q: Quat, v: Vec3) -> Vec3:
     return world_from_body((q[0], -q[1], -q[2], -q[3]), v)
 
 
-def ned_covariance_from_enu(covariance: Sequence[float]) -> tuple[float, ...]:
+def ned_covariance_from_enu(covariance: Sequence[float]) -> list[float]:
     """Convert a covariance of position and rotation about the world's axes from ENU into NED.
 
     ``covariance`` is 6 x 6, row by row, in the order x, y, z and rotations about x, y, z (geometry_msgs). The
-    result has the axes north, east and down; the conversion is its own inverse.
+    result has the axes north, east and down, and only the 21 upper entries, row by row, as in MAVLink.
     """
     if len(covariance) != 36:
         raise ValueError(f"covariance has {len(covariance)} entries: 6 x 6 are needed")
-    return tuple(
+    return [
         _NED_SIGN[i] * _NED_SIGN[j] * covariance[6 * _NED_AXIS[i] + _NED_AXIS[j]]
         for i in range(6)
-        for j in range(6)
-    )
-
-
-def upper_triangle(covariance: Sequence[float]) -> tuple[float, ...]:
-    """Return the 21 upper entries, row by row, of a symmetric 6 x 6 matrix, as MAVLink sends them."""
-    return tuple(covariance[6 * i + j] for i in range(6) for j in range(i, 6))
+        for j in range(i, 6)
+    ]
 
 
 @numeric

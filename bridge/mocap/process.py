@@ -14,13 +14,7 @@ from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.frames import (
-    euler_from_quaternion,
-    ned_covariance_from_enu,
-    ned_frd_from_enu_flu,
-    ned_from_enu,
-    upper_triangle,
-)
+from bridge.frames import euler_from_quaternion, ned_covariance_from_enu, ned_frd_from_enu_flu, ned_from_enu
 from bridge.mavlink.client.companion import Origin, OriginSender, companion_heartbeat
 from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.codec.messages import Message
@@ -98,7 +92,7 @@ _UNKNOWN = (math.nan, *([0.0] * 20))  # unknown covariance: its first entry is N
 
 def _covariance(covariance: tuple[float, ...]) -> list[float]:
     known = any(covariance)  # in ROS a covariance of zeros is unknown
-    return list(upper_triangle(ned_covariance_from_enu(covariance)) if known else _UNKNOWN)
+    return ned_covariance_from_enu(covariance) if known else list(_UNKNOWN)
 
 
 def vision_position_estimate(passed: Passed, time_us: int) -> Message:

@@ -67,11 +67,6 @@ def why_no_mode(main: int, sub: int) -> str:
     return f"Mode {main}/{sub} refused: only {', '.join(mode.value for mode in FlightMode)}"
 
 
-def mode_numbers(custom_mode: int) -> tuple[int, int]:
-    """Return main and sub mode of a ``custom_mode``, as DO_SET_MODE has them in param2 and param3."""
-    return custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
-
-
 CAPABILITIES = (
     _M.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
     | _M.MAV_PROTOCOL_CAPABILITY_COMMAND_INT

@@ -17,7 +17,7 @@ from bridge.mavlink.codec.messages import Message, parameter_name
 from bridge.mavlink.server.commander import Right, Sender, Text, read_setpoint
 from bridge.mavlink.server.commands import Commands, Entry
 from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
-from bridge.mavlink.server.profile import FlightMode, ServerProfile, mode_numbers, mode_of, why_no_mode
+from bridge.mavlink.server.profile import FlightMode, ServerProfile, mode_of, why_no_mode
 from bridge.mavlink.server.telemetry import Builder, Snapshot, Streams, V, autopilot_version, heartbeat
 
 SYSTEM_ID = 1
@@ -228,7 +228,7 @@ class Server(ABC, Generic[V]):
         if message.target_system != self.system_id:
             return []
         vehicle = self.vehicle
-        pair = mode_numbers(message.custom_mode)
+        pair = message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24 & 0xFF  # main mode, sub mode
         mode = mode_of(*pair)
         if mode is None:
             reason: str | None = why_no_mode(*pair)
