@@ -161,8 +161,8 @@ def campaign(
         ConfigError: a scenario, key, value or filter is wrong, or the configuration must not fly.
         WorkersError: no worker keeps running.
     """
-    team = _team(name, changes, filter)
-    return _flown([((), team)], seeds, workers)[0][1]
+    made = _checked(name, changes, filter)
+    return _flown([((), made)], seeds, workers)[0][1]
 
 
 def sweep(
@@ -191,23 +191,24 @@ def sweep(
         raise ConfigError(f"sweep: found {grid!r:.60}; a key and values for it are needed")
     if not (points := list(product(*values))):
         raise ConfigError(f"sweep: found {grid!r:.60}; a key and values for it are needed")
-    teams = [
-        _team(name, {**(changes or {}), **dict(zip(grid, values, strict=True))}, filter) for values in points
+    made = [
+        _checked(name, {**(changes or {}), **dict(zip(grid, values, strict=True))}, filter)
+        for values in points
     ]
-    return Sweep(tuple(grid), tuple(_flown(list(zip(points, teams, strict=True)), seeds, workers)))
+    return Sweep(tuple(grid), tuple(_flown(list(zip(points, made, strict=True)), seeds, workers)))
 
 
 def _shown() -> list[Any]:
     return [f for f in fields(Row) if f.name not in _HIDDEN]
 
 
-def _team(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:
+def _checked(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:
     """Return a checked scenario with the changes made for each vehicle."""
-    team = scenario(name, changes, filter=filter)
-    found = dict.fromkeys(problem for each in team.members for problem in problems(each.onboard))
+    made = scenario(name, changes, filter=filter)
+    found = dict.fromkeys(problem for each in made.members for problem in problems(each.onboard))
     if found:
-        raise ConfigError(f"{team.name}: refused before take-off: " + "; ".join(found))
-    return team
+        raise ConfigError(f"{made.name}: refused before take-off: " + "; ".join(found))
+    return made
 
 
 def _flown(
@@ -224,27 +225,27 @@ def _flown(
     if line := not_proven(first):
         console.print(line, soft_wrap=True)
     with Bar(console, f"{first.name}, filter {first.onboard.filter}", len(points) * len(seeds)) as bar:
-        for values, team in points:
+        for values, flown in points:
             rows, began_s = [], time.monotonic()
-            for row in _rows(team, seeds, number):
+            for row in _rows(flown, seeds, number):
                 rows.append(row)
                 bar.done(*kinds(row))
             by_seed = tuple(sorted(rows, key=lambda row: row.seed))
             if problem := failed_rows(by_seed):
                 console.print(problem, soft_wrap=True, markup=False)
-            done.append((values, Campaign(by_seed, team, time.monotonic() - began_s)))
+            done.append((values, Campaign(by_seed, flown, time.monotonic() - began_s)))
     return done
 
 
-def _rows(team: Scenario, seeds: list[int], workers: int) -> Iterable[Row]:
-    warm_up(team)
-    classes = [] if may_fork() else [given(each.onboard.filter) for each in team.members]
+def _rows(flown: Scenario, seeds: list[int], workers: int) -> Iterable[Row]:
+    warm_up(flown)
+    classes = [] if may_fork() else [given(each.onboard.filter) for each in flown.members]
     here, pickled = [each for each in classes if each is not None], b""
     if here and find_spec("cloudpickle") is None:
-        yield from (row_of(land(team, seed)) for seed in seeds)
+        yield from (row_of(land(flown, seed)) for seed in seeds)
         return
     if here:
         pickled = import_module("cloudpickle").dumps(here[0])
-    longest_s = sum(each.duration_max_s for each in team.members)
-    with Workers(text(team), min(workers, len(seeds)), longest_s, given=pickled) as processes:
+    longest_s = sum(each.duration_max_s for each in flown.members)
+    with Workers(text(flown), min(workers, len(seeds)), longest_s, given=pickled) as processes:
         yield from processes.fly(seeds)

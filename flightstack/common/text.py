@@ -21,6 +21,11 @@ def labels(names: Sequence[str]) -> list[str]:
     return list(names) if len(names) > 1 else [""] * len(names)
 
 
+def named(name: str, text: str, between: str = ": ") -> str:
+    """Return a text after the name of its vehicle; the only vehicle has no printed name."""
+    return f"{name}{between}{text}" if name else text
+
+
 def outline(shared: Mapping[str, object], key: str, entries: Mapping[str, Any]) -> dict[str, Any]:
     """Return the JSON object of a fleet: shared values, and each member's values under the key ``key``.
 

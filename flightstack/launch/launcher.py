@@ -27,7 +27,7 @@ from flightstack.common.processes import (
     Running,
     socket_folder,
 )
-from flightstack.common.text import failed_code
+from flightstack.common.text import failed_code, named
 from flightstack.config.options import WatchOptions
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
@@ -195,7 +195,7 @@ class Launcher:
                         self._print(f"the live view has failed: {error!r}", style="red")
                 for flight in [each for each in flying if not each.child.alive()]:
                     flying.remove(flight)
-                    problem = self._ended(flight) or problem
+                    problem = self._ended(flight, others_fly=bool(flying)) or problem
                 for child in [c for c in others if not c.alive()]:
                     # without this process the onboard process ends safely: it holds, climbs or flies clear
                     others.remove(child)
@@ -216,17 +216,20 @@ class Launcher:
             self._let_it_land(teller, until)
         return problem
 
-    def _ended(self, flight: Followed) -> str | None:
-        """Handle the last output of an onboard process that has ended; return an error text if it failed."""
+    def _ended(self, flight: Followed, *, others_fly: bool) -> str | None:
+        """Handle the last output of an onboard process that has ended; return an error text if it failed.
+
+        ``others_fly``: whether the run goes on; else its result has the same text.
+        """
         child = flight.child
         self._say(flight, child.lines(0.0))
         if child.process.returncode in (0, 1):
-            if flight.name and child.process.returncode and not self._tells:  # it may be needed
-                self._print(f"{flight.name}  {flight.last_line}")
+            if others_fly and child.process.returncode and not self._tells:
+                self._print(named(flight.name, flight.last_line, "  "))
             return None
         problem = f"{child.name} ended in flight: {child.errors()}"
         flight.aborted = True
-        if flight.name:  # the other members continue to fly
+        if others_fly:
             self._print(problem, style="red")
         return problem
 
@@ -245,7 +248,7 @@ class Launcher:
             change = parse(line)
             flight.aborted = flight.aborted or (change is not None and change.after is Phase.ABORT)
             if self._tells:
-                self._print(f"{flight.name}  {line}" if flight.name else line)
+                self._print(named(flight.name, line, "  "))
 
     def _print(self, text: str, style: str | None = None) -> None:
         self.console.print(text, style=style, highlight=False, markup=False)

@@ -9,11 +9,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from rich import box
 from rich.console import Console, Group
 from rich.table import Column, Table
 from rich.text import Text
 
-from flightstack.common.text import failed_code, outline
+from flightstack.common.text import failed_code, named, outline
 from flightstack.launch.launcher import Followed
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogError
@@ -35,7 +36,7 @@ _COLUMNS = (
 # values of the whole run: text, key, unit
 _ROWS = (
     ("smallest distance", "distance_min_m", "m"),
-    ("the same in the ellipsoid's measure, in flight", "ellipsoid_min", "1"),
+    ("the same in the ellipsoid's measure, in flight", "ellipsoid_min", ""),
     ("times inside the ellipsoid", "ellipsoid_violations", ""),
     ("pairs that collided", "collisions", ""),
     ("real-time factor", "realtime_factor", ""),
@@ -48,7 +49,8 @@ def result_table(values: Mapping[str, Any], problem: str = "") -> Group:
     "-" is an unknown value; ``problem``: text to print after the reasons.
     """
     vehicles = _vehicles(values)
-    table = Table("", *(Column(name, justify="right") for name, _, _ in _COLUMNS))
+    columns = (Column(name, justify="right") for name, _, _ in _COLUMNS)
+    table = Table("", *columns, box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     for name, each in vehicles.items():
         table.add_row(Text(name), *(_shown(each.get(key), factor) for _, key, factor in _COLUMNS))
     run = [f"{name} {_shown(values[key])} {unit}".rstrip() for name, key, unit in _ROWS if key in values]
@@ -74,9 +76,7 @@ def _vehicles(values: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
 
 
 def _reasons(values: Mapping[str, Any]) -> str:
-    return "\n".join(
-        f"{name}: {each['reason']}".removeprefix(": ") for name, each in _vehicles(values).items()
-    )
+    return "\n".join(named(name, each["reason"]) for name, each in _vehicles(values).items())
 
 
 def _apart(vehicles: Iterable[Mapping[str, Any]]) -> list[Text]:
@@ -141,7 +141,7 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
 
     Without a log, the outcome is that of the onboard process, and there are no measured values.
     """
-    said = "; ".join(f"{each.name}: {each.last_line}".removeprefix(": ") for each in flown.flights)
+    said = "; ".join(named(each.name, each.last_line) for each in flown.flights)
     try:
         log = load_fleet(flown.log) if flown.log is not None else None
     except LogError as error:  # the log is not usable

@@ -43,17 +43,17 @@ def prepare(options: RunOptions) -> Scenario:
 
     Raises ConfigError: the scenario must not fly.
     """
-    team = load(options.scenario)
-    for each in team.members:
+    scenario = load(options.scenario)
+    for each in scenario.members:
         try_out(each.target)
-    number, requested = len(team.members), options.members
+    number, requested = len(scenario.members), options.members
     options.check(number)
     if any(not 1 <= n <= number for n in requested) or len(requested) == number:
         raise ConfigError(
             f"--member: found {', '.join(map(str, requested))}; allowed are 1 to {number}, and one at least "
             "is simulated here"
         )
-    members = tuple(VEHICLES[options.flies].adapt(adapted(options, each)) for each in team.members)
+    members = tuple(VEHICLES[options.flies].adapt(adapted(options, each)) for each in scenario.members)
     for n, each in enumerate(members, 1):
         if number > 1 and each.onboard.fleet is None:
             raise ConfigError(
@@ -98,7 +98,7 @@ def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
 class _Vehicle:
     """One vehicle of the run."""
 
-    number: int  # number in the team, from 1
+    number: int  # number in the scenario, from 1
     name: str  # namespace of the vehicle
     label: str  # name in the vehicle's output lines and files
     scenario: Scenario
@@ -112,43 +112,43 @@ def run(options: RunOptions, console: Console) -> Flown:
 
     Raises ConfigError: an input is wrong; LaunchError: a process did not start.
     """
-    team = prepare(options)
-    name = short_name(team.onboard.filter)
-    folder = options.out or new_folder(f"{team.name}-seed{options.seed}-{name}")
+    scenario = prepare(options)
+    name = short_name(scenario.onboard.filter)
+    folder = options.out or new_folder(f"{scenario.name}-seed{options.seed}-{name}")
     log = log_in(folder)
-    (folder / SCENARIO).write_text(text(team), encoding="utf-8")
+    (folder / SCENARIO).write_text(text(scenario), encoding="utf-8")
     with Launcher(folder, console, tells=not options.as_json) as launcher:
-        if line := not_proven(team):
+        if line := not_proven(scenario):
             launcher.hint(line)
-        return _fly(launcher, options, team, log)
+        return _fly(launcher, options, scenario, log)
 
 
-def _vehicles(launcher: Launcher, options: RunOptions, team: Scenario) -> list[_Vehicle]:
-    found, names = [], team.namespaces()
+def _vehicles(launcher: Launcher, options: RunOptions, scenario: Scenario) -> list[_Vehicle]:
+    found, names = [], scenario.namespaces()
     shown = labels(list(names.values()))
-    for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
+    for number, (member, seed) in enumerate(scenario.singles(options.seed), 1):
         config = launcher.folder / f"onboard-{names[number]}.toml"
-        config.write_text(dumps(scenario.onboard), encoding="utf-8")
+        config.write_text(dumps(member.onboard), encoding="utf-8")
         found.append(
-            _Vehicle(number, names[number], shown[number - 1], scenario, seed, launcher.endpoint(), config)
+            _Vehicle(number, names[number], shown[number - 1], member, seed, launcher.endpoint(), config)
         )
     return found
 
 
-def _fly(launcher: Launcher, options: RunOptions, team: Scenario, log: Path) -> Flown:
+def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Flown:
     """Start the processes in the order of their connections; then watch until all flights have ended."""
-    vehicles = _vehicles(launcher, options, team)
+    vehicles = _vehicles(launcher, options, scenario)
     robots_at = launcher.endpoint()
     launcher.record(log)
     if options.view is not None:
         launcher.view(options.view, vehicles[0].endpoint, vehicles[0].config)
-    _describe(launcher.socket, options, team, vehicles)
+    _describe(launcher.socket, options, scenario, vehicles)
     kind = VEHICLES[options.flies]
-    flying = kind.start(launcher, options, team, robots_at)
+    flying = kind.start(launcher, options, scenario, robots_at)
     if not kind.with_robots:
         own = plugged(
-            TargetOptions, launcher, options, **flying.clock, rate_hz=team.rate_hz,
-            duration_s=others_s(team), listen=(robots_at,), connect=(vehicles[0].endpoint,),
+            TargetOptions, launcher, options, **flying.clock, rate_hz=scenario.rate_hz,
+            duration_s=others_s(scenario), listen=(robots_at,), connect=(vehicles[0].endpoint,),
         )  # fmt: skip
         launcher.start("target", own).wait_ready()
     flights = tuple(_start(launcher, options, each, vehicles, flying, robots_at) for each in vehicles)
@@ -156,13 +156,13 @@ def _fly(launcher: Launcher, options: RunOptions, team: Scenario, log: Path) -> 
         launcher.hint(f"robots: {robots_at}")
     speed = LOCKSTEP_SLOWEST / len(vehicles) if options.lockstep else min(1.0, options.speed)
     filters = ", ".join(sorted({each.scenario.onboard.filter for each in vehicles}))
-    title = f"{team.name}  seed {options.seed}  filter {filters}"
+    title = f"{scenario.name}  seed {options.seed}  filter {filters}"
     live = not options.as_json and launcher.console.is_terminal and not options.lockstep
     problem, wall_s = launcher.fly(
-        flights, title if live else None, longest_s(team) / speed + GRACE_S, flying.teller,
+        flights, title if live else None, longest_s(scenario) / speed + GRACE_S, flying.teller,
         lockstep=options.lockstep,
     )  # fmt: skip
-    about = {"scenario": team.name, "seed": options.seed, "filter": filters}
+    about = {"scenario": scenario.name, "seed": options.seed, "filter": filters}
     return Flown(about, launcher.folder, log, wall_s, flights, problem)
 
 
@@ -188,26 +188,26 @@ def _start(
     return Followed(child, vehicle.name, (vehicle.endpoint, *options.listen), vehicle.label)
 
 
-def _describe(recorder: Path, options: RunOptions, team: Scenario, vehicles: Sequence[_Vehicle]) -> None:
+def _describe(recorder: Path, options: RunOptions, scenario: Scenario, vehicles: Sequence[_Vehicle]) -> None:
     """Write scenario, configuration and options of the run to the log."""
     pad = {"pad": NO_PAD} if options.flies in (Flies.PX4_SIH, Flies.ARDUPILOT) else {}
     flights = []
     for each in vehicles:
-        scenario = each.scenario
+        member = each.scenario
         run = {
-            **_about(options, scenario, each.seed),
-            "judge_alpha_1_m": repr(scenario.judged_by.alpha_1_m),
-            "judge_beta_m": repr(scenario.judged_by.beta_m),
-            "outside_envelope": outside([scenario]),
-            "pad_radius_m": repr(scenario.target.pad_radius_m),
+            **_about(options, member, each.seed),
+            "judge_alpha_1_m": repr(member.judged_by.alpha_1_m),
+            "judge_beta_m": repr(member.judged_by.beta_m),
+            "outside_envelope": outside([member]),
+            "pad_radius_m": repr(member.target.pad_radius_m),
             **pad,
         }
-        flights.append(Described(scenario.onboard, run, Names(each.name, each.number)))
+        flights.append(Described(member.onboard, run, Names(each.name, each.number)))
     files = {
-        SCENARIO: text(team).encode(),
+        SCENARIO: text(scenario).encode(),
         SCENARIO.replace(".", "_source."): path_of(options.scenario).read_bytes(),
     }
-    describe(recorder, *flights, fleet=_about(options, team, options.seed), attachments=files)
+    describe(recorder, *flights, fleet=_about(options, scenario, options.seed), attachments=files)
 
 
 def _about(options: RunOptions, scenario: Scenario, seed: int) -> dict[str, str]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from bridge.ros2.codec import Unpack
 from flightstack.common.strict_toml import ConfigError
-from flightstack.common.text import labels
+from flightstack.common.text import labels, named
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
@@ -107,8 +107,7 @@ def _read(whole: LogFile) -> Fleet:
 def _of_all(event: Event, parts: Members, shown: Mapping[str, str]) -> Event:
     """Return an event for the common list of a log; in a fleet its source starts with the member's name."""
     owner, logger = parts.split(event.source, ".")
-    label = shown[owner] if owner is not None else ""
-    return replace(event, source=f"{label}.{logger}" if label else logger)
+    return replace(event, source=named(shown[owner] if owner is not None else "", logger, "."))
 
 
 def _flight(log: LogFile, label: str, by_kind: Mapping[str, list[Message]], problem: str) -> Flight:

@@ -36,7 +36,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from flightstack.common.text import labels, outline
+from flightstack.common.text import labels, named, outline
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Bools, Fleet, Flight, Floats
 from logs.reader.reader import LogFile
@@ -183,7 +183,7 @@ def _reason(outcome: Outcome, judged: Mapping[str, Verdict], hits: Collection[st
         for name, each in judged.items()
         if each.outcome is outcome
     }
-    return "; ".join(f"{shown[name]}: {text}".removeprefix(": ") for name, text in texts.items())
+    return "; ".join(named(shown[name], text) for name, text in texts.items())
 
 
 def judge_fleet(fleet: Fleet) -> FleetVerdict:

@@ -196,8 +196,8 @@ class Scenario:
             wind = each.wind
             if wind.direction_rad is None:
                 wind = replace(wind, direction_rad=drawn_rad)
-            named = replace(each, name=f"{self.name}.{label}", description="") if label else each
-            yield replace(named, wind=wind), seed_of(seed, number)
+            name = ".".join(filter(None, (self.name, label)))
+            yield replace(each, name=name, wind=wind), seed_of(seed, number)
 
     def one(self, seed: int, number: int | None) -> tuple[Scenario, int]:
         """Return scenario and seed of one vehicle.
