@@ -19,6 +19,7 @@ from flightstack.common.terminal import Terminal
 from flightstack.common.text import labels
 from flightstack.config import load, names, path_of
 from flightstack.config import options as shared
+from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import ignored
 
@@ -86,7 +87,7 @@ class Part(NamedTuple):
 
     filter: str
     checks: Sequence[Check]
-    members: tuple[str, ...] = ()  # names of the team's vehicles with this configuration
+    members: tuple[str, ...] = ()  # names of the scenario's vehicles with this configuration
     of: str = ""  # names of the vehicles, for a title
     ignored: Sequence[str] = ()  # keys that the filter does not read
 
@@ -104,17 +105,17 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
     from sim.scenarios.tables import PathKind
     from sim.vehicle.declared import crowd, declared
 
-    team = load_scenario(name_or_file)
-    for each in (each for each in team.members if each.target.path is PathKind.FUNCTION):
+    scenario = load_scenario(name_or_file)
+    for each in (each for each in scenario.members if each.target.path is PathKind.FUNCTION):
         TargetModel(each.target, 0).run(round(each.duration_max_s / STEP_S), STEP_S, True)
     if name is not None:
-        team = team.with_filter(name)
-    shown, parts = labels(list(team.namespaces().values())), []
-    for config, numbers in _alike([each.onboard for each in team.members]):
-        found = [*checks(config), *_worst(check for n in numbers for check in declared(team.members[n]))]
+        scenario = scenario.with_filter(name)
+    shown, parts = labels(list(scenario.namespaces().values())), []
+    for config, numbers in _alike([each.onboard for each in scenario.members]):
+        found = [*checks(config), *_worst(check for n in numbers for check in declared(scenario.members[n]))]
         parts.append(_part(config, found, [shown[n] for n in numbers]))
-    if found := crowd(team):
-        parts.append(_part(team.onboard, found, shown, " together"))
+    if found := crowd(scenario):
+        parts.append(_part(scenario.onboard, found, shown, " together"))
     return parts
 
 
@@ -152,10 +153,10 @@ def _configuration(name_or_file: str) -> FlightConfig | None:
 
 def _alike(configs: Sequence[FlightConfig]) -> list[tuple[FlightConfig, list[int]]]:
     """Return configurations that differ in more than the id, each with the indices of its vehicles."""
-    alike: dict[FlightConfig, tuple[FlightConfig, list[int]]] = {}
+    alike: dict[tuple[FlightConfig, Fleet], tuple[FlightConfig, list[int]]] = {}
     for n, config in enumerate(configs):
-        fleet = config.fleet and replace(config.fleet, id=min(config.fleet.members))
-        alike.setdefault(replace(config, fleet=fleet), (config, []))[1].append(n)
+        fleet = replace(config.fleet_or_alone, id=0)
+        alike.setdefault((replace(config, fleet=None), fleet), (config, []))[1].append(n)
     return list(alike.values())
 
 

@@ -111,12 +111,12 @@ def _run_world(options: VehicleOptions) -> None:
     from sim.runners import world_process
     from sim.scenarios.scenario import load
 
-    team = load(options.scenario)
+    scenario = load(options.scenario)
     if options.member is not None:
-        single, seed = team.one(options.seed, options.member)
-        name, team = member_name(options.member), single
+        name = member_name(options.member)
+        scenario, seed = scenario.one(options.seed, options.member)
         options = replace(options, seed=seed, namespace=name, system_id=options.member)
-    sys.exit(world_process.world_main(team, options))
+    sys.exit(world_process.world_main(scenario, options))
 
 
 @click.command()

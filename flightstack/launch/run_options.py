@@ -105,7 +105,6 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
             )
         flies, one, several = self.flies, vehicles == 1, "a scenario of several vehicles"
         own, flown = flies is Flies.OWN, flies.value or "the simulated vehicle"
-        alone = "a scenario of one vehicle"
         shows_one = "shows one vehicle; open the log in a viewer after the flight"
         for name, given, allowed, other, why in (
             ("--lockstep", self.lockstep, own, flown, f"{_SIMULATED}; --speed flies PX4 faster"),
@@ -117,7 +116,6 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
             ("--ros2", self.ros2_where, one, several, shows_one),
             ("--view", self.view, one, several, shows_one),
             ("--listen", self.listen, one, several, "each vehicle has its own endpoint, which is printed"),
-            ("--member", self.members, not one, alone, "it is for one of several vehicles"),
             ("--member", self.members, not self.lockstep, "--lockstep", "it cannot run in lockstep"),
         ):  # fmt: skip
             if given and not allowed:

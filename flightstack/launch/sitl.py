@@ -55,12 +55,13 @@ def prepare(options: RunOptions) -> Scenario:
         )
     members = tuple(VEHICLES[options.flies].adapt(adapted(options, each)) for each in scenario.members)
     for n, each in enumerate(members, 1):
-        if number > 1 and each.onboard.fleet is None:
+        neighbours, known = {*range(1, number + 1)} - {n}, set(each.onboard.fleet_or_alone.others)
+        if neighbours and not known:
             raise ConfigError(
                 f"{options.scenario}: member {n}: onboard.fleet: missing; vehicles that share a room need "
                 "it to keep clear of each other (docs/how_it_works/fleet.md)"
             )
-        if number == 1 and each.onboard.fleet is not None and options.lockstep:
+        if known and not neighbours and options.lockstep:
             raise ConfigError(
                 "[fleet]: in lockstep all members are flown by one command: --scenario with a team's (see "
                 "`scenarios`), or fly in real time"

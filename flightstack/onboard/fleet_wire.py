@@ -52,7 +52,7 @@ DRIFT = 1e-3
 
 def namespace_of(config: FlightConfig) -> str:
     """Return the default namespace of a vehicle: each member of a fleet needs its own."""
-    return member_name(config.fleet.id if config.fleet is not None else 1)
+    return member_name(config.fleet_or_alone.id)
 
 
 class NoFleet:

@@ -72,7 +72,7 @@ class Recording:
         self._stream.save(out, default_blueprint=self._blueprint())
         fleet = self._fleet
         for number, flight in enumerate(fleet.flights.values()):
-            color = markers.COLORS[number % len(markers.COLORS)] if flight.label else markers.OWN_COLOR
+            color = markers.COLORS[number % len(markers.COLORS)]
             draw(Canvas(self._stream, fleet.origin_ns, flight.label, color), flight)
         events(Canvas(self._stream, fleet.origin_ns), fleet.origin_ns, fleet.events)
         self._stream.flush()

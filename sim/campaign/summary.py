@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -92,7 +92,7 @@ def summary(
             column: {name: quantile(rows, column, share) for name, share in shares.items()}
             for column, shares in _QUANTILES.items()
         },
-        **_of_teams(rows),
+        **_of_rooms(rows),
         "outside_envelope": next(filter(None, (row.outside_envelope for row in rows)), ""),
         "judged_apart": judged_apart,
         "wall_s": wall_s,
@@ -104,23 +104,22 @@ def summary(
     }
 
 
-def _of_teams(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return the part of a summary that only teams have; empty for single vehicles."""
-    teams = [row for row in rows if row.outcomes]
-    if not teams:
-        return {}
-    outcomes = [outcome for row in teams for outcome in row.outcomes.split()]
-    nearest = [row.distance_min_m for row in teams if row.distance_min_m is not None]
-    deepest = [row.ellipsoid_min for row in teams if row.ellipsoid_min is not None]
-    return {
-        "vehicles": len(outcomes),
-        "vehicles_landed": outcomes.count(Outcome.LANDED),
-        "collisions": sum(row.collisions or 0 for row in teams),
-        "ellipsoid_violations": sum(row.ellipsoid_violations or 0 for row in teams),
-        "ellipsoid_min": min(deepest, default=None),
-        "distance_min_m": min(nearest, default=None),
-        "wait_max_s": max((row.wait_max_s for row in teams if row.wait_max_s is not None), default=None),
+# values of all vehicles together, and the functions that join those of the rows
+_OF_ROOMS: Mapping[str, Callable[[Iterable[Any]], Any]] = {
+    "vehicles": sum, "vehicles_landed": sum, "collisions": sum, "ellipsoid_violations": sum,
+    "ellipsoid_min": min, "distance_min_m": min, "wait_max_s": max,
+}  # fmt: skip
+
+
+def _of_rooms(rows: Sequence[Row]) -> dict[str, Any]:
+    """Return the values of all vehicles together; a value that no row has is left out."""
+    found: dict[str, list[Any]] = {
+        name: [value for row in rows if (value := getattr(row, name, None)) is not None] for name in _OF_ROOMS
     }
+    ends = [row.outcomes.split() for row in rows if row.outcomes]
+    found["vehicles"] = [len(each) for each in ends]
+    found["vehicles_landed"] = [each.count(Outcome.LANDED) for each in ends]
+    return {name: join(found[name]) for name, join in _OF_ROOMS.items() if found[name]}
 
 
 def worst(rows: Sequence[Row], most: int = WORST_MAX) -> list[Row]:

@@ -72,11 +72,11 @@ def judged_apart(scenario: Scenario) -> str:
     return "; ".join(filter(None, (apart, own_boundary(scenario.onboard.filter))))
 
 
-def not_proven(team: Scenario) -> str:
+def not_proven(scenario: Scenario) -> str:
     """Return one line that names the checks not proven for these scenarios; empty if all are proven."""
     found = dict.fromkeys(
         check.name
-        for each in team.members
+        for each in scenario.members
         for check in (*checks(each.onboard), *declared(each))
         if not check.proven
     )
@@ -245,10 +245,10 @@ def _acceleration_m_s2(target: TargetSpec) -> float:
     return max(math.hypot(brakes_m_s2, turns_m_s2), heaves_m_s2)
 
 
-def crowd(team: Scenario) -> list[Check]:
+def crowd(scenario: Scenario) -> list[Check]:
     """Return the checks of all vehicles together; none without neighbours."""
-    shapes = [Shape.of(load(each.vehicle.airframe)) for each in team.members]
+    shapes = [Shape.of(load(each.vehicle.airframe)) for each in scenario.members]
     radius_m = 2.0 * max(shape.radius_m for shape in shapes)
     up_m = max(shape.top_m for shape in shapes) - min(shape.bottom_m for shape in shapes)
-    configs = [each.onboard for each in team.members]
-    return team_checks(configs, team.starts_enu_m(), (radius_m, 0.0, up_m), team.pads_apart_m())
+    configs = [each.onboard for each in scenario.members]
+    return team_checks(configs, scenario.starts_enu_m(), (radius_m, 0.0, up_m), scenario.pads_apart_m())

@@ -115,7 +115,7 @@ def test_three_kinds_hear_each_other_cross_land_and_replay(second, tmp_path):
     [
         (("--scenario", "fleet_3", "--member", "4=udpin:127.0.0.1:1"), "found 4; allowed are 1 to 3"),
         (("--scenario", "fleet_3", "--member", "two=udpin:127.0.0.1:1"), "N=URL is needed"),
-        (("--scenario", "field", "--member", "1=udpin:127.0.0.1:1"), "it is for one of several vehicles"),
+        (("--scenario", "field", "--member", "1=udpin:127.0.0.1:1"), "allowed are 1 to 1, and one"),
         (
             ("--scenario", "fleet_3", "--lockstep", "--member", "2=udpin:127.0.0.1:1"),
             "--member with --lockstep: it cannot run in lockstep",
