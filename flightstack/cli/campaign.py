@@ -108,7 +108,7 @@ def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options:
 
 
 def _page(path: Path, options: shared.Result, write: Callable[[Path], None]) -> Path | None:
-    """Write a page and return its path; None if it is declined or fails: the printed results are valid."""
+    """Write a page and return its path; None if the user declines it or if it fails (results stay valid)."""
     from logs.report.page import ReportError
 
     if not options.with_report:

@@ -66,7 +66,7 @@ class Snapshot(NamedTuple):
 
     @property
     def e_m(self) -> Vec3 | None:
-        """Position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known."""
+        """Position of the vehicle minus that of the landing spot, ENU, m; ``None`` unless both are known."""
         return self.relative.e_m if self.relative is not None else None
 
 

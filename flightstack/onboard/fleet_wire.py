@@ -1,4 +1,4 @@
-"""Status of a fleet member: this vehicle sends its own in each tick, and receives those of the others.
+"""Status of a fleet member: this vehicle sends its own in each tick, and receives those of other members.
 
 Each process publishes ``MemberStatus`` on ``NAMESPACE/fleet/status`` and subscribes to ``**/fleet/status``.
 This one pattern needs no list of namespaces, and also detects two processes with one vehicle id, and vehicles

@@ -248,7 +248,7 @@ class PeerNames:
     """Names peers in order of appearance: ``p00``, ``p01``, ..."""
 
     def __init__(self, metadata: Callable[[str, dict[str, str]], None], record: str = MAVLINK_PEERS) -> None:
-        """Write each new name with ``metadata``, into the record of this name."""
+        """``metadata``: function that writes a metadata record; each new name is written to ``record``."""
         self._metadata, self._record = metadata, record
         self._names: dict[tuple[str, int], bytes] = {}
 

@@ -59,7 +59,7 @@ class MapRecord(Record):
     volt_map: Motors
     at_zero_rpm: float
     per_volt_rpm: float
-    no_duty_rpm: float  # result of sim.plant.rotors.speed_at_no_duty
+    no_duty_rpm: float  # motor speed at duty cycle 0 (``speed_at_no_duty``), rpm
     b: float
     four_a: float
     inverse: float

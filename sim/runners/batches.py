@@ -155,7 +155,7 @@ class Batches:
         return done
 
     def _quiet_until_s(self, tick: int) -> float | None:
-        """Return when the next other message than vehicle state and set-point is due, s; None: now."""
+        """Return when the next message other than vehicle state and set-point is due, s; None: now."""
         request = Request.EXTERNAL if self._controller.memory.phase in FLYING else Request.NONE
         now_s = self._grid.ns(tick) / 1e9
         until_s = self._link.silent_until_s(request) - _SOON_S

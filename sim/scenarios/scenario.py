@@ -129,13 +129,13 @@ class Scenario:
 
     @staticmethod
     def of(members: Iterable[Scenario]) -> Scenario:
-        """Return the scenario of these vehicles; the keys of the run are those of the first one."""
+        """Return the scenario of these vehicles; the keys of the run are those of the first vehicle."""
         first, *others = members
         return replace(first, others=tuple(others))
 
     @property
     def members(self) -> tuple[Scenario, ...]:
-        """Scenarios of all vehicles, each without the others."""
+        """Scenarios of all vehicles, each with only its own vehicle."""
         return (replace(self, others=()), *self.others)
 
     def namespaces(self, first: str = "cf1") -> dict[int, str]:

@@ -346,7 +346,7 @@ def _closed_loop(used: Sequence[Compared]) -> dict[str, Any]:
 
 
 def _sensing(used: Sequence[Compared], name: str) -> dict[str, Any]:
-    """Summarise errors of position or velocity: median delay; by speed, rms over flights."""
+    """Summarise position or velocity errors: median delay, and the rms over flights for each speed range."""
     told: dict[str, Any] = {"speed_m_s": list(SPEED_EDGES_M_S)}
     for side in SIDES:
         where = f"sensing.{side}.{name}"

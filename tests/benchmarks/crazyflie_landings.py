@@ -53,7 +53,7 @@ class Landing:
     place: str  # "pad", "floor" or "air"
     motors_off: bool
     locked: bool
-    reason: str  # last line of the onboard process
+    reason: str  # last line that the onboard process printed
     seconds: float
 
     @property

@@ -65,7 +65,7 @@ LIMITS: Mapping[str, Limits] = MappingProxyType(
         OWN_SITL.name: _OWN,
         CRAZYFLIE.name: replace(_OWN, lost_s=3.5),  # the firmware stops the motors after 2 s
         PX4.name: _PX4,
-        ARDUPILOT.name: replace(_OWN, lost=Lost.STOPS, lost_s=2.8),  # GUID_TIMEOUT, at most 1 s, and 1.8 s
+        ARDUPILOT.name: replace(_OWN, lost=Lost.STOPS, lost_s=2.8),  # GUID_TIMEOUT <= 1 s, plus 1.8 s to stop
     }
 )
 

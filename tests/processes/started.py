@@ -114,7 +114,7 @@ class StartedChild(Child):
 
 
 def run_verb(words: Sequence[str]) -> None:
-    """Run ``flightstack`` in this process."""
+    """Run the command ``flightstack`` with these arguments in this process."""
     main(list(words), prog_name="flightstack")
 
 

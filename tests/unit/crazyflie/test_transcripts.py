@@ -1,4 +1,4 @@
-"""Flights of a Crazyflie behind the bridge, on a simulated clock: plays ``transcripts.txt``."""
+"""Tests flights of a Crazyflie behind the bridge on a simulated clock, as ``transcripts.txt`` lists them."""
 
 import ast
 import math
