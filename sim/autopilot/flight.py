@@ -16,8 +16,8 @@ from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.server.commander import Battery, Commander, Sender, Setpoint
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode
-from flightstack.compiled.records import Record
-from flightstack.core.numeric import numeric
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import Cell, Record, cell, new, scalars
 from sim.autopilot.pilot import Event, Pilot
 from sim.vehicle.vehicle import VehicleSim
 
@@ -25,26 +25,24 @@ PERIOD_S = 0.1 - 1e-6  # time between two checks, s
 _SMOOTH_S = 1.0  # time constant of the low-pass filter, s
 
 
-@numeric
-def smoothed(before: float, measured: float, dt_s: float) -> float:
-    """Return the new output of a first-order low-pass filter."""
-    return before + (1.0 - math.exp(-dt_s / _SMOOTH_S)) * (measured - before)
-
-
-@numeric
-def charge_left(voltage_v: float, throttle: float, empty_v: float, full_v: float, drop_v: float) -> float:
-    """Return the charge, 0 to 1, of a cell under load; ``drop_v``: voltage drop at full throttle."""
-    rest_v = voltage_v + drop_v * throttle
-    return min(max((rest_v - empty_v) / max(full_v - empty_v, 0.01), 0.0), 1.0)
-
-
 class WatchRecord(Record):
     """State of ``Watches``."""
 
     due_s: float  # time of the next check
-    last_s: float  # time of the last check
+    last_s: float  # time of the last check; NaN before the first check
     voltage_v: float  # battery voltage, low-pass filtered
     throttle: float  # mean motor command, low-pass filtered
+
+
+@jitted
+def check(watches: Cell[WatchRecord], now_s: float, voltage_v: float, throttle: float) -> None:
+    """Filter voltage and throttle with a first-order low-pass filter; set the time of the next check."""
+    w = watches[0]
+    dt_s = now_s - w.last_s if w.last_s == w.last_s else 0.0
+    share = 1.0 - math.exp(-dt_s / _SMOOTH_S)
+    w.voltage_v += share * (voltage_v - w.voltage_v)
+    w.throttle += share * (throttle - w.throttle)
+    w.last_s, w.due_s = now_s, now_s + PERIOD_S
 
 
 class Watches:
@@ -53,34 +51,22 @@ class Watches:
     def __init__(self, parameters: Parameters, vehicle: VehicleSim) -> None:
         self._parameters = parameters
         self._vehicle = vehicle
-        self.due_s = -math.inf  # time of the next check, s
-        self._voltage_v, self._throttle = vehicle.battery_v, throttle(vehicle)
-        self._last_s: float | None = None
+        record = new(WatchRecord, (-math.inf, math.nan, vehicle.battery_v, throttle(vehicle)))
+        self.cell = cell(record)  # state for compiled code
+        self._due_s, self._voltage_v, self._throttle = scalars(record, "due_s", "voltage_v", "throttle")
 
     @property
     def charge(self) -> float:
         """Remaining charge, 0 to 1."""
         p = self._parameters
-        curve = p["BAT1_V_EMPTY"], p["BAT1_V_CHARGED"], p["BAT1_V_LOAD_DROP"]
-        return charge_left(self._voltage_v, self._throttle, *curve)
+        empty_v, full_v, drop_v = p["BAT1_V_EMPTY"], p["BAT1_V_CHARGED"], p["BAT1_V_LOAD_DROP"]
+        rest_v: float = self._voltage_v[0] + drop_v * self._throttle[0]
+        return min(max((rest_v - empty_v) / max(full_v - empty_v, 0.01), 0.0), 1.0)
 
     def step(self, now_s: float) -> None:
         """Filter voltage and throttle if the time of the next check has come."""
-        if now_s < self.due_s:
-            return
-        dt_s = now_s - self._last_s if self._last_s is not None else 0.0
-        self._last_s, self.due_s = now_s, now_s + PERIOD_S
-        self._voltage_v = smoothed(self._voltage_v, self._vehicle.battery_v, dt_s)
-        self._throttle = smoothed(self._throttle, throttle(self._vehicle), dt_s)
-
-    def values(self) -> tuple[float, ...] | None:
-        """Return the values of a ``WatchRecord``; None before the first check."""
-        return None if self._last_s is None else (self.due_s, self._last_s, self._voltage_v, self._throttle)
-
-    def passed(self, last_s: float, voltage_v: float, throttle: float) -> None:
-        """Store the values after a batch of ticks."""
-        self._last_s, self.due_s = last_s, last_s + PERIOD_S
-        self._voltage_v, self._throttle = voltage_v, throttle
+        if now_s >= self._due_s[0]:
+            check(self.cell, now_s, self._vehicle.battery_v, throttle(self._vehicle))
 
 
 def throttle(vehicle: VehicleSim) -> float:

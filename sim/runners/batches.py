@@ -36,7 +36,7 @@ from sim.runners.landing_wire import PEER
 from sim.runners.lockstep import LockstepVehicle
 from sim.runners.log import Notes
 from sim.runners.robot import DirectTarget
-from sim.runners.ticks import BEFORE, MIDDLE, RulesRecord, WatchBook, fly_ticks, look, narrow
+from sim.runners.ticks import BEFORE, MIDDLE, RulesRecord, fly_ticks, look, narrow
 from sim.runners.vehicle_node import VehicleNode
 
 TICKS = 20  # maximum number of ticks in one call; the robot is computed for this number of future ticks
@@ -44,7 +44,6 @@ SPAN_S = 0.25  # maximum simulated time of one call, s; a longer gap would resta
 _SOON_S = 1e-6  # time before a due message in which ticks run in Python, s
 SPEED_MAX_M_S = 2.5  # largest set-point on each axis, m/s, that the autopilot surely does not clip
 ASKING = (Phase.APPROACH, Phase.LAND)  # phases in which an agent chooses the nominal velocity
-_BACK_OFF = 4  # maximum number of ticks in Python after a failed attempt to start a batch
 
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
@@ -89,17 +88,19 @@ class Batches:
         self._asks = strategy.ask is not None or strategy.replaces_program
         self._objects = objects = Objects(controller)
         self._numbers = objects.numbers(strategy)
-        self._cells: Any = (node.vehicle.physics.vehicle, cell(self._rules), objects.handle)
+        self._cells: Any = (
+            node.vehicle.physics.vehicle, cell(self._rules), node.autopilot.flight.watches.cell,
+            objects.handle,
+        )  # fmt: skip
         self._memory = objects.state, objects.spare
         self._most = max(1, min(TICKS, int(SPAN_S * grid.rate_hz)))
         self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms, 0, 0), dtype=np.int64)
         self._ages, self._told = np.zeros(TICKS), np.zeros(11)
         self._off = False  # whether Python runs all ticks from now on
         self._asked = -1  # newest tick for which the agent or the filter was called
-        self._next, self._wait = 0, 1  # tick of the next attempt; ticks to wait after a failure
+        self._next = 0  # first tick of the next batch at the earliest
         self._flies, self._yaw_told_rad = False, 0.0
         self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
-        self._watches, self._watch_book = node.autopilot.flight.watches, WatchBook(self._rules.watch)
         self._phase = scalars(self._rules, "flies", "lasting", "armed", "standing", "supervisor")
         self._phase_rules = RULES[Phase.LAND]
         self._reserve = controller.reserve
@@ -150,8 +151,7 @@ class Batches:
                     until_s = self._quiet_until_s(tick + done)
             if done:
                 self._objects.read()
-        self._wait = 1 if done else min(2 * self._wait, _BACK_OFF)
-        self._next = tick + done + self._wait
+                self._next = tick + done + 1  # Python runs the tick at which a batch ended
         return done
 
     def _quiet_until_s(self, tick: int) -> float | None:
@@ -215,8 +215,6 @@ class Batches:
             self._yaw_rad = memory.yaw_rad
             self._yaw_told_rad = yaw = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
             rules.yaw_told_rad, rules.cos_yaw, rules.sin_yaw = yaw, math.cos(yaw), math.sin(yaw)
-        if not self._watch_book.write(self._watches):
-            return False
         if clip is not None and clip != self._clip:
             self._clip = clip
             rules.speeds[:] = clip
@@ -261,7 +259,6 @@ class Batches:
         if done == 0:
             return 0, how
         self._strategy.answer = self._strategy.own_result = None
-        self._watch_book.read(self._watches)
         last = tick + done - 1
         times_ns = [grid.ns(each) for each in range(tick, last + 1)]
         now_s = times_ns[-1] / 1e9
@@ -284,7 +281,6 @@ class Batches:
         if setpoint is not None:
             flight.take_setpoint(setpoint, self._sender, now_s)
         node.control(now_s)
-        self._watch_book.write(self._watches)
         node.vehicle.advance(grid.ms(last + 1) - grid.ms(last) - ahead_ms)
         return done, how if self._goes_on(flies) else BEFORE
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from bridge import frames
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, I64, Cell, Record, Vector, scalars, writer
+from flightstack.compiled.records import F64, I64, Cell, Record, Vector
 from flightstack.compiled.tick import take
 from flightstack.core.controller import Controller, Landing
 from flightstack.core.numeric import NotOrdinary, twin
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import OwnState, Vec3
-from sim.autopilot.flight import PERIOD_S, Watches, WatchRecord, smoothed
+from sim.autopilot.flight import WatchRecord, check
 from sim.clock import NS_PER_S
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.firmware.setpoint import ROOM, WIDTH, InboxRecord
@@ -45,45 +45,17 @@ class RulesRecord(Record):
     standing: bool
     supervisor: int  # state of the firmware's supervisor
     stream_until_s: float  # time at which the autopilot stops waiting for set-points
-    watch: WatchRecord
-
-
-_smoothed = twin(smoothed, jitted)
 
 
 @jitted
-def _watch(w: WatchRecord, v: VehicleRecord, now_s: float) -> None:
+def _watch(watches: Cell[WatchRecord], v: VehicleRecord, now_s: float) -> None:
     """Compiled form of ``Watches.step``."""
-    if now_s < w.due_s:
+    if now_s < watches[0].due_s:
         return
     limit, total = speed_limit(v.battery), 0.0
     for command in v.firmware.commands:
         total += min(1.0, max(0.0, command / limit))
-    dt_s = now_s - w.last_s
-    w.voltage_v = _smoothed(w.voltage_v, v.battery.voltage_v, dt_s)
-    w.throttle = _smoothed(w.throttle, total / 4.0, dt_s)
-    w.last_s, w.due_s = now_s, now_s + PERIOD_S
-
-
-class WatchBook:
-    """Copies the state of the watches to a record and back."""
-
-    def __init__(self, record: WatchRecord) -> None:
-        self._write = writer(record)
-        self._seen = scalars(record, "last_s", "voltage_v", "throttle")
-
-    def write(self, of: Watches) -> bool:
-        """Copy the watches to the record; return False before their first check."""
-        values = of.values()
-        if values is not None:
-            self._write(*values)
-        return values is not None
-
-    def read(self, of: Watches) -> None:
-        """Copy the record to the watches, if the checks have run."""
-        last_s, voltage_v, throttle = (view[0] for view in self._seen)
-        if last_s + PERIOD_S > of.due_s:
-            of.passed(last_s, voltage_v, throttle)
+    check(watches, now_s, v.battery.voltage_v, total / 4.0)
 
 
 END, BEFORE, MIDDLE = 0, 1, 2  # how a call ends: all ticks done; Python runs the next tick, or its rest
@@ -191,8 +163,8 @@ def _decided(
 
 @jitted
 def look(
-    vehicle: Cell[VehicleRecord], rules: Cell[RulesRecord], kernel: Controller, phase_rules: I64,
-    state: F64, spare: F64, plan: I64, samples: F64, come: I64,
+    vehicle: Cell[VehicleRecord], rules: Cell[RulesRecord], _watches: Cell[WatchRecord],
+    kernel: Controller, phase_rules: I64, state: F64, spare: F64, plan: I64, samples: F64, come: I64,
 ) -> tuple[Relative, Vec3, tuple[Vec3, float, Vec3, float, Vec3, Vec3]]:  # fmt: skip
     """Return the inputs of an agent or a user's filter at the next tick.
 
@@ -216,6 +188,7 @@ def look(
 def fly_ticks(
     vehicle: Cell[VehicleRecord],
     rules: Cell[RulesRecord],
+    watches: Cell[WatchRecord],
     kernel: Controller,
     phase_rules: I64,
     state: F64,
@@ -230,16 +203,16 @@ def fly_ticks(
 ) -> int:
     """Fly ticks until all are done or Python is needed.
 
-    ``rules``: constants of the batch; ``kernel``: the controller, whose state is changed in place;
-    ``phase_rules``: (n, 2), rules of the mission for ``Controller.land``; ``state``: memory of the
-    controller's state; ``spare``: receives the state before the newest tick; ``plan``: first tick, number of
-    ticks, rate of the ticks, delay of the radio in ms, number of samples that arrived before; its last
-    element receives the number of ticks done, a partly done tick included; ``decks``: (n, 8) for each tick:
-    position, yaw, velocity, yaw rate of the pad; ``samples``: (m, 9) target samples: time stamp, position,
-    velocity, yaw, yaw rate; ``come``: (n,) number of samples that arrive up to each tick; ``truths``: (n,
-    TRUTH), receives true states; ``ages``: (n,), receives ages of the target state, s; ``told``: receives the
-    vehicle state of the last tick as sent (position, velocity, yaw, boot clock), then the set-point of that
-    tick as received.
+    ``rules``: constants of the batch; ``watches``: state of the autopilot's ``Watches``; ``kernel``: the
+    controller, whose state is changed in place; ``phase_rules``: (n, 2), rules of the mission for
+    ``Controller.land``; ``state``: memory of the controller's state; ``spare``: receives the state before
+    the newest tick; ``plan``: first tick, number of ticks, rate of the ticks, delay of the radio in ms,
+    number of samples that arrived before; its last element receives the number of ticks done, a partly done
+    tick included; ``decks``: (n, 8) for each tick: position, yaw, velocity, yaw rate of the pad; ``samples``:
+    (m, 9) target samples: time stamp, position, velocity, yaw, yaw rate; ``come``: (n,) number of samples
+    that arrive up to each tick; ``truths``: (n, TRUTH), receives true states; ``ages``: (n,), receives ages
+    of the target state, s; ``told``: receives the vehicle state of the last tick as sent (position, velocity,
+    yaw, boot clock), then the set-point of that tick as received.
 
     Returns how the call ended: ``END``, ``BEFORE`` or ``MIDDLE``.
     Raises NotOrdinary: Python has to run the next tick, with the state in ``spare``.
@@ -273,7 +246,7 @@ def fly_ticks(
         fly(vehicle, now_ms, now_ms + ahead_ms)
         if _needs_autopilot(p, v, now_ms + ahead_ms, now_s):
             return MIDDLE
-        _watch(p.watch, v, now_s)
+        _watch(watches, v, now_s)
         if landing.sends:
             _send(p, f.inbox, setpoint, now_ms)
         fly(vehicle, now_ms + ahead_ms, end_ms)
