@@ -131,7 +131,7 @@ def target(options: TargetOptions) -> None:
     # The robot computes only 100 short steps per second: loading numba would take longer than it saves.
     if "numba" not in sys.modules:
         os.environ.setdefault(OFF, "1")
-    from sim.runners.published_robot import target_main
+    from sim.runners.world_process import target_main
     from sim.scenarios.scenario import load
 
     sys.exit(target_main(load(options.scenario), options))

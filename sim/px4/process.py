@@ -26,7 +26,7 @@ from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
 from sim.px4.plant import STEP_MS, Px4Mocap, Px4Plant
 from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
 from sim.runners.log import VehicleLog
-from sim.runners.robot import RealTimeDeck
+from sim.runners.published_robot import RealTimeDeck
 from sim.scenarios.scenario import Scenario
 
 SPEED_MAX = 100.0

@@ -1,4 +1,4 @@
-"""The ground robot of the world process, or of a process without vehicles: odometry on Zenoh.
+"""The ground robot on Zenoh: its odometry, and its true pose for a vehicle of another process.
 
 Keys under the namespace of each robot (``cf1`` by default):
 
@@ -11,44 +11,35 @@ Keys under the namespace of each robot (``cf1`` by default):
 
 from __future__ import annotations
 
+import contextlib
+import math
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
-from functools import partial
+from contextlib import ExitStack
 from typing import ClassVar, TypeVar
 
-from bridge.frames import quaternion_from_yaw
-from bridge.ros2.cdr import Odometry
+from bridge.frames import quaternion_from_yaw, world_from_body, yaw_from_quaternion
+from bridge.ros2.cdr import Odometry, OdometryError, decode_odometry
 from bridge.ros2.ros2_names import Ros2Node, Ros2Publisher, open_network
 from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import (
-    COMPANION_SILENT_S,
-    EPOCH_NS,
-    NO_GO,
-    PAIR,
-    RUN_AHEAD_TICKS,
-    Follower,
-    RealTimePacer,
-    chosen_clock,
-    quiet_garbage_collector,
-    run_promptly,
-)
+from flightstack.common.pacing import COMPANION_SILENT_S, EPOCH_NS, NO_GO, PAIR, RUN_AHEAD_TICKS
 from flightstack.compiled.records import F64
-from flightstack.core.types import Phase
+from flightstack.core.types import ZERO, Phase, Vec3
 from flightstack.onboard.lockstep import ALIVE
 from logs.recorder.feed import Feed
 from logs.schema import Names
 from logs.schema.events import Severity
 from logs.schema.rows import ControllerStepRow
-from sim.clock import STARTUP_S, NoAnswerError, TickGrid, run_process, wait_until
+from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.options import TargetOptions, WorldOptions
+from sim.plant.states import Truth
 from sim.robot.target import Sample
 from sim.runners.log import EventLog
-from sim.runners.robot import DeckState, Robot, deck_rows, truth_key
+from sim.runners.robot import DeckState, Robot, deck_rows
 from sim.scenarios.scenario import Scenario
 
 NODE = "flightstack_target"  # name of the ROS 2 node
@@ -241,7 +232,7 @@ class RealTimeRobot(PublishedRobot):
 
     def _landing_began(self) -> bool:
         for sample in zenoh_link.drain(self._steps):
-            with suppress(ValueError):  # ignore a payload that is not a ControllerStep
+            with contextlib.suppress(ValueError):  # ignore a payload that is not a ControllerStep
                 if ControllerStepRow.unpack(sample.payload.to_bytes()).phase in _LANDING:
                     return True
         return False
@@ -274,40 +265,85 @@ def robots_of(
     return robots
 
 
-def target_main(team: Scenario, options: TargetOptions) -> int:
-    """Run the robots until SIGTERM, SIGINT or ``duration_s``; print ``ready`` when they can be reached.
+STALE_S = 0.5  # age of the newest true pose after which the deck stops, s
+_PULL_1_S = 5.0  # correcting velocity divided by position error, 1/s; a jump would throw the vehicle off
+_SNAP_M = 0.3  # position error above which the deck jumps, m; timing cannot cause a larger error
 
-    Returns the exit status.
+
+def deck_state(payload: bytes) -> DeckState:
+    """Decode a true pose. Raises OdometryError: malformed message, or a number is not finite."""
+    found = decode_odometry(payload)
+    position, q, velocity, rate = (
+        found.position_m, found.orientation_wxyz, found.linear_m_s, found.angular_rad_s[2]
+    )  # fmt: skip
+    if not math.isfinite(sum((*position, *q, *velocity, rate))):
+        raise OdometryError("true pose of the robot holds a number that is not finite")
+    return DeckState(position, yaw_from_quaternion(q), world_from_body(q, velocity), rate, payload)
+
+
+class RealTimeDeck:
+    """A deck that follows received true poses: dead reckoning with the last twist, and smooth correction."""
+
+    def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
+        self._subscriber = zenoh_link.ring_subscriber(session, truth_key(namespace))
+        self._last: DeckState | None = None
+        self._last_s = 0.0
+        self._stopped = False  # whether the deck stopped for lack of poses, and its warning was sent
+
+    def move(
+        self, now_s: float, truth: Truth, log: Callable[[bytes], None], warn: Callable[[str], None]
+    ) -> DeckState | None:
+        """Read new poses and return the next state of the deck; None before the first pose.
+
+        ``truth``: true state with the deck's current pose; ``log``: called with each message.
+        """
+        payloads = [sample.payload.to_bytes() for sample in zenoh_link.drain(self._subscriber)]
+        for payload in payloads:
+            log(payload)
+        for payload in reversed(payloads):
+            with contextlib.suppress(OdometryError):
+                self._last, self._last_s = deck_state(payload), now_s
+                break
+        if self._last is None:
+            return None
+        position_enu_m, yaw_rad, age_s = truth.pad_position_enu_m, truth.pad_yaw_rad, now_s - self._last_s
+        stopped, self._stopped = self._stopped, age_s > STALE_S
+        if not self._stopped:
+            return follow(self._last, age_s, position_enu_m, yaw_rad)
+        if not stopped:
+            warn("Robot's pose too old: deck stopped")
+        return DeckState(position_enu_m, yaw_rad, ZERO, 0.0, b"")
+
+
+def follow(last: DeckState, age_s: float, position_enu_m: Vec3, yaw_rad: float) -> DeckState:
+    """Return the deck state that corrects its position error smoothly, or by a jump if the error is large.
+
+    ``last``: the newest true pose; ``position_enu_m``, ``yaw_rad``: pose of the simulated deck.
     """
-    return run_process("target", partial(_drive, team, options))
+    there = reckon(last, age_s)
+    x, y, z = position_enu_m
+    ex, ey, ez = there.position_enu_m[0] - x, there.position_enu_m[1] - y, there.position_enu_m[2] - z
+    if math.hypot(ex, ey, ez) > _SNAP_M:
+        return there
+    vx, vy, vz = there.velocity_enu_m_s
+    pulled = (vx + _PULL_1_S * ex, vy + _PULL_1_S * ey, vz + _PULL_1_S * ez)
+    turn = _PULL_1_S * math.remainder(there.yaw_rad - yaw_rad, math.tau)
+    return DeckState(position_enu_m, yaw_rad, pulled, there.yaw_rate_rad_s + turn, last.payload)
 
 
-def _drive(team: Scenario, options: TargetOptions, stop: Stop, stack: ExitStack) -> None:
-    clock = chosen_clock(options.speed, options.clock, Follower.TARGET, lambda: stop.is_set)
-    grid = TickGrid(options.rate_hz)
-    session = zenoh_link.open_session(
-        options.listen, options.connect, config_file=options.zenoh_config, prompt=True
-    )
-    stack.callback(session.close)
-    feed = Feed.connect(options.recorder, "target", lossless=False, vehicles=len(team.members))
-    stack.callback(feed.close)
-    make = partial(RealTimeRobot, grid, session, stop)
-    robots = list(robots_of(team, options, feed, make, stack).values())
-    epoch_ns = clock.unix_ns()  # set here, because the set-up has taken time
-    for robot in robots:
-        robot.be_followed()
-        robot.log.epoch_ns = epoch_ns
-        robot.begin()
-    stop.install()
-    print("ready", flush=True)
-    quiet_garbage_collector()
-    run_promptly()  # a vehicle treats a late pose as lost
-    ticks, tick = grid.count(options.duration_s), 0
-    pacer = RealTimePacer(grid.rate_hz, clock)
-    while not stop.is_set and tick != ticks:
-        due = round(pacer.wait().now_s * grid.rate_hz)  # after a pause the robots jump to this tick
-        while tick <= due and tick != ticks:
-            for robot in robots:
-                robot.take(tick)
-            tick += 1
-        feed.flush()
+def reckon(last: DeckState, age_s: float) -> DeckState:
+    """Return the state after ``age_s`` of dead reckoning on an arc of constant twist."""
+    turn = last.yaw_rate_rad_s * age_s
+    vx, vy, vz = last.velocity_enu_m_s
+    x, y, z = last.position_enu_m
+    # The chord is turned by half the turn of the velocity; it is almost as long as the arc.
+    c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
+    there = (x + (c * vx - s * vy) * age_s, y + (s * vx + c * vy) * age_s, z + vz * age_s)
+    c, s = math.cos(turn), math.sin(turn)
+    velocity = (c * vx - s * vy, s * vx + c * vy, vz)
+    return DeckState(there, last.yaw_rad + turn, velocity, last.yaw_rate_rad_s, last.payload)
+
+
+def truth_key(namespace: str) -> str:
+    """Return the Zenoh key of the robot's true pose."""
+    return f"{namespace}/sim/target/truth"

@@ -1,40 +1,35 @@
-"""The ground robot beside its vehicle: true poses for the deck, samples for a controller in this process.
+"""The ground robot on a grid of ticks: its motion, its odometry, and the faults of both.
 
-The true poses of a robot in another process arrive over Zenoh and move the deck.
-
-Values equal those received over Zenoh: CDR carries doubles, so only the frame rotations are computed.
+``DirectTarget`` gives true poses to the deck and samples to a controller in this process. Values equal those
+received over Zenoh: CDR carries doubles, so only the frame rotations are computed.
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
 
 from bridge import frames
-from bridge.frames import Quat, world_from_body, yaw_from_quaternion
-from bridge.ros2.cdr import OdometryError, decode_odometry
-from bridge.zenoh import zenoh_link
+from bridge.frames import Quat
 from flightstack.common.pacing import EPOCH_NS, NO_GO, RUN_AHEAD_TICKS
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, I64
-from flightstack.core.types import ZERO, TargetSample, Vec3
+from flightstack.compiled.records import F64, I64, Values
+from flightstack.core.types import TargetSample, Vec3
 from flightstack.onboard.runner import NOTHING, Arrived
 from sim.clock import TickGrid
-from sim.plant.states import Truth
-from sim.robot.target_motion import TargetMotion
+from sim.faults.samples import SampleFaults, Shape
+from sim.faults.schedule import Change, Running, ScheduledFaults
+from sim.plant.sensors import NS
+from sim.robot.target import Sample, TargetModel, TargetOdometry, wrap
+from sim.scenarios.fault_spec import After, Fault, What
 from sim.scenarios.scenario import Scenario
 
 DRIVES_TICKS = 64  # maximum number of computed future ticks; on average half of them are unused at the end
 WorldSample = tuple[float, str, str, Vec3, Vec3, float, float]  # a target sample without its arrival time
-
-STALE_S = 0.5  # age of the newest true pose after which the deck stops, s
-_PULL_1_S = 5.0  # correcting velocity divided by position error, 1/s; a jump would throw the vehicle off
-_SNAP_M = 0.3  # position error above which the deck jumps, m; timing cannot cause a larger error
 
 
 class DeckState(NamedTuple):
@@ -47,83 +42,122 @@ class DeckState(NamedTuple):
     payload: bytes
 
 
-def deck_state(payload: bytes) -> DeckState:
-    """Decode a true pose. Raises OdometryError: malformed message, or a number is not finite."""
-    found = decode_odometry(payload)
-    position, q, velocity, rate = (
-        found.position_m, found.orientation_wxyz, found.linear_m_s, found.angular_rad_s[2]
-    )  # fmt: skip
-    if not math.isfinite(sum((*position, *q, *velocity, rate))):
-        raise OdometryError("true pose of the robot holds a number that is not finite")
-    return DeckState(position, yaw_from_quaternion(q), world_from_body(q, velocity), rate, payload)
+def _move(sample: Sample, offset: Vec3, turn: float) -> Sample:
+    time_s, x, y, z, yaw, *twist = sample
+    return (time_s, x + offset[0], y + offset[1], z + offset[2], wrap(yaw + turn), *twist)
 
 
-class RealTimeDeck:
-    """A deck that follows received true poses: dead reckoning with the last twist, and smooth correction."""
-
-    def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
-        self._subscriber = zenoh_link.ring_subscriber(session, truth_key(namespace))
-        self._last: DeckState | None = None
-        self._last_s = 0.0
-        self._stopped = False  # whether the deck stopped for lack of poses, and its warning was sent
-
-    def move(
-        self, now_s: float, truth: Truth, log: Callable[[bytes], None], warn: Callable[[str], None]
-    ) -> DeckState | None:
-        """Read new poses and return the next state of the deck; None before the first pose.
-
-        ``truth``: true state with the deck's current pose; ``log``: called with each message.
-        """
-        payloads = [sample.payload.to_bytes() for sample in zenoh_link.drain(self._subscriber)]
-        for payload in payloads:
-            log(payload)
-        for payload in reversed(payloads):
-            with contextlib.suppress(OdometryError):
-                self._last, self._last_s = deck_state(payload), now_s
-                break
-        if self._last is None:
-            return None
-        position_enu_m, yaw_rad, age_s = truth.pad_position_enu_m, truth.pad_yaw_rad, now_s - self._last_s
-        stopped, self._stopped = self._stopped, age_s > STALE_S
-        if not self._stopped:
-            return follow(self._last, age_s, position_enu_m, yaw_rad)
-        if not stopped:
-            warn("Robot's pose too old: deck stopped")
-        return DeckState(position_enu_m, yaw_rad, ZERO, 0.0, b"")
+SHAPE: Shape[Sample] = Shape(_move, lambda first, now: (now[0], *first[1:]))
 
 
-def follow(last: DeckState, age_s: float, position_enu_m: Vec3, yaw_rad: float) -> DeckState:
-    """Return the deck state that corrects its position error smoothly, or by a jump if the error is large.
+class Wheels:
+    """Faults that lock the robot's wheels."""
 
-    ``last``: the newest true pose; ``position_enu_m``, ``yaw_rad``: pose of the simulated deck.
+    locked = 0  # number of active faults that lock the wheels
+
+    def begin(self, running: Running) -> None:
+        del running
+        self.locked += 1
+
+    def end(self, running: Running, now_ns: int) -> None:
+        del running, now_ns
+        self.locked -= 1
+
+
+class TargetFaults(ScheduledFaults):
+    """Schedule and effects of the robot's faults; a delayed sample is returned by a later call.
+
+    ``faults``: faults of the scenario; those of the vehicle are ignored.
     """
-    there = reckon(last, age_s)
-    x, y, z = position_enu_m
-    ex, ey, ez = there.position_enu_m[0] - x, there.position_enu_m[1] - y, there.position_enu_m[2] - z
-    if math.hypot(ex, ey, ez) > _SNAP_M:
-        return there
-    vx, vy, vz = there.velocity_enu_m_s
-    pulled = (vx + _PULL_1_S * ex, vy + _PULL_1_S * ey, vz + _PULL_1_S * ez)
-    turn = _PULL_1_S * math.remainder(there.yaw_rad - yaw_rad, math.tau)
-    return DeckState(position_enu_m, yaw_rad, pulled, there.yaw_rate_rad_s + turn, last.payload)
+
+    def __init__(self, faults: Iterable[Fault], seed: int) -> None:
+        self._samples, self._wheels = SampleFaults(SHAPE), Wheels()
+        super().__init__(faults, seed, {What.ROBOT: self._wheels, What.TARGET_ODOMETRY: self._samples})
+
+    @property
+    def locked(self) -> bool:
+        """Whether a fault locks the robot's wheels."""
+        return self._wheels.locked > 0
+
+    @property
+    def waits_for_landing(self) -> bool:
+        """Whether a fault waits for the start of the landing."""
+        return self._schedule.waits_for(After.LANDING)
+
+    def quiet_until(self, until_ns: int) -> bool:
+        """Return whether no fault is active and none starts until ``until_ns``."""
+        return not self.locked and not self._samples.active and until_ns < self._schedule.next_ns
+
+    def landing_began(self, now_ns: int) -> None:
+        """Start the faults that wait for the landing; further calls have no effect."""
+        self._schedule.refer(After.LANDING, now_ns)
+
+    def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
+        """Add faults, effective from the next sample; faults relative to ``time`` wait for their start."""
+        self._schedule.add(faults, now_ns)
+
+    def deliver(self, now_ns: int, samples: list[Sample]) -> list[Sample]:
+        """Return the samples that the robot sends now; without faults it sends ``samples``."""
+        if now_ns >= self._schedule.next_ns:
+            self.run(now_ns)
+        return self._samples.deliver(now_ns, samples) if self._samples.active else samples
 
 
-def reckon(last: DeckState, age_s: float) -> DeckState:
-    """Return the state after ``age_s`` of dead reckoning on an arc of constant twist."""
-    turn = last.yaw_rate_rad_s * age_s
-    vx, vy, vz = last.velocity_enu_m_s
-    x, y, z = last.position_enu_m
-    # The chord is turned by half the turn of the velocity; it is almost as long as the arc.
-    c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
-    there = (x + (c * vx - s * vy) * age_s, y + (s * vx + c * vy) * age_s, z + vz * age_s)
-    c, s = math.cos(turn), math.sin(turn)
-    velocity = (c * vx - s * vy, s * vx + c * vy, vz)
-    return DeckState(there, last.yaw_rad + turn, velocity, last.yaw_rate_rad_s, last.payload)
+class TargetMotion:
+    """Model and odometry of the robot on a grid of ticks."""
 
+    def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
+        self.tick = 0  # current tick
+        self.model = TargetModel(scenario.target, seed, step_s=grid.period_s)  # true motion at this tick
+        self.faults = TargetFaults(scenario.fault, seed)  # faults of robot and odometry
+        # whether the robot drives before the landing starts
+        self.drives_at_once = not scenario.target.wait_for_landing
+        self._odometry = TargetOdometry(scenario.odometry, seed)
+        # substeps per tick; the odometry measures at most one sample per substep
+        self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
+        self._step_s = grid.period_s / self._substeps
+        self._texts: list[tuple[int, Change]] = []
+        # pad and samples of tick 0, as ``run`` returns them
+        self.first = self._driven([self.model.pad], [(0, sample) for sample in self._measure()])
 
-def truth_key(namespace: str) -> str:
-    """Return the Zenoh key of the robot's true pose."""
-    return f"{namespace}/sim/target/truth"
+    def run(self, ticks: int, driving: bool) -> tuple[F64, list[int], F64]:
+        """Advance by several ticks, in compiled calls as long as no fault is active.
+
+        Returns the pad's motion at each tick, (ticks, 12) values of a PadRecord; the index of the tick at
+        which each sample was released; and the samples, (m, 9).
+        """
+        steps = ticks * self._substeps
+        if self.faults.quiet_until(self.model.pad[0] + steps * round(self._step_s * NS)):
+            pads = self.model.run(steps, self._step_s, driving)
+            self.tick += ticks
+            at, samples = self._odometry.run(pads)
+            every = self._substeps
+            return np.ascontiguousarray(pads[every - 1 :: every]), [n // every for n in at], samples
+        decks, due = [], list[tuple[int, Sample]]()
+        for n in range(ticks):
+            self.tick += 1
+            for _ in range(self._substeps):
+                if self.faults.locked:
+                    self.model.stop()
+                self.model.step(self._step_s, driving and not self.faults.locked)
+                due += [(n, sample) for sample in self._measure()]
+            decks.append(self.model.pad)
+        return self._driven(decks, due)
+
+    def _driven(self, pads: list[Values], due: list[tuple[int, Sample]]) -> tuple[F64, list[int], F64]:
+        samples = np.array([sample for _, sample in due], dtype=np.float64).reshape(len(due), 9)
+        return np.array(pads, dtype=np.float64), [n for n, _ in due], samples
+
+    def _measure(self) -> list[Sample]:
+        _, samples = self._odometry.run(np.array([self.model.pad], dtype=np.float64))
+        delivered = self.faults.deliver(round(self.model.time_s * 1e9), samples.tolist())
+        self._texts += [(self.tick, text) for text in self.faults.take_texts()]
+        return delivered
+
+    def take_texts(self) -> list[tuple[int, Change]]:
+        """Return the starts and ends of faults since the last call, each with its tick."""
+        texts, self._texts = self._texts, []
+        return texts
 
 
 # compiled forms of the frame formulas of sender and receiver

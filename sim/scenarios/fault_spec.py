@@ -2,7 +2,7 @@
 
 One table has all faults with values, units and ranges. These modules implement the faults:
 ``sim.faults.vehicle_faults`` (motors, battery), ``sim.faults.samples`` (motion capture, vehicle state, target
-odometry), ``sim.faults.link`` (all MAVLink messages) and ``sim.robot.target_motion`` (the robot).
+odometry), ``sim.faults.link`` (all MAVLink messages) and ``sim.runners.robot`` (the robot).
 """
 
 from __future__ import annotations

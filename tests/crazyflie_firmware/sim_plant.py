@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from bridge.frames import yaw_from_quaternion
 from bridge.zenoh import zenoh_link
-from sim.runners.robot import RealTimeDeck
+from sim.runners.published_robot import RealTimeDeck
 from sim.scenarios.scenario import Scenario, load
 from sim.scenarios.tables import VelocityLoop
 from sim.vehicle.vehicle import VehicleSim, warm_up

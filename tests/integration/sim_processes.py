@@ -18,8 +18,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.common.pacing import ask_for_priority, give_up_priority
-from sim.runners.published_robot import target_main
-from sim.runners.world_process import world_main
+from sim.runners.world_process import target_main, world_main
 from sim.scenarios.scenario import load
 from tests.processes.bounded import AT_ONCE_S, PATIENCE_S, killed, line_of
 from tests.processes.started import Started, run_verb

@@ -18,7 +18,7 @@ import flightstack as fs
 from bridge.target.odometry import raw_sample
 from bridge.zenoh.zenoh_link import drain, open_session, ring_subscriber
 from logs.reader.flight import load_flight
-from sim.runners.robot import deck_state
+from sim.runners.published_robot import deck_state
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import verb
 from tests.processes.bounded import PATIENCE_S, wait_for

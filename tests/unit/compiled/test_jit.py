@@ -15,7 +15,7 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Record, cell, new
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeoff
 from sim.clock import TickGrid
-from sim.robot.target_motion import TargetMotion
+from sim.runners.robot import TargetMotion
 from sim.scenarios import scenario
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.tables import (
@@ -124,7 +124,7 @@ def test_the_robot_drives_the_same_bits_in_plain_python_without_numba():
         [sys.executable, "-X", "importtime", *words], capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 0
-    assert "sim.robot.target_motion" in done.stderr
+    assert "sim.runners.robot" in done.stderr
     assert "numba" not in done.stderr
 
 

@@ -6,7 +6,7 @@ from sim.faults.samples import HELD_MAX, EstimateFaults, SampleFaults, Shape
 from sim.faults.schedule import Schedule
 from sim.plant.sensors import NEVER_NS, NS
 from sim.plant.states import Estimate
-from sim.robot.target_motion import TargetFaults
+from sim.runners.robot import TargetFaults
 from sim.scenarios.fault_spec import TABLE, After, Kind, What
 from tests.unit.faults.fault_helpers import fault, running
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.clock import TickGrid
-from sim.robot.target_motion import TargetMotion
+from sim.runners.robot import TargetMotion
 from sim.scenarios.tables import PathKind, TargetLink, TargetSpec, VehicleSpec
 from tests.unit.plant.test_state_error import FINE
 from tests.unit.vehicle.vehicle_sim_helpers import scenario, vehicle

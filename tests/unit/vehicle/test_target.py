@@ -9,7 +9,8 @@ from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry
 from flightstack.common.strict_toml import ConfigError
 from sim.robot.target import DEMANDS, TargetModel
-from sim.runners.robot import DeckState, deck_state, follow, reckon
+from sim.runners.published_robot import deck_state, follow, reckon
+from sim.runners.robot import DeckState
 from sim.scenarios.tables import PathKind, TargetSpec
 
 DT = 0.01
