@@ -100,7 +100,7 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
     if config is not None:
         config = replace(config, filter=name or config.filter)
         return [Part(config.filter, checks(config), ignored=ignored(config))]
-    from sim.robot.target import TargetModel
+    from sim.robot import TargetModel
     from sim.scenarios.scenario import load as load_scenario
     from sim.scenarios.tables import PathKind
     from sim.vehicle.declared import crowd, declared

@@ -29,7 +29,8 @@ SOURCES = (
     "flightstack/core/**/*.py",
     "bridge/frames.py",
     "sim/autopilot/flight.py",
-    *(f"sim/{room}/*.py" for room in ("plant", "world", "firmware", "vehicle", "robot", "validation")),
+    "sim/robot.py",
+    *(f"sim/{room}/*.py" for room in ("plant", "world", "firmware", "vehicle", "validation")),
     *(f"sim/runners/{name}.py" for name in ("ticks", "robot", "room")),
 )
 OFF = "NUMBA_DISABLE_JIT"  # environment variable of numba that disables compilation

@@ -30,7 +30,7 @@ from flightstack.onboard.recording import Described, describe, log_in, new_folde
 from flightstack.verify.certificate import problems
 from logs.schema import NO_PAD, SCENARIO, Names
 from sim.options import TargetOptions
-from sim.robot.course import try_out
+from sim.robot import try_out
 from sim.scenarios.scenario import Scenario, load, path_of, text
 from sim.vehicle.declared import not_proven, outside
 

@@ -45,7 +45,7 @@ from sim.campaign.rows import (
 )
 from sim.campaign.summary import apart, lines, repeat_command, summary
 from sim.campaign.workers import Cluster, Workers, code_fingerprint
-from sim.robot.course import try_out
+from sim.robot import try_out
 from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Scenario, load, text
 from sim.vehicle.declared import judged_apart

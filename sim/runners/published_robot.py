@@ -37,7 +37,7 @@ from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.options import TargetOptions, WorldOptions
 from sim.plant.states import Truth
-from sim.robot.target import Sample
+from sim.robot import Sample
 from sim.runners.log import EventLog
 from sim.runners.robot import DeckState, Robot, deck_rows
 from sim.scenarios.scenario import Scenario

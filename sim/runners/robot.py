@@ -24,7 +24,7 @@ from sim.clock import TickGrid
 from sim.faults.samples import SampleFaults, Shape
 from sim.faults.schedule import Change, Running, ScheduledFaults
 from sim.plant.sensors import NS
-from sim.robot.target import Sample, TargetModel, TargetOdometry, wrap
+from sim.robot import Sample, TargetModel, TargetOdometry, wrap
 from sim.scenarios.fault_spec import After, Fault, What
 from sim.scenarios.scenario import Scenario
 

@@ -45,7 +45,7 @@ from sim.plant.rotors import (
 )
 from sim.plant.sensors import ImuRecord, measure
 from sim.plant.states import TRUTH, Truth, rotation_axes, truth_of
-from sim.robot.target import TargetModel
+from sim.robot import TargetModel
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.judge import GAP_MS, NONE_MS, ContactRecord, JudgeRecord, judge, note_contact
 from sim.vehicle.mocap import MocapRecord, correct_estimate, measure_pose

@@ -18,8 +18,7 @@ from logs.schema.events import ContactBit
 from sim.plant.params import STEP_S, Params
 from sim.scenarios.tables import TargetSpec
 from sim.world.bodies import arc_of_step
-from sim.world.rest import set_up_rest
-from sim.world.step import PAD_CONTACTS, ReachRecord, WorldRecord, physics_step, tumbled
+from sim.world.step import PAD_CONTACTS, ReachRecord, WorldRecord, physics_step, set_up_rest, tumbled
 
 MARGIN_M = 1e-3  # margin for rounding errors, m
 _LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # file names on Linux, macOS, Windows

@@ -28,7 +28,7 @@ from flightstack.onboard.runner import Arrived, Taken, decoded
 from logs.reader.flight_data import Truth
 from sim.clock import TickGrid
 from sim.plant.states import Truth as TrueState
-from sim.robot.target import Sample
+from sim.robot import Sample
 from sim.runners.landing import Companion
 from sim.runners.log import Seen, VehicleNotes
 from sim.runners.robot import DeckState, DirectTarget

@@ -9,7 +9,7 @@ import pytest
 from logs.schema.events import ContactBit
 from sim.plant.params import load
 from sim.scenarios.tables import TargetSpec
-from sim.world.rest import HOLDS, WAIT_STEPS, carried
+from sim.world.step import HOLDS, WAIT_STEPS, carried
 from sim.world.world import World
 
 PARAMS = load()

@@ -8,7 +8,7 @@ import pytest
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry
 from flightstack.common.strict_toml import ConfigError
-from sim.robot.target import DEMANDS, TargetModel
+from sim.robot import DEMANDS, TargetModel
 from sim.runners.published_robot import deck_state, follow, reckon
 from sim.runners.robot import DeckState
 from sim.scenarios.tables import PathKind, TargetSpec
@@ -32,7 +32,7 @@ def zigzag(t_s, x_m, y_m, yaw_rad):
 
 
 def test_a_function_steers_within_the_limits_and_its_error_says_whose_it_is(monkeypatch):
-    monkeypatch.setattr("sim.robot.course.referred", lambda name, key: zigzag)
+    monkeypatch.setattr("sim.robot.referred", lambda name, key: zigzag)
     spec = TargetSpec(path=PathKind.FUNCTION, speed_m_s=0.2, turn_rate_rad_s=0.5, function="mine:zigzag")
     _, states = drive(spec, seconds=4.9)
     assert math.hypot(*states[-1][2][:2]) == pytest.approx(0.2)

@@ -1,1 +1,0 @@
-"""The ground robot that carries the moving landing target."""
