@@ -164,7 +164,7 @@ MAD_TO_SIGMA = 1.4826  # ratio of standard deviation and median absolute value o
 
 
 class Link(NamedTuple):
-    """Statistics of a link's samples."""
+    """Statistics of the samples that arrived over a link."""
 
     rate_hz: float
     loss: float  # fraction of missing samples

@@ -65,7 +65,7 @@ class Watch:
         clock: Callable[[], float] = time.monotonic,
         role: zenoh_link.Role = zenoh_link.Role.PEER,
     ) -> None:
-        """Subscribe to the live keys.
+        """Subscribe to the keys on which the onboard process publishes a flight.
 
         ``session``: the caller closes it; ``namespace``: first part of the keys; ``clock``: monotonic time,
         s; ``role``: role of the session. Raises ValueError: the namespace is not valid in a key.

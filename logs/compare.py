@@ -42,7 +42,7 @@ _F64 = struct.Struct("<d")
 
 @dataclass(frozen=True, slots=True)
 class MessageDifference:
-    """A difference between two logs."""
+    """A field of a message, metadata record or attachment in which two logs differ."""
 
     topic: str  # topic, or ``metadata NAME`` / ``attachment NAME``
     index: int  # number of the message in its topic, by log time and sequence; -1 without one

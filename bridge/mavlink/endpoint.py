@@ -60,7 +60,7 @@ class Received(NamedTuple):
 
     @property
     def sender(self) -> tuple[int, int]:
-        """System id and component id."""
+        """System id and component id of the sender."""
         header = self.message._header
         return header.srcSystem, header.srcComponent
 
@@ -82,7 +82,7 @@ class Endpoint:
         always: Sequence[Peer] = (),
         allow_unsigned: bool = False,
     ) -> None:
-        """Open the socket or line.
+        """Open the socket or serial line.
 
         ``max_peers``: largest number of peers that the endpoint learns from their heartbeats.
         ``always``: peers of ``udpin`` that receive telemetry from the start and never expire.

@@ -43,7 +43,7 @@ def parse_spec(text: str, pose_type: str = TargetType.POSE.value, domain: int = 
 
 
 class MocapSource:
-    """Receives poses and checks them."""
+    """Receives the poses of motion capture from Zenoh and checks each of them."""
 
     def __init__(
         self,

@@ -100,7 +100,7 @@ def excess_noise(
 
 
 class OdometryPublisher(Ros2Publisher):
-    """Publishes odometry under one key."""
+    """Publishes ``nav_msgs/msg/Odometry`` in CDR on one Zenoh key."""
 
     def __init__(
         self,

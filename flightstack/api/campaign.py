@@ -38,7 +38,7 @@ _RATES = ("landed", "violations")
 
 @dataclass(frozen=True, repr=False)
 class Campaign:
-    """Landings of one scenario.
+    """Results of the seeded landings of one scenario.
 
     Attributes:
         rows: one row for each seed, in seed order: outcome, violation, lowest h, touchdown error, times.

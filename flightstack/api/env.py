@@ -168,7 +168,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         return self._companion.seen().truth
 
     def close(self) -> None:
-        """End the flight."""
+        """End the flight of the present episode, if it still runs."""
         flight, self._flight = self._flight, None
         if flight is not None:
             flight.throw()  # raises GreenletExit inside the flight

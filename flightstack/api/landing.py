@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Landing:
-    """One landing.
+    """A judged flight of one vehicle, simulated by ``land`` or read from a log.
 
     Attributes:
         verdict: outcome (``landed``, ``crashed``, ``aborted``, ``timeout``), reason, lowest h, touchdown;

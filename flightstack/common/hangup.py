@@ -68,7 +68,7 @@ class Stop:
 
     @property
     def is_set(self) -> bool:
-        """Whether an end was requested."""
+        """Whether a signal or ``ask`` has requested the end."""
         return self.count > 0
 
     def ask(self) -> None:

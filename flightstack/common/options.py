@@ -46,7 +46,7 @@ class Option:
 
 
 class Declared(NamedTuple):
-    """An option of a dataclass."""
+    """A field of a dataclass with its option, as the command line needs it."""
 
     name: str  # name of the field
     option: Option

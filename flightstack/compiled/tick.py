@@ -129,7 +129,7 @@ class CompiledController(Controller):
         self._memory = memory
 
     def restore(self, state: State) -> None:
-        """Continue from a recorded state."""
+        """Replace the state by a recorded one; the next tick continues from it."""
         super().restore(state)
         self._held = False
 

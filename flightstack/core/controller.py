@@ -125,7 +125,7 @@ class Controller:
         return self._state
 
     def restore(self, state: State) -> None:
-        """Restore a recorded state."""
+        """Replace the state by a recorded one; the next ``step`` continues from it."""
         mine = self.state
         for part in fields(State):
             into, written = getattr(mine, part.name), getattr(state, part.name)

@@ -96,7 +96,7 @@ Covariance = tuple[float, float, float, float, float, float]  # pp, pv, pa, vv, 
 
 @dataclass(slots=True)
 class MotionMemory:
-    """State of the target's estimator."""
+    """State of the estimator of the target's motion."""
 
     time_s: float = nan  # stamp of the newest sample, on the sender's clock; NaN before the first
     position_enu_m: Vec3 = ZERO  # position at ``time_s``; all fields below belong to this time
@@ -174,7 +174,7 @@ class LateMemory:
 
 @dataclass(slots=True)
 class FilterMemory:
-    """State of a user's filter."""
+    """What the controller stores about a user's filter."""
 
     refusal: str = ""  # reason why the filter's newest result is not a valid velocity; empty if valid
 
@@ -195,7 +195,7 @@ class ExchangeMemory:
 
 @dataclass(slots=True)
 class Heard:
-    """State of one neighbour."""
+    """What this vehicle knows about one other member from the messages of that member."""
 
     message: MemberStatus | None = None  # newest message of the neighbour; None before the first
     yields: bool = False  # whether this vehicle has announced that it yields to the neighbour

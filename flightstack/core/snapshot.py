@@ -61,7 +61,7 @@ class Snapshot(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Whether all inputs are usable."""
+        """Whether vehicle state, link and target state are all usable."""
         return self.own_ok and self.link_ok and self.target_ok
 
     @property

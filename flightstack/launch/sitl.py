@@ -97,7 +97,7 @@ def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
 
 @dataclass(frozen=True)
 class _Vehicle:
-    """One vehicle of the run."""
+    """A simulated vehicle of the run: its names, scenario, seed and endpoints."""
 
     number: int  # number in the scenario, from 1
     name: str  # namespace of the vehicle

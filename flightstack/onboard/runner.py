@@ -73,7 +73,7 @@ class ClockStoppedError(RuntimeError):
 
 
 class Clock(Protocol):
-    """Source of the ticks."""
+    """Source of the controller's ticks, in real time or in lockstep."""
 
     def wait(self) -> Tick:
         """Wait for the next tick, and read the vehicle's messages until then."""
@@ -88,7 +88,7 @@ class Vehicle(Protocol):
 
 
 class Target(Protocol):
-    """The source of target samples."""
+    """Source of the target's samples; it learns when the landing starts."""
 
     def samples(self, now_s: float) -> Arrived:
         """Return the samples since the last call; ``now_s`` is their arrival time."""

@@ -43,7 +43,7 @@ _DERIVED = {
 
 
 class ZenohWires:
-    """Owner of the Zenoh sessions."""
+    """Owner of the onboard process's Zenoh sessions, with all that is received and published over them."""
 
     def __init__(self, config: FlightConfig, options: OnboardOptions, namespace: str) -> None:
         self.target = target = TargetSpec.parse(

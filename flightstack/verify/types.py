@@ -19,7 +19,7 @@ PROOF = Need.PROOF
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """Result of one check.
+    """Result of one check of the certificate.
 
     Attributes:
         name: short, unique name.

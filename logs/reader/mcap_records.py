@@ -54,7 +54,7 @@ _KINDS: dict[int, Any] = {
 
 
 class DamageError(ValueError):
-    """An unreadable record."""
+    """An unreadable record or file; the text says why."""
 
 
 class _Strict(ReadDataStream):  # type: ignore[misc]

@@ -25,7 +25,7 @@ MAX_PAYLOAD = 16 * 2**20  # maximum payload, bytes; a longer payload shows a cor
 
 
 class Kind(IntEnum):
-    """Kind of a record's payload."""
+    """Kind of a record that a client sends to the recorder, with the form of its payload."""
 
     DECLARE = 0  # JSON {"topic", "schema"}; the sender chooses the channel number
     MESSAGE = 1  # CDR payload with its four-byte header

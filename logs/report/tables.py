@@ -217,7 +217,7 @@ def key_numbers(side: Side) -> list[tuple[str, str, str]]:
 
 
 def result_table(side: Side) -> str:
-    """Return the verdict with units."""
+    """Return the table of the verdict: each result with its unit and a remark."""
     verdict = side.verdict
     rows = [
         ("outcome", verdict.outcome.value, "", verdict.reason),

@@ -32,7 +32,7 @@ MEMORY_LIMIT = "512MB"  # memory limit of the viewer, and of the server; the old
 
 
 class LiveRecording:
-    """One Rerun recording that grows."""
+    """Rerun recording of a running flight; each call adds newer data."""
 
     def __init__(self, where: str, run: Mapping[str, str], name: str) -> None:
         self._run = dict(run)

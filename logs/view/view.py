@@ -311,5 +311,5 @@ def _run_text(flight: Flight) -> str:
 
 
 def _words(text: str) -> str:
-    """Escape a text for Markdown."""
+    """Return a text as one line, in which Markdown interprets no character."""
     return re.sub(r"([\\`*_{}\[\]()<>#+!|~-])", r"\\\1", one_line(text))

@@ -38,7 +38,7 @@ _KINDS = dialect.enums["FAILURE_TYPE"]
 
 
 class Autopilot(Server[Flight]):
-    """Autopilot of one simulated vehicle.
+    """MAVLink interface of one simulated vehicle: PX4's modes, commands and telemetry.
 
     Call at each tick: ``telemetry``, ``handle`` for each message, ``control``, the physics.
     """

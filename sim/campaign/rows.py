@@ -90,7 +90,7 @@ class Row:
 
     @property
     def landed(self) -> bool:
-        """Whether the vehicle landed."""
+        """Whether the outcome of the run is ``landed``."""
         return self.outcome == Outcome.LANDED
 
     def untimed(self) -> Row:

@@ -76,7 +76,7 @@ class Plan:
 
     @property
     def scenario_toml(self) -> str:
-        """Return the scenario as text."""
+        """Text of a complete scenario file, for the workers."""
         return text(self.scenario)
 
     @property

@@ -80,7 +80,7 @@ class BatteryFaults:
         self._take(charge_a_s, volts)
 
     def end(self, running: Running, now_ns: int) -> None:
-        """Restore charge and voltage."""
+        """Restore the charge and the voltage that the fault has taken from the battery."""
         del now_ns
         charge_a_s, volts = self._taken.pop(running)
         self._take(-charge_a_s, -volts)

@@ -101,7 +101,7 @@ class Recording:
 
 
 def read_columns(path: Path = COLUMNS) -> dict[str, Group]:
-    """Read a table of columns.
+    """Read the TOML file that gives column names and units for each quantity.
 
     Raises RecordingError: not TOML, an unknown quantity or unit, or the wrong number of columns.
     """
@@ -153,7 +153,7 @@ def find_recordings(folder: Path) -> list[Path]:
 
 
 def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
-    """Read one flight.
+    """Read the file of one recorded flight and convert its columns to SI units.
 
     Raises RecordingError: unreadable file, columns missing or not numeric, too few samples, or no time.
     """

@@ -225,7 +225,7 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Screened:
-    """Usable parts of a flight."""
+    """A recorded flight with its usable parts, and why the rest is excluded."""
 
     recording: Recording
     pieces: tuple[slice, ...]  # slices of samples, each without a gap, a damaged value or contact

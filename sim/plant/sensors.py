@@ -47,7 +47,7 @@ class Normals:
         return drawn[::-1]
 
     def take(self) -> float:
-        """Return the next random number."""
+        """Return the next random number; a new block is drawn when the last one is used up."""
         if not self._left:
             self._left = self.block()[::-1].tolist()
         return self._left.pop()

@@ -108,7 +108,7 @@ def mismeasured_path(
 
 
 class Rows(Protocol):
-    """Source of one flight's errors."""
+    """Source of the state errors of one flight, sample by sample."""
 
     def take(self, count: int) -> F64:
         """Return the errors of the next samples, (count, WIDTH)."""

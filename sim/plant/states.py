@@ -44,7 +44,7 @@ def quaternion_from_axes(axes: tuple[float, ...]) -> tuple[float, float, float, 
 
 
 class Estimate(NamedTuple):
-    """State estimate on board."""
+    """State that the simulated on-board estimator reports."""
 
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3

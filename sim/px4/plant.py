@@ -153,7 +153,7 @@ GYRO_MAX_RAD_S = math.radians(1999.9)  # range of 2000 deg/s, stored as a 16 bit
 
 @dataclass(frozen=True, slots=True)
 class Slow:
-    """Readings of magnetometer and barometer."""
+    """Readings of the slow sensors, magnetometer and barometer."""
 
     mag_frd_gauss: Vec3
     pressure_hpa: float

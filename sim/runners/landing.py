@@ -121,7 +121,7 @@ class Companion:
 
     @property
     def left(self) -> bool:
-        """Whether the flight is over."""
+        """Whether the controller has ended its flight."""
         return self._stop.is_set
 
     def take(self, silence: Silence, stop: Stop) -> Outputs | None:
@@ -147,7 +147,7 @@ class Companion:
             self._over = self._runner.tick() is not None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
-        """Record a tick."""
+        """Record a tick: step, events and the link's texts; then call ``on_step``."""
         del taken, exec_s
         self.outputs = out
         self._notes.step(tick, out)

@@ -67,7 +67,7 @@ class Inlet(Endpoint):
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """Return the other end."""
+        """Peers of this end: only the other end of the pair."""
         return (PEER,)
 
     def receive(self) -> list[Received]:
@@ -96,7 +96,7 @@ class Inlet(Endpoint):
             self.other._arrived.append(Received(decode(good), good, PEER))
 
     def wait(self, timeout_s: float) -> bool:
-        """Run the other side now."""
+        """Let the other end run, instead of waiting; return whether messages have arrived."""
         del timeout_s
         if self.answer is not None:
             self.answer()

@@ -304,7 +304,7 @@ class LockstepWorld:
         self._stop, self._epoch_ns, self._batch = stop, epoch_ns, batch
 
     def run(self, ticks: int | None) -> None:
-        """Run the simulation.
+        """Run the simulation tick by tick until all flights are over.
 
         ``ticks``: number of ticks; None: no end.
         Raises NoAnswerError: time-out of a companion.

@@ -147,7 +147,7 @@ class Notes:
         self._events: list[Event] = []
 
     def step(self, tick: Tick, out: Outputs) -> None:
-        """Record a controller step."""
+        """Record phase, ages of the inputs, and events of a controller step."""
         seen = out.snapshot
         own, target = seen.inputs.own, seen.target
         own_age_s = tick.now_s - own.arrival_s if own is not None else math.nan
@@ -186,7 +186,7 @@ class Notes:
         self._events.append(Event(t_s, level, source, text))
 
     def seen(self) -> Seen:
-        """Return all recorded data."""
+        """Return all recorded steps, true states and events as arrays."""
         times_ns, phases, own_age_s, target_age_s = zip(*self._steps, strict=True)
         return Seen(
             steps=SeenSteps(

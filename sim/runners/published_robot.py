@@ -81,7 +81,7 @@ class PublishedRobot(Robot):
         """Declare the keys besides the odometry."""
 
     def begin(self) -> None:
-        """Publish tick 0."""
+        """Publish the odometry of tick 0."""
         self._keep_first()
 
     def take(self, tick: int) -> DeckState:

@@ -51,7 +51,7 @@ _NS_PER_MS = 1_000_000
 
 
 class RealTimeVehicle:
-    """One vehicle in real time.
+    """A simulated vehicle that follows the wall clock.
 
     ``robot``: a robot of this process, or true poses from another process; None: the deck does not move.
     """
@@ -99,7 +99,7 @@ class RealTimeVehicle:
             node.control(now_s)
 
     def advance_to(self, ms: int) -> None:
-        """Simulate up to this time."""
+        """Simulate up to this time, ms; do nothing if it is already reached."""
         if ms > self._ms:
             self.node.vehicle.advance(ms - self._ms)
             self._ms = ms

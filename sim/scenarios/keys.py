@@ -29,7 +29,7 @@ _IN_FILES = {"others": "member"}  # keys of files, by field
 
 
 class Key(NamedTuple):
-    """A key of a scenario."""
+    """Row of the table of scenario keys."""
 
     table: str  # table of the key; empty: top level
     name: str

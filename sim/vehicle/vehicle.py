@@ -227,7 +227,7 @@ class VehicleSim:
         self._firmware.estimator.settle(position_enu_m, ZERO, (0.0,) * 9, level, [0.0, 0.0, 0.0])
 
     def know_drag(self, drag_1_s: Vec3) -> None:
-        """Write the firmware's parameters kalman.dragB_*."""
+        """Write the firmware's parameters ``kalman.dragB_*``, 1/s."""
         self._firmware.estimator.know_drag(drag_1_s)
 
     def stop_setpoint(self) -> None:

@@ -28,7 +28,7 @@ class Block:
 
 
 class Firmware:
-    """Firmware of one Crazyflie.
+    """Model of the firmware of one Crazyflie: receives and returns CRTP packets.
 
     ``protocol``: CRTP protocol version; below 12: CrazySim's firmware of 2024, without the supervisor port;
     ``tables``: entries of the tables of logs and parameters; the real ones have 567 and 334.

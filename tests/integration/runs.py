@@ -71,7 +71,7 @@ def called(*arguments, cwd=None) -> Result:
 
 
 def fly(out: Path, scenario: str, seed: int = 0, *more) -> Result:
-    """Run one lockstep flight."""
+    """Run ``sitl`` in lockstep without a report; return its result."""
     words = ["sitl", "--scenario", scenario, "--seed", seed, "--lockstep", "--json", "--no-report"]
     return flightstack(*words, "--out", out, *more)
 

@@ -226,7 +226,7 @@ def wider(basic: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
 
 
 class Near(NamedTuple):
-    """A neighbour within reach."""
+    """Barrier function between this vehicle and a neighbour, with the data for the side-step."""
 
     h_m: float  # value of the barrier function between the two vehicles, m
     gradient: Vec3  # gradient of ``h_m`` with respect to this vehicle's position

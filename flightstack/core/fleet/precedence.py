@@ -42,7 +42,7 @@ ALONE = Permissions()
 
 
 class Pad(NamedTuple):
-    """Landing place of a vehicle."""
+    """Motion of the landing spot of a vehicle."""
 
     position_enu_m: Vec3  # position of the landing spot
     velocity_enu_m_s: Vec3  # velocity of the landing spot

@@ -51,7 +51,7 @@ class FleetProgram:
         self, nominal: Vec3, firm: Sequence[Row], neighbours: Sequence[Row], lower: Vec3, upper: Vec3,
         basic: Sequence[Row] = (),
     ) -> FleetResult:  # fmt: skip
-        """Filter one nominal velocity."""
+        """Return the nearest velocity that satisfies all rows; those of neighbours may be relaxed."""
         every = [*firm, *neighbours]
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = lower, upper, nominal
         sums = lx + ly + lz + hx + hy + hz + x + y + z

@@ -24,7 +24,7 @@ CLEAR_BELOW = 0.25  # fraction of the climb margin by which the vehicle may be t
 
 
 class NominalCommand(NamedTuple):
-    """Nominal command of a phase."""
+    """Request and nominal velocity of a phase in one tick, before filter and gate."""
 
     request: Request  # requested mode of the vehicle
     velocity: Vec3 | None = None  # nominal velocity, ENU, m/s; ``None``: no set-point

@@ -69,7 +69,7 @@ class SafetyFilter:
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
     ) -> FilterResult:
-        """Filter one nominal velocity."""
+        """Return the nearest velocity that satisfies the barrier condition and the box, with its status."""
         bound = -self.omega_1_s * h_m - dh_dt_m_s
         gx, gy, gz = gradient
         finite = bound + gx + gy + gz + nominal[0] + nominal[1] + nominal[2] + lower[0] + lower[1] + lower[2]

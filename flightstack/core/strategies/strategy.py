@@ -42,7 +42,7 @@ from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, V
 
 
 class Filter:
-    """A safety filter.
+    """Base class of a safety filter, which changes the nominal velocity of a tick if it is not safe.
 
     Velocities are ENU, m/s; positions ENU, m. A filter may store data from tick to tick only in ``motion``,
     ``tracking``, ``own`` and ``late``: they are written into the log, and a replay restores them.

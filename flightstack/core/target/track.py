@@ -75,7 +75,7 @@ class TargetTrack:
         return last
 
     def accept(self, sample: TargetSample) -> Verdict:
-        """Accept or reject one sample."""
+        """Judge one sample; an accepted sample becomes the newest one."""
         verdict, memory = self._judge(sample), self.memory
         self.stepped_s = 0.0
         if verdict is Verdict.ACCEPTED:

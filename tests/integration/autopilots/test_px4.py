@@ -121,7 +121,7 @@ def scenario_file(folder):
 
 @dataclass
 class Flown:
-    """Result of all flights."""
+    """Results of consecutive flights of one PX4."""
 
     ends: list  # exit status and last line of the onboard process for each flight
     truth: Truth  # true states from the first to the last flight

@@ -175,7 +175,7 @@ def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(
 
 
 def messages(log):
-    """Return the texts of /rosout."""
+    """Return the texts of /rosout in a log."""
     from logs.schema.rows import LogRow
 
     return [LogRow.unpack(message.data).msg for message in LogFile(log).messages({"/rosout"})]

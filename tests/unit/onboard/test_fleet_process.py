@@ -33,7 +33,7 @@ WHERE = {
 
 
 class Feed:
-    """Stores the logged data."""
+    """Replaces the connection to the recorder; stores topics and rows."""
 
     def __init__(self):
         self.topics, self.rows = {}, []

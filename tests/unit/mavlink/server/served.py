@@ -87,7 +87,7 @@ class Served:
         return self
 
     def forget(self) -> None:
-        """Clear the recorded telemetry."""
+        """Delete the telemetry that was received so far."""
         self.telemetry.clear()
 
     def texts(self) -> list[str]:

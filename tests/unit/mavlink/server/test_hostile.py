@@ -24,7 +24,7 @@ PARAMETERS = ["COM_OF_LOSS_T", "MPC_XY_P", "MIS_TAKEOFF_ALT", "COM_OBL_RC_ACT",
 
 
 def frame_of(cls, id_: int, payload: bytes):
-    """Return a message as received."""
+    """Return the message that a receiver decodes from this payload."""
     body = struct.pack("<BBBBBBHB", len(payload), 0, 0, 0, 9, 9, id_ & 0xFFFF, id_ >> 16) + payload
     crc = mav.x25crc(body + bytes((cls.crc_extra,))).crc
     return decode(b"\xfd" + body + struct.pack("<H", crc))
@@ -54,7 +54,7 @@ def hostile(rng: random.Random, id_: int, commands: list[int]):
         message.custom_mode = rng.choice(list(PX4_CODES.values())).custom_mode
     if hasattr(message, "param_id") and rng.random() < 0.8:
         message.param_id = rng.choice(PARAMETERS)
-        message._param_id_raw = message.param_id.encode()  # field of the packed form
+        message._param_id_raw = message.param_id.encode()  # packing uses this field
         if hasattr(message, "param_type"):
             message.param_type = rng.choice((6, 9))
     return message
