@@ -211,7 +211,7 @@ class TickDifference:
     """A value that differs between log and replay."""
 
     topic: str  # topic of the recorded value
-    tick: int  # number of the tick
+    tick: int  # number of the controller tick
     field: str  # dotted name as in the message definition
     recorded: str  # value in the log, as text
     replayed: str  # value of this replay, as text

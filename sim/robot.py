@@ -155,7 +155,7 @@ class MotionRecord(Record):
     y: float
     yaw: float
     v: float  # speed of the axle, m/s
-    w: float  # yaw rate, rad/s
+    w: float  # yaw rate of the robot, rad/s
     pad: PadRecord
 
 

@@ -88,7 +88,7 @@ class Node(Server[Vehicle]):
 
     def __init__(self, rules: Rules, system_id: int = SYSTEM_ID) -> None:
         self.late = 0  # number of states that arrived too late and were dropped
-        self.clock = BootClock()  # clock of the firmware
+        self.clock = BootClock()  # converts the firmware's time stamps
         self._streamed: list[Message] = []  # messages made from new states and not sent yet
         self._readiness_due_s, self._readiness = READINESS_S, ""
         self._shown_armed = False

@@ -74,7 +74,7 @@ ROS_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class TargetSpec:
-    text: str  # argument of the command
+    text: str  # text that the user gave
     dialect: Dialect
     name: str  # key, or topic with the leading slash
     type: TargetType = TargetType.ODOMETRY

@@ -55,7 +55,7 @@ class Event(NamedTuple):
 class Outputs(NamedTuple):
     """Results of one tick, with the inputs and intermediate values that led to them."""
 
-    phase: Phase  # phase after this tick
+    phase: Phase  # phase of the flight after this tick
     request: Request  # mode that the stack requests from the vehicle
     setpoint: ApprovedSetpoint | None  # set-point to send; None: no set-point
     gate: GateVerdict  # result of the gate: why the set-point is sent or rejected

@@ -75,7 +75,7 @@ class ClockMemory:
 class TrackMemory(ClockMemory):
     """State of the target track, with its sender's clock."""
 
-    last: TargetSample | None = None  # newest accepted sample
+    last: TargetSample | None = None  # newest accepted sample; None before the first
     elsewhere: Annotated[TargetSample | None, ABSENT] = (
         None  # newest of the samples that agree with each other after a jump
     )

@@ -180,14 +180,14 @@ class MemberStatus(NamedTuple):
     id: int  # id of the member, 1 to 250
     stamp_s: float  # time of the message, corrected for the difference of the clocks
     arrival_s: float  # arrival time of the message
-    position_enu_m: Vec3  # position at the stamp
-    velocity_enu_m_s: Vec3  # measured velocity
-    wanted_enu_m_s: Vec3  # commanded velocity
+    position_enu_m: Vec3  # position of the member at ``stamp_s``
+    velocity_enu_m_s: Vec3  # measured velocity of the member
+    wanted_enu_m_s: Vec3  # velocity command of the member
     position_sigma_m: float = 0.0  # standard deviation of the position on each axis
     clock_bound_s: float = 0.0  # largest error of the stamp
-    intent: Intent = Intent.STANDING  # announced intention
+    intent: Intent = Intent.STANDING  # what the member announces to do
     claim_s: float = math.nan  # time at which the member claimed the right of way; NaN: no claim
-    pad_position_enu_m: Vec3 | None = None  # landing spot; ``None``: unknown
+    pad_position_enu_m: Vec3 | None = None  # position of the member's landing spot; ``None``: unknown
     pad_velocity_enu_m_s: Vec3 | None = None  # velocity of the landing spot; ``None``: unknown
     yields_to: tuple[int, ...] = ()  # ids of the members to which this member yields
 

@@ -46,11 +46,11 @@ LAND_MAX_S = 30.0  # maximum time for an onboard process to end, s: it first lan
 class Followed:
     """Onboard process that the launcher watches."""
 
-    child: Child  # the process
+    child: Child  # handle of the process
     namespace: str  # first part of the Zenoh keys of the process
     endpoints: Sequence[str]  # Zenoh endpoints of the process; the live view uses the first one
     name: str = ""  # prefix of the printed lines; empty for a single process
-    last_line: str = ""  # newest line of output
+    last_line: str = ""  # newest line that the process printed
     aborted: bool = False  # whether the process aborted or failed, so that the autopilot lands the vehicle
 
 

@@ -22,7 +22,7 @@ LAND_SHOWN_MAX_S = 1.0  # longest repetition of the landing command without a co
 class Person:
     """Requests of the operator to the process; this base class makes none."""
 
-    operator = Operator.NONE  # request to the controller
+    operator = Operator.NONE  # newest request of the operator
     stop = False  # whether the process must end immediately
     _seen_s: float | None = None  # wall time at which ``left`` first detected the stop, s
 

@@ -34,7 +34,7 @@ from flightstack.core.types import (
 class Arrived(NamedTuple):
     """Target data that arrived since the last tick."""
 
-    samples: tuple[TargetSample, ...] = ()  # samples for the controller
+    samples: tuple[TargetSample, ...] = ()  # decoded samples, for the controller
     problems: Sequence[str] = ()  # errors of messages that could not be decoded
     messages: Sequence[RawSample] = ()  # raw messages for the log; empty if they are not recorded
 

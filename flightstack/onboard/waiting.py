@@ -50,7 +50,7 @@ class TargetSeen(NamedTuple):
     name: str  # key or topic that the user gave
     age_s: float | None  # age of the newest accepted sample; None: no sample
     arrived: int  # samples since the last report, including rejected ones
-    problems: tuple[str, ...]  # errors of samples
+    problems: tuple[str, ...]  # why samples could not be decoded
     keys: tuple[str, ...]  # other keys that might be a target
     contradicts: bool = False  # whether positions contradict the velocity
     every_s: float = 0.0  # longest interval between two accepted samples since the last report

@@ -39,7 +39,7 @@ class Page(NamedTuple):
 
     title: str
     badge: tuple[str, str]  # text of the outcome, and its style (good, fair or bad)
-    sub: str  # line below the title
+    sub: str  # text of the line below the title
     numbers: Sequence[tuple[str, str, str]]  # name, value and unit of each key number
     # panels in order; panels of a sequence are side by side; a string is HTML
     panels: Sequence[Panel | Sequence[Panel] | str]

@@ -41,8 +41,8 @@ class PositionHold:
 
     def __init__(self, trim_enu_m_s: Vec3) -> None:
         self._trim_m_s = trim_enu_m_s  # velocity set-point that holds the position at the start
-        self.point_enu_m: Vec3 = ZERO  # hold point
-        self.velocity_enu_m_s: Vec3 = ZERO  # newest output set-point
+        self.point_enu_m: Vec3 = ZERO  # position to hold
+        self.velocity_enu_m_s: Vec3 = ZERO  # newest set-point to the velocity loop
         self._integral_m_s: Vec3 = trim_enu_m_s
 
     def engage(self, position_enu_m: Vec3, velocity_enu_m_s: Vec3, gain_xy_1_s: float) -> None:
@@ -118,7 +118,7 @@ _ARRIVED_M_S = 0.15  # vertical speed below which a height counts as reached
 class Event(Enum):
     """Result of a step, for the mode logic."""
 
-    ARRIVED = auto()  # take-off height reached
+    ARRIVED = auto()  # the take-off height is reached
     LANDED = auto()  # the vehicle stands on a surface in LAND
     CLIPPED = auto()  # a set-point exceeded the speed limits
 

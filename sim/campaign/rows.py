@@ -53,7 +53,7 @@ class Row:
 
     seed: int  # seed of all random draws
     outcome: str  # ``Outcome``, or "error"
-    reason: str  # reason of the outcome
+    reason: str  # sentence that explains the outcome
     # whether h < -5 mm outside the pad (``Verdict.violation``); None: data are missing
     violation: bool | None = None
     started_safe: bool | None = None  # whether h >= 0 at the start of the landing; None: unknown

@@ -71,7 +71,7 @@ class Plan:
 
     scenario_name: str  # name or file of the scenario, as the user gave it; printed commands contain it
     scenario: Scenario  # scenario, with the safety filter to fly
-    runs: int  # number of landings
+    runs: int  # number of landings to fly
     first_seed: int  # first of consecutive seeds
 
     @property

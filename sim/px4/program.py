@@ -65,7 +65,7 @@ class Px4Files(NamedTuple):
     """Required files of a PX4 build."""
 
     binary: Path
-    etc: Path  # start-up file system
+    etc: Path  # folder with PX4's start-up scripts
     alias: Path  # px4-alias.sh, which defines the names of PX4's modules
 
 

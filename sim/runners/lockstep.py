@@ -74,7 +74,7 @@ class LockstepVehicle:
         radio_s: float,
         words: FleetEnd | None = None,
     ) -> None:
-        self.radio_ms = round(radio_s * 1000.0)  # delay of set-points
+        self.radio_ms = round(radio_s * 1000.0)  # delay of set-points by the radio
         self.node, self._robot, self.grid, self._stop, self.words = node, robot, grid, stop, words
         self._companion: Peer | None = None  # the peer that answered first
         self._answers = True  # whether the vehicle waits for its companion

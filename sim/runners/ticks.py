@@ -30,7 +30,7 @@ from sim.world.bodies import arc_of_step
 class RulesRecord(Record):
     """Constants of a batch of ticks; times are on the controller's clock."""
 
-    flies: bool  # whether set-points are sent
+    flies: bool  # whether the controller sends set-points
     lasting: int  # flags of the mission that stay constant in the batch
     status_s: float  # arrival time of the newest heartbeat
     status_age_max_s: float
@@ -40,7 +40,7 @@ class RulesRecord(Record):
     cos_yaw: float
     sin_yaw: float
     speeds: Vector  # speed limits, m/s: horizontal, up, down
-    delay_ms: int  # delay of the radio
+    delay_ms: int  # delay of set-points by the radio
     armed: bool
     standing: bool
     supervisor: int  # state of the firmware's supervisor

@@ -105,9 +105,9 @@ class Criterion:
 
     part: str  # open loop, closed loop or sensing
     text: str  # name of the compared quantity, usually the simulator's rms error divided by another rms error
-    low: float  # smallest allowed value
-    high: float  # largest allowed value
-    reason: str  # reason of the limits
+    low: float  # smallest allowed value of the statistic
+    high: float  # largest allowed value of the statistic
+    reason: str  # reason for these two limits
     statistic: Statistic
     paths: tuple[str, ...]  # paths of the criterion's numbers in the results of a flight
     cause: str | None = None  # text of a failure, with the value as placeholder; None: ``text``

@@ -33,7 +33,7 @@ STEP_M, FAR_M = 0.005, 10.0  # step and largest distance at which the barriers a
 class _Row(NamedTuple):
     """Comparison of a value that the configuration declares with the value of the scenario."""
 
-    key: str  # key in the configuration
+    key: str  # key in the configuration, TABLE.KEY
     declared: float
     there: str  # key in the scenario
     found: float

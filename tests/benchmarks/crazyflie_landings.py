@@ -50,7 +50,7 @@ class Landing:
     """Result of one flight, from true states."""
 
     error_m: float  # horizontal distance from the pad's centre at rest on the pad; NaN if not on it
-    place: str  # "pad", "floor" or "air"
+    place: str  # where the vehicle ended: "pad", "floor" or "air"
     motors_off: bool
     locked: bool
     reason: str  # last line that the onboard process printed

@@ -93,7 +93,7 @@ class Room:
     listen: str  # Zenoh endpoint of the onboard process
     config: Path  # configuration of the onboard process
     folder: Path  # folder for output of processes
-    fence: Fence = field(default_factory=Fence)  # fence of the step
+    fence: Fence = field(default_factory=Fence)  # geofence during the step
     system_id: int = 1  # system id of the vehicle
     signing_key: Path | None = None  # MAVLink signing key; None: unsigned
     takeoff_height_m: float = 0.5  # height of the pilot's climb

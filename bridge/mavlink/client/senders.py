@@ -30,8 +30,8 @@ _OTHERS_MAX = 8  # maximum number of other addresses; the oldest is replaced
 
 
 class Kind(NamedTuple):
-    type: int  # MAV_TYPE number
-    autopilot: int  # MAV_AUTOPILOT number
+    type: int  # MAV_TYPE number of the heartbeat
+    autopilot: int  # MAV_AUTOPILOT number of the heartbeat
 
     def __str__(self) -> str:
         return f"type {named('MAV_TYPE', self.type)}, autopilot {named('MAV_AUTOPILOT', self.autopilot)}"

@@ -267,9 +267,9 @@ def release_of(message: Message) -> Release:
 
 
 class Choice(NamedTuple):
-    release: str  # release of the table
+    release: str  # release whose rules are checked
     problem: str | None  # reason why the vehicle may not fly, or None
-    note: str | None  # information for the operator
+    note: str | None  # information for the operator, or None
 
 
 def choose(table: Table, release: Release | None, silence: str, *, accept: bool) -> Choice:

@@ -41,8 +41,8 @@ _SIDES: tuple[Vec3, ...] = (
 class Row(NamedTuple):
     """A linear constraint g . u >= b on the velocity u."""
 
-    g: Vec3  # gradient g, without unit
-    bound_m_s: float  # bound b
+    g: Vec3  # gradient g of the constraint, without unit
+    bound_m_s: float  # bound b of the constraint
 
     def missing_m_s(self, u: Vec3) -> float:
         """Return the violation of the row by a velocity, m/s; it is not positive if the row is met."""

@@ -99,7 +99,7 @@ class Mission:
     memory: Memory
     _config: FlightConfig  # configuration of the flight
     _barrier: Barrier  # the paper's barrier
-    _strategy: Filter  # safety filter
+    _strategy: Filter  # safety filter of the configuration
     _times_s: PhaseTimes
 
     def __init__(
