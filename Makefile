@@ -1,10 +1,10 @@
-# `make fly`, `make test` and `make quick` make their own virtual environment in .venv.
+# `make fly`, `make test` and `make quick` create a virtual environment in .venv.
 PYTHON ?= python3
 VENV := .venv
-# or each of the hundreds of processes of the tests would compile the sources anew
+# if it were set, each of the hundreds of processes of the tests would compile the sources again
 unexport PYTHONDONTWRITEBYTECODE
 BIN := $(VENV)/bin
-# not compiled: Python does that by itself with what is imported, a tenth of what is installed
+# pip compiles nothing: Python compiles the modules that it imports, a tenth of the installed ones
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: fly view test quick bench docs clean
@@ -12,36 +12,36 @@ PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-c
 fly: $(VENV)/.fly
 	$(BIN)/flightstack sitl --scenario paper_moving_1 --filter robust
 
-# the same flight with a live view in 3-D
+# the flight of `make fly` with a live 3-D view
 view: $(VENV)/.fly
 	$(PIP) --editable '.[sim,report,view]'
 	$(BIN)/flightstack sitl --scenario paper_moving_1 --filter robust --view native
 
-# the project's own files: a user's scratch code in the checkout is not linted
+# only files of the project: other files in the checkout are not linted
 SOURCES := (git ls-files '*.py' 2>/dev/null || echo .)
 
-# what `make test` and `make quick` have in common; the argument is done meanwhile
+# checks of `make test` and `make quick`; the command $(1) runs at the same time as mypy
 define CHECK
 @echo ruff; $(SOURCES) | xargs $(BIN)/ruff check
 @$(SOURCES) | xargs $(BIN)/ruff format --check
 $(BIN)/lint-imports --no-logo --no-cache
 $(1) & $(BIN)/mypy && wait $$!
 endef
-# the simulator's loops are compiled once, and the tests' sources, and not by each worker
+# these compile the simulator's loops and the sources of the tests once, so that the workers need not do it
 WARM := $(BIN)/python -m sim.runners.landing
 COLLECT := $(BIN)/python -m pytest --collect-only -q >/dev/null
 
-# a test that ends its worker is given to the next one, which it ends, too
+# one restart only: a test that ends its worker runs again in the next worker, and ends that one, too
 test: $(VENV)/.test
 	$(call CHECK,($(WARM) && $(COLLECT)))
 	$(BIN)/python -m pytest -n auto --dist loadgroup --max-worker-restart 1 -q
 
-# the unit tests without those marked slow, with fewer random examples; one worker a core, as none flies in real time
+# unit tests without those marked slow, with fewer random examples; one worker per core, as no test flies in real time
 quick: $(VENV)/.test
 	$(call CHECK,$(WARM))
 	$(BIN)/python -m pytest -n logical --dist loadgroup -q -m "not slow" --hypothesis-profile=quick tests/unit
 
-# the documentation site, into build/site; a broken link fails
+# builds the documentation site in build/site; a broken link is an error
 docs: | $(VENV)/bin/python
 	$(PIP) --editable '.[sim,docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
