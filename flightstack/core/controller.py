@@ -112,6 +112,7 @@ class Controller:
         self._fleet = FleetMember(config.fleet_or_alone, config.own.position_noise_m)
         self.velocity = VelocityCommand(config, self.barrier, self.memory, self.strategy, self._fleet)
         strategy = self.strategy
+        self._situation = Situation(config, self.barrier, self.memory, strategy)
         self._state = State(
             self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory,
             self.reserve.memory, strategy.own, strategy.late, self._fleet.memory, strategy.memory,
@@ -149,7 +150,7 @@ class Controller:
         transition = self._mission.step(seen, command_failed=command_failed, now_s=now_s)
         if transition is not None:
             events.append(Event(_level(transition), transition.text))
-        nominal = nominal_command(Situation(self.config, self.barrier, memory, seen, self.strategy))
+        nominal = nominal_command(self._situation, seen)
         nominal = velocity.beside(nominal, seen, now_s)
         barriers, wanted, gate, setpoint = velocity.setpoint(nominal, seen)
         for text in fleet.texts(permissions, now_s - memory.phase_since_s, self.reserve.text, now_s):
@@ -310,7 +311,7 @@ class Controller:
     def _message(self, seen: Snapshot, now_s: float) -> MemberStatus | None:
         """Return the message to the fleet after this tick; None without a recent vehicle state."""
         own = seen.inputs.own
-        if own is None or not seen.own_ok:
+        if own is None or not seen.own_ok or self._fleet.is_alone:
             return None
         base = self.velocity.base(own.velocity_enu_m_s)
         return self._fleet.message(self.memory, own, seen.inputs.status, base, seen.target, now_s)

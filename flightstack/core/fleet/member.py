@@ -100,7 +100,7 @@ class FleetMember:
 
     def __init__(self, fleet: Fleet, sigma_m: float) -> None:
         self.memory = FleetMemory(tuple(Heard() for _ in fleet.others))
-        self._fleet, self._sigma_m = fleet, sigma_m
+        self._fleet, self._sigma_m, self.is_alone = fleet, sigma_m, not fleet.others
         self._index = {n: k for k, n in enumerate(fleet.others)}
         self._program, self._given_m_s = FleetProgram(len(fleet.others)) if fleet.others else None, 0.0
 
@@ -113,7 +113,7 @@ class FleetMember:
         self, inputs: Inputs, phase: Phase, target: TargetState | None, now_s: float
     ) -> tuple[list[str], Permissions]:
         """Store the received messages; return event texts and the permissions of this tick."""
-        if not self._index:
+        if self.is_alone:
             return [], ALONE
         return self.take(inputs.neighbours, now_s), self.permissions(phase, target, now_s, inputs.own)
 
@@ -262,6 +262,8 @@ class FleetMember:
 
     def texts(self, permissions: Permissions, in_phase_s: float, why: str, now_s: float) -> list[str]:
         """Return the event texts after the filter; ``why``: reason why the vehicle cannot take off again."""
+        if self.is_alone:
+            return []
         return self._crowded(now_s) + self.remains_on_pad(permissions, in_phase_s, why)
 
     def _crowded(self, now_s: float) -> list[str]:
@@ -281,10 +283,8 @@ class FleetMember:
     def message(
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
-    ) -> MemberStatus | None:  # fmt: skip
-        """Return the message to the other members after this tick; None without other members."""
-        if not self._index:
-            return None
+    ) -> MemberStatus:  # fmt: skip
+        """Return the message to the other members after this tick."""
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
         fleet, mine, (x, y, z) = self._fleet, self.memory, own.position_enu_m
         intent = intent_of(memory, granted=mine.granted, flies=flies)

@@ -32,32 +32,31 @@ class NominalCommand(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """Data from which the command of a phase is computed."""
+    """Data from which the command of a phase is computed, with the ``Snapshot`` of the tick."""
 
     config: FlightConfig
     barrier: Barrier
     memory: Memory
-    snapshot: Snapshot
     strategy: Filter
 
 
-def _wait(s: Situation) -> NominalCommand:
-    status = s.snapshot.inputs.status
-    if status is not None and status.armed and status.landed is not Landed.ON_GROUND and s.snapshot.target_ok:
+def _wait(s: Situation, seen: Snapshot) -> NominalCommand:
+    status = seen.inputs.status
+    if status is not None and status.armed and status.landed is not Landed.ON_GROUND and seen.target_ok:
         # a vehicle that starts in the air hovers; the filter keeps it clear of an approaching pad
         return NominalCommand(Request.EXTERNAL, ZERO, filtered=s.strategy.waits_filtered)
     return NominalCommand(Request.NONE)
 
 
-def _takeoff(s: Situation) -> NominalCommand:
-    own, target, memory = s.snapshot.inputs.own, s.snapshot.target, s.memory
+def _takeoff(s: Situation, seen: Snapshot) -> NominalCommand:
+    own, target, memory = seen.inputs.own, seen.target, s.memory
     if own is None or target is None:
         return NominalCommand(Request.TAKEOFF)
     if not memory.climbed:  # autopilots that take off by set-points follow this climb
         climbed_m = own.position_enu_m[2] - memory.ground_z_m
         up = (s.config.takeoff.height_m - climbed_m) * s.config.position_loop.gain_1_s[2]
         climb = limit((0.0, 0.0, max(0.0, up)), s.config.limits.velocity_max_m_s)
-        return NominalCommand(Request.EXTERNAL if _follows_in_air(s) else Request.TAKEOFF, climb)
+        return NominalCommand(Request.EXTERNAL if _follows_in_air(s, seen) else Request.TAKEOFF, climb)
     start = start_point(s.config, target)
     if start is None:
         return NominalCommand(Request.EXTERNAL, ZERO)
@@ -69,18 +68,18 @@ def _takeoff(s: Situation) -> NominalCommand:
     return NominalCommand(Request.EXTERNAL, velocity)
 
 
-def _follows_in_air(s: Situation) -> bool:
+def _follows_in_air(s: Situation, seen: Snapshot) -> bool:
     """Whether the vehicle has lifted off and follows set-points: the autopilot's take-off is over."""
-    status = s.snapshot.inputs.status
+    status = seen.inputs.status
     standing = status is None or status.landed is Landed.ON_GROUND
     return s.memory.was_external and not standing
 
 
-def _land(s: Situation) -> NominalCommand:
-    at = s.snapshot.relative
+def _land(s: Situation, seen: Snapshot) -> NominalCommand:
+    at = seen.relative
     if at is None:
         return NominalCommand(Request.EXTERNAL)
-    if not s.snapshot.permissions.may_land:
+    if not seen.permissions.may_land:
         return NominalCommand(Request.EXTERNAL, _outside(at, s.config), filtered=True)
     velocity = towards_pad(s.config, s.memory, s.strategy, at)
     return NominalCommand(Request.EXTERNAL, velocity, filtered=True)
@@ -114,14 +113,14 @@ def _outside(at: Relative, config: FlightConfig) -> Vec3:
     return nominal_velocity(e, config.position_loop.gain_1_s, at.target.velocity_enu_m_s)
 
 
-def _touchdown(s: Situation) -> NominalCommand:
+def _touchdown(s: Situation, seen: Snapshot) -> NominalCommand:
     """Descend vertically over the pad's centre until the filter's rule stops the motors.
 
     Within the pad's radius the cone is narrower than the pad and no longer protects the landing.
     """
     if s.memory.contact:
         return NominalCommand(Request.MOTORS_OFF)
-    at = s.snapshot.relative
+    at = seen.relative
     if at is None:
         return NominalCommand(Request.EXTERNAL)
     if s.strategy.motors_off(at):
@@ -129,15 +128,15 @@ def _touchdown(s: Situation) -> NominalCommand:
     return NominalCommand(Request.EXTERNAL, s.strategy.descent_m_s(at))
 
 
-def _landed(s: Situation) -> NominalCommand:
+def _landed(_: Situation, seen: Snapshot) -> NominalCommand:
     """Request nothing; at an emergency stop request motors off, because the heartbeat may be wrong."""
-    emergency = s.snapshot.inputs.operator is Operator.EMERGENCY_STOP
+    emergency = seen.inputs.operator is Operator.EMERGENCY_STOP
     return NominalCommand(Request.MOTORS_OFF if emergency else Request.NONE)
 
 
-def _leave(s: Situation) -> NominalCommand:
+def _leave(s: Situation, seen: Snapshot) -> NominalCommand:
     """Climb above the pad to a height above every part of the target, then fly to the landing place."""
-    memory, at, status = s.memory, s.snapshot.relative, s.snapshot.inputs.status
+    memory, at, status = s.memory, seen.relative, seen.inputs.status
     if memory.clear:
         return NominalCommand(Request.LAND)
     flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
@@ -152,20 +151,20 @@ def _leave(s: Situation) -> NominalCommand:
         vx, vy, _ = s.strategy.approach_m_s(at, True)
         vz = at.target.velocity_enu_m_s[2] - gain[2] * up_m
         return NominalCommand(request, (vx, vy, vz), filtered=True)
-    px, py, _ = s.snapshot.permissions.place_enu_m or at.own.position_enu_m
+    px, py, _ = seen.permissions.place_enu_m or at.own.position_enu_m
     return NominalCommand(request, nominal_velocity((x - px, y - py, up_m), gain, ZERO), filtered=True)
 
 
-def _hold(s: Situation) -> NominalCommand:
+def _hold(s: Situation, seen: Snapshot) -> NominalCommand:
     """Return the filter's hold velocity; zero before the landing or without a target."""
-    target = s.snapshot.target
+    target = seen.target
     if target is None or s.memory.started_s == math.inf:
         return NominalCommand(Request.EXTERNAL, ZERO)
     return NominalCommand(Request.EXTERNAL, s.strategy.hold_m_s(target))
 
 
-def _climb(s: Situation) -> NominalCommand:
-    own = s.snapshot.inputs.own
+def _climb(s: Situation, seen: Snapshot) -> NominalCommand:
+    own = seen.inputs.own
     if own is None:
         return NominalCommand(Request.EXTERNAL)
     # at this height the vehicle waits for the target until the time of the phase is over
@@ -175,10 +174,10 @@ def _climb(s: Situation) -> NominalCommand:
     return NominalCommand(Request.EXTERNAL, (0.0, 0.0, up))
 
 
-def _fly_clear(s: Situation) -> NominalCommand:
-    own, memory = s.snapshot.inputs.own, s.memory
+def _fly_clear(s: Situation, seen: Snapshot) -> NominalCommand:
+    own, memory = seen.inputs.own, s.memory
     target = memory.target_position_enu_m
-    if own is None or not s.snapshot.own_ok or target is None or memory.clear:
+    if own is None or not seen.own_ok or target is None or memory.clear:
         return NominalCommand(Request.LAND)
     dx, dy = own.position_enu_m[0] - target[0], own.position_enu_m[1] - target[1]
     d = math.hypot(dx, dy)
@@ -192,15 +191,15 @@ def _fly_clear(s: Situation) -> NominalCommand:
     return NominalCommand(Request.EXTERNAL, limit((away[0] * vx, away[1] * vy, up), (vx, vy, vz)))
 
 
-_ABORT: dict[AbortWay, Callable[[Situation], NominalCommand]] = {
-    AbortWay.NONE: lambda _: NominalCommand(Request.NONE),
-    AbortWay.MOTORS_OFF: lambda _: NominalCommand(Request.MOTORS_OFF),
-    AbortWay.HANDS_OFF: lambda _: NominalCommand(Request.NONE),
-    AbortWay.LAND_HERE: lambda _: NominalCommand(Request.LAND),
+_ABORT: dict[AbortWay, Callable[[Situation, Snapshot], NominalCommand]] = {
+    AbortWay.NONE: lambda *_: NominalCommand(Request.NONE),
+    AbortWay.MOTORS_OFF: lambda *_: NominalCommand(Request.MOTORS_OFF),
+    AbortWay.HANDS_OFF: lambda *_: NominalCommand(Request.NONE),
+    AbortWay.LAND_HERE: lambda *_: NominalCommand(Request.LAND),
     AbortWay.FLY_CLEAR: _fly_clear,
 }
 
-_PHASES: dict[Phase, Callable[[Situation], NominalCommand]] = {
+_PHASES: dict[Phase, Callable[[Situation, Snapshot], NominalCommand]] = {
     Phase.WAIT: _wait,
     Phase.TAKEOFF: _takeoff,
     Phase.APPROACH: _land,
@@ -209,11 +208,11 @@ _PHASES: dict[Phase, Callable[[Situation], NominalCommand]] = {
     Phase.LANDED: _landed,
     Phase.HOLD: _hold,
     Phase.CLIMB: _climb,
-    Phase.ABORT: lambda s: _ABORT[s.memory.abort_way](s),
+    Phase.ABORT: lambda s, seen: _ABORT[s.memory.abort_way](s, seen),
     Phase.LEAVE: _leave,
 }
 
 
-def nominal_command(situation: Situation) -> NominalCommand:
+def nominal_command(situation: Situation, seen: Snapshot) -> NominalCommand:
     """Return the command of the current phase."""
-    return _PHASES[situation.memory.phase](situation)
+    return _PHASES[situation.memory.phase](situation, seen)

@@ -48,7 +48,7 @@ def asked(
     mission.memory = memory
     mission.progress(seen)
     before = replace(memory)
-    command = nominal_command(Situation(settings, BARRIER, memory, seen, strategy))
+    command = nominal_command(Situation(settings, BARRIER, memory, strategy), seen)
     assert memory == before, "guidance only reads"
     return command
 
