@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from flightstack.api.landing import land as land
     from flightstack.api.landing import read_log as read_log
     from flightstack.api.scenario import scenario as scenario
-    from flightstack.core.strategies.at import At as At
     from flightstack.core.strategies.robust import RobustFilter as RobustFilter
     from flightstack.core.strategies.strategy import Filter as Filter
+    from flightstack.core.strategies.user_filter import At as At
 
 _HOME = {
-    "At": "flightstack.core.strategies.at",
+    "At": "flightstack.core.strategies.user_filter",
     "Campaign": "flightstack.api.campaign",
     "Filter": "flightstack.core.strategies.strategy",
     "Landing": "flightstack.api.landing",

@@ -27,8 +27,8 @@ from flightstack.core.controller import FLYING, Controller
 from flightstack.core.mission.conditions import lasting_flags
 from flightstack.core.numeric import NotOrdinary, hypot_is_known
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.strategies.answers import compiled_as
 from flightstack.core.strategies.strategy import strategy_class
+from flightstack.core.strategies.user_filter import compiled_as
 from flightstack.core.types import FilterStatus, OwnState, Phase, Request
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.plant.states import TRUTH

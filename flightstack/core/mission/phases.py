@@ -1,7 +1,8 @@
 """Mission as tables: in each phase, the first rule whose conditions hold gives the next phase.
 
-``Condition`` flags are computed in each tick; a rule fires when all flags of ``when`` and none of ``unless``
-are set. Nothing else changes a phase. The kinds of abort (``AbortWay``) are parts of phase ABORT with their
+``conditions.py`` computes the ``Condition`` flags in each tick; a rule fires when all flags of ``when`` and
+none of ``unless`` are set. Nothing else changes a phase: a go-around is the rule of TOUCHDOWN for DRIFTED
+with RETRIES_LEFT. The kinds of abort (``AbortWay``) are parts of phase ABORT with their
 own table: the rules of ``AbortWay.NONE`` choose the kind when an abort starts. No rule leaves ABORT. Phase
 LANDED is left at most once, to free the pad for another fleet member; for another flight the operator starts
 a new process.

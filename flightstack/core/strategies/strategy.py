@@ -35,8 +35,15 @@ from flightstack.core.safety.barrier import ActiveBarrier, Barrier, problem_of
 from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.qp_filter import FilterResult, Program, SafetyFilter
 from flightstack.core.snapshot import Relative
-from flightstack.core.strategies.answers import Ask, chosen, compiled_as, filtered
-from flightstack.core.strategies.at import At, Vector, three_finite
+from flightstack.core.strategies.user_filter import (
+    Ask,
+    At,
+    Vector,
+    chosen,
+    compiled_as,
+    filtered,
+    three_finite,
+)
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, Vec3
 

@@ -8,7 +8,7 @@ import pytest
 import flightstack as fs
 from examples.own_filter import Smooth
 from flightstack.compiled.jit import is_off
-from flightstack.core.strategies.answers import compiled_as
+from flightstack.core.strategies.user_filter import compiled_as
 from sim.runners.landing import Flights, warm_up
 from sim.scenarios.scenario import load
 from sim.scenarios.tables import Start

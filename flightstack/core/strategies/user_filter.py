@@ -1,0 +1,141 @@
+"""A user's filter: its input ``At``, the check of its result, and its call in a tick that is compiled code.
+
+Compiled code cannot call Python. It computes the arguments, Python calls the filter or an agent, and the tick
+continues with the answer, which is stored in ``Filter.exchange``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import CodeType, FunctionType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from flightstack.core.safety.projection import best_corner, project
+from flightstack.core.safety.qp_filter import FilterResult
+from flightstack.core.snapshot import Relative
+from flightstack.core.types import FilterStatus, Vec3
+
+Vector = NDArray[np.float64]
+
+
+class At(NamedTuple):
+    """Data of a tick for ``Filter.filter``; vectors are arrays (3,) in ENU.
+
+    Attributes:
+        t_s: time of the vehicle state, on the stack's clock.
+        position_enu_m: current position of the vehicle, as the filter estimates it.
+        velocity_enu_m_s: velocity of the vehicle.
+        target_position_enu_m: position of the landing spot.
+        target_velocity_enu_m_s: velocity of the landing spot.
+        e_m: position of the vehicle minus landing spot.
+        d_m: horizontal length of ``e_m``.
+        h_m: value of the barrier; a negative value is unsafe.
+        gradient: gradient of the barrier with respect to the vehicle's position.
+        dh_dt_m_s: partial time derivative of the barrier, because the target moves.
+        rate_1_s: largest relative rate at which h may fall.
+        lower_m_s: lowest velocity that may be commanded in this tick, by limits and slew.
+        upper_m_s: highest velocity that may be commanded in this tick.
+        permitted: function that limits a velocity to the assumptions of the barrier's margin.
+    """
+
+    t_s: float
+    position_enu_m: Vector
+    velocity_enu_m_s: Vector
+    target_position_enu_m: Vector
+    target_velocity_enu_m_s: Vector
+    e_m: Vector
+    d_m: float
+    h_m: float
+    gradient: Vector
+    dh_dt_m_s: float
+    rate_1_s: float
+    lower_m_s: Vector
+    upper_m_s: Vector
+    permitted: Callable[[Vec3], Vec3]
+
+    @property
+    def bound_m_s(self) -> float:
+        """Bound of eq. 11, m/s: a velocity keeps the barrier if gradient . velocity >= this bound."""
+        return -self.rate_1_s * self.h_m - self.dh_dt_m_s
+
+    def enforced(self, velocity_m_s: ArrayLike) -> Vector:
+        """Return the nearest permitted velocity that keeps the barrier, or the one that raises h most.
+
+        Args:
+            velocity_m_s: (3,) ENU.
+        """
+        x, y, z = np.asarray(velocity_m_s, dtype=np.float64).tolist()
+        permitted = self.permitted((x, y, z))
+        gradient, lower, upper = self.gradient.tolist(), self.lower_m_s.tolist(), self.upper_m_s.tolist()
+        found = project(permitted, tuple(gradient), self.bound_m_s, tuple(lower), tuple(upper))
+        return np.array(found if found is not None else best_corner(gradient, lower, upper))
+
+
+def three_finite(found: Any) -> Vector | None:
+    """Return the answer of a filter as an array; None if it is not three finite numbers."""
+    try:
+        velocity = np.asarray(found, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return velocity if velocity.shape == (3,) and np.isfinite(velocity).all() else None
+
+
+Ask = Callable[[Relative, Vec3], Vec3]  # agent: vehicle relative to target, nominal velocity -> velocity
+
+
+def chosen(one: Any, _at: Relative, own: Vec3) -> Vec3:
+    """Compiled form of ``Filter.choose``: the agent's answer is given before the tick."""
+    exchange = one.exchange
+    if not exchange.agent:
+        return own
+    exchange.nominal = own
+    answer: Vec3 = exchange.chosen
+    return answer
+
+
+def filtered(
+    one: Any, _at: Relative, h_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, lower: Vec3,
+    upper: Vec3,
+) -> FilterResult:  # fmt: skip
+    """Compiled form of ``Filter.filtered``: the result of the user's filter is given before the tick."""
+    exchange = one.exchange
+    exchange.nominal, exchange.h_m, exchange.gradient, exchange.dh_dt_m_s = nominal, h_m, gradient, dh_dt_m_s
+    exchange.lower_m_s, exchange.upper_m_s = lower, upper
+    return FilterResult(exchange.chosen, 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
+
+
+_PLAIN = {"filter", "State", "certificate", "__init__", "__doc__", "__module__", "__annotations__"}
+_STATE = frozenset(
+    ("motion", "tracking", "own", "late", "memory", "exchange", "estimator", "own_estimator", "_tracking")
+)
+
+
+def compiled_as(cls: type) -> type | None:
+    """Return the packaged class whose flights differ from this class only in ``filter``.
+
+    Return None if the class overrides more, or may read estimators, whose state exists only in compiled code.
+    """
+    own: list[type] = []
+    for base in cls.__mro__:
+        if base.__module__.partition(".")[0] == "flightstack":
+            break
+        own.append(base)
+    for name, value in ((name, value) for each in own for name, value in vars(each).items()):
+        if hasattr(base, name) and name not in _PLAIN and not name.startswith("__static"):
+            return None
+        function = getattr(value, "__func__", value)
+        if isinstance(function, FunctionType) and name != "__init__":
+            if _names(function.__code__) & (_STATE | {"getattr", "vars", "__dict__"}):
+                return None
+        elif name == "filter":
+            return None
+    return base if hasattr(base, "certificate") else None
+
+
+def _names(code: CodeType) -> set[str]:
+    """Return the names of attributes and globals that a function and its inner functions use."""
+    inner = (_names(each) for each in code.co_consts if isinstance(each, CodeType))
+    return set(code.co_names).union(*inner)
