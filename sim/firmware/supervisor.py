@@ -18,12 +18,12 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import Record, new, scalars
 
 PERIOD_MS = 40  # period of the supervisor, 25 Hz
-WARNING_MS = 500  # set-point age at which it levels out; supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
-TIMEOUT_MS = 2000  # set-point age at which it locks; supervisor.c: COMMANDER_WDT_TIMEOUT_SHUTDOWN
+WARNING_MS = 500  # set-point age from which it levels out, ms; supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
+TIMEOUT_MS = 2000  # set-point age from which it locks, ms; supervisor.c: COMMANDER_WDT_TIMEOUT_SHUTDOWN
 FLYING_HYSTERESIS_MS = 2000  # supervisor.c: IS_FLYING_HYSTERESIS_THRESHOLD
-READY_TIMEOUT_MS = 30_000  # platform_defaults.h: preflight timeout
-LANDED_TIMEOUT_MS = 3000  # platform_defaults.h: landing timeout
-TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # platform_defaults.h
+READY_TIMEOUT_MS = 30_000  # preflight time-out of platform_defaults.h, ms
+LANDED_TIMEOUT_MS = 3000  # landing time-out of platform_defaults.h, ms
+TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # vertical acceleration below which it is tilted, g; time, ms
 TUMBLE_UPSIDE_DOWN_G, TUMBLE_UPSIDE_DOWN_MS = -0.2, 100
 FREE_FALL_G = 0.1  # acceleration of free fall, which resets the tumble timers; supervisor.c
 

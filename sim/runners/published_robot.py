@@ -147,7 +147,7 @@ class LockstepRobot(PublishedRobot):
         self._marker = zenoh_link.blocking_publisher(session, f"{namespace}/sim/target/tick")
         self._token = zenoh_link.liveliness_token(session, f"{namespace}/{ALIVE}")
         self._credits = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/credit")
-        self._credit = 0  # newest tick of the reader
+        self._credit = 0  # newest tick that the reader has announced
         self._silent = False  # whether the wait for credit timed out
 
     def begin(self) -> None:

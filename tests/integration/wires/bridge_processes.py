@@ -27,7 +27,7 @@ ASKS_EVERY_S = 1.5  # period of a pilot's requests, s; heartbeats, which show th
 
 
 class Verb(Background):
-    """Run a process of ``flightstack bridge`` until it is ready."""
+    """Process of ``flightstack bridge`` that has printed its URL."""
 
     def __init__(self, *arguments: str) -> None:
         super().__init__("bridge", *arguments)
