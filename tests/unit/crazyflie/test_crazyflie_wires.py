@@ -1,6 +1,9 @@
-"""Both connections of the Crazyflie bridge: cflib's log packets and queues, MAVLink, rejections of arming."""
+"""Both connections of the Crazyflie bridge: log packets, clock, queues, firmware settings, and MAVLink."""
+
+from __future__ import annotations
 
 import math
+from itertools import pairwise
 from types import SimpleNamespace
 
 import pytest
@@ -9,6 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.crazyflie.packets import (
+    LATE_MAX_S,
     ORDERS_MAX,
     VELOCITY_AGE_MAX_S,
     BootClock,
@@ -22,15 +26,19 @@ from bridge.crazyflie.packets import (
     decompress_quaternion,
 )
 from bridge.crazyflie.process import Loop
+from bridge.crazyflie.rules import DRAG, ECHO_MAX_S, UNKNOWN_DRAG, Rules
 from bridge.frames import enu_from_ned, yaw_ned_from_enu
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.messages import pack
 from bridge.mavlink.profiles import profile
+from flightstack.cli.real import _drag_1_s
 from flightstack.common.hangup import Stop
+from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import Landed, Mode
 from tests.crazyflie_firmware.bench import Bench
 from tests.crazyflie_firmware.firmware import Firmware, quaternion_bits
 from tests.crazyflie_firmware.plant import Point
+from tests.crazyflie_firmware.supervisor import State
 
 UNIT = (
     st.tuples(*[st.floats(-1.0, 1.0)] * 4)
@@ -217,3 +225,93 @@ def test_an_exception_in_the_bridge_lands_the_crazyflie_before_it_ends():
     assert len(told) == 1
     assert len(said) == 1
     assert "gone" in said[0]
+
+
+# Faults of the clock
+
+
+@pytest.mark.parametrize(("last_ms", "time_ms", "elapsed_s"), [
+    (500_000, 200, 1.0), (9_000_000, 200, 4.0), (16_777_000, 900, 5.0), (3_000, 3_100, 60.0),
+])  # fmt: skip
+def test_a_restart_is_known_by_the_time_since_the_last_packet(last_ms, time_ms, elapsed_s):
+    clock = BootClock()
+    clock.take(last_ms, 1000.0)
+    assert clock.take(time_ms, 1000.0 + elapsed_s) == (time_ms, 0.0)
+    assert clock.restarts == 1
+
+
+@pytest.mark.parametrize(("last_ms", "time_ms", "elapsed_s"), [
+    (16_777_000, 4_784, 5.0), (500_000, 500_010, 5.0), (500_000, 504_850, 5.0), (500_000, 500_800, 0.01),
+])  # fmt: skip
+def test_a_wrap_a_pause_and_a_slow_clock_are_no_restart(last_ms, time_ms, elapsed_s):
+    clock = BootClock()
+    clock.take(last_ms, 1000.0)
+    assert clock.take(time_ms, 1000.0 + elapsed_s) is not None
+    assert clock.restarts == 0
+
+
+@pytest.mark.parametrize("wrong_ms", [100, 300, 950, 5_000, -500, -5_000])
+@pytest.mark.parametrize("stays", [False, True])
+def test_a_known_clock_is_moved_by_no_single_packet_and_follows_those_that_agree(wrong_ms, stays):
+    clock, usable_s = BootClock(), []
+    for k in range(1_000):
+        wrong = k == 500 or (stays and k > 500)
+        timed = clock.take(60_000 + 10 * k + wrong_ms * wrong, 60.0 + 0.01 * k)
+        if timed is not None and timed[1] <= LATE_MAX_S:
+            usable_s.append(60.0 + 0.01 * k)
+    gap_s = max(b - a for a, b in pairwise(usable_s))
+    assert gap_s < (0.03 if wrong_ms > 0 or not stays or wrong_ms < -1_000 else 1.2)
+    assert usable_s[-1] == 60.0 + 0.01 * 999
+
+
+# Faults of motion capture
+
+
+# Faults that the supervisor reports
+
+
+@pytest.mark.slow
+def test_firmware_that_arms_itself_anew_every_30_seconds_is_no_one_who_disarms():
+    bench = Bench().ready()
+    for offset_s in (-0.1, 0.05):
+        left = [s for _, s in bench.firmware.supervisor.history].count(State.CHECKS_FAILED)
+        ready_s = bench.firmware.supervisor.history[-1][0]
+        bench.until(lambda due_s=ready_s + 30.04 + offset_s: bench.now_s >= due_s, 40.0)
+        bench.hover().command(21)
+        bench.until(lambda: not bench.vehicle.armed, 12.0).run(6.0)
+        assert [s for _, s in bench.firmware.supervisor.history].count(State.CHECKS_FAILED) > left
+    said = [text for text in bench.texts if "Disarmed: by" in text or "refused" in text or "failed" in text]
+    assert not said
+    assert bench.texts.count("Ready to arm") == 1
+
+
+RULES = Rules(drag_1_s=(0.46, 0.46, 0.4), restore=True)
+FOUND = {"stabilizer.estimator": 1.0, **dict.fromkeys(DRAG, 0.0)}
+
+
+def test_what_it_found_is_restored_once_and_waited_for_within_a_bound():
+    bench = Bench(rules=RULES).run(0.1)
+    settings, now_s = bench.vehicle.settings, bench.now_s
+    assert dict(settings.leave(now_s)) == FOUND
+    assert settings.leave(now_s) == []
+    assert settings.busy(now_s + 0.9 * ECHO_MAX_S)
+    assert not settings.busy(now_s + 1.1 * ECHO_MAX_S)
+    for name in FOUND:
+        assert settings.busy(now_s)
+        settings.echoed(name)
+    assert not settings.busy(now_s)
+
+
+def test_a_firmware_that_cannot_be_told_its_drag_is_named():
+    firmware = Firmware()
+    for name in DRAG:
+        del firmware.params[name]
+    assert UNKNOWN_DRAG in Bench(firmware, RULES).run(0.1).texts
+    assert UNKNOWN_DRAG not in Bench(firmware).run(0.1).texts
+
+
+def test_the_drag_is_that_of_the_vehicle_file():
+    assert _drag_1_s("crazyflie20") == pytest.approx((0.461, 0.461, 0.401), abs=0.001)
+    assert _drag_1_s("none") is None
+    with pytest.raises(ConfigError, match="crazyflie20"):
+        _drag_1_s("crazyflie99")

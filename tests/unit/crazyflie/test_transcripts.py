@@ -4,15 +4,19 @@ import ast
 import math
 import random
 import re
+import struct
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 
 import pytest
 
-from bridge.crazyflie.packets import Order
+from bridge.crazyflie.packets import Order, SetParam
+from bridge.crazyflie.pilot import UNPLACED_M_S
 from bridge.crazyflie.rules import Rules
 from bridge.mavlink.server.profile import FlightMode
+from bridge.mocap.checks import Passed
+from bridge.ros2.cdr import Pose
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
@@ -41,9 +45,29 @@ FACTS = {
 class Stage(Bench):
     """Plays the steps of a transcript; a step is a method, with "-" or " " instead of "_"."""
 
-    def __init__(self, *arguments):
-        super().__init__(*arguments)
+    def __init__(self, *arguments, posed_by="", tilt_deg=0.0):
+        """``posed_by``: sender of external poses, "bridge", "other" or none; ``tilt_deg``: see ``tilt``."""
         self.mark_s, self.results = 0.0, []
+        self.posed_by, self.poses = posed_by, bool(posed_by)
+        self.tilt(tilt_deg)
+        super().__init__(*arguments)
+
+    def step(self):
+        w, x, y, z = self.quaternion
+        position = self.firmware.plant.position
+        if self.poses:
+            self.firmware.packet(b"\x6d\x08" + struct.pack("<7f", *position, x, y, z, w), self.now_s)
+        if self.poses and self.posed_by == "bridge":
+            pose = Pose(0, "map", tuple(position), self.quaternion)
+            self.vehicle.mocap(None, Passed(pose, self.now_s, 0), self.now_s)
+        elif self.posed_by == "bridge":
+            self.vehicle.mocap("mocap: no pose for 0.3 s", None, self.now_s)
+        super().step()
+
+    def tilt(self, degrees):
+        """Rotate the markers relative to the body, about body y."""
+        half_rad = math.radians(float(degrees)) / 2.0
+        self.quaternion = (math.cos(half_rad), 0.0, math.sin(half_rad), 0.0)
 
     def play(self, steps: str) -> None:
         for step in steps.split("; "):
@@ -156,7 +180,7 @@ WORDS = {
     "says": lambda b, text: any(re.search(text, said) for said in b.texts),
     "silent": lambda b, text: text not in b.texts,
     "counts": lambda b, words: sum(words[2:] in said for said in b.texts) == int(words[0]),
-    "problem": lambda b, text: b.vehicle.problems(b.now_s)[0].startswith(text),
+    "problem": lambda b, text: bool(re.match(text, b.vehicle.problems(b.now_s)[0])),
     "results": lambda b, words="": b.results == numbers(words),
     "replies": lambda b, words="": [r.result for r in b.replies] == numbers(words),
     "unsent": lambda b, order: not b.orders(Order[order]),
@@ -167,7 +191,16 @@ WORDS = {
     "blind": lambda b, height_m: b.now_s - b.mark_s < 2.2 + 1.2 * float(height_m) / 0.25,
     "velocity": lambda b, words: numbers(words) == pytest.approx(list(b.velocities()[-1][1][0])),
     "fresh": lambda b, seconds: b.now_s - b.vehicle.state.at_s < float(seconds),
-    "follows": Stage.follows,
+    "follows": Stage.follows, "tilt": Stage.tilt,
+    "lost": lambda b, words: b.near([b.newest_s(words.split()[0])], words.split()[1:]),
+    "fit": lambda b: not b.vehicle.problems(b.now_s),
+    "steady": lambda b: max(b.vehicle.health.variance_m2) < 0.01,
+    "unplaced": lambda b: not b.vehicle.sensors_healthy(b.now_s),
+    "sinks": lambda b: {(0.0, 0.0, -UNPLACED_M_S)}
+    == {v.velocity_enu_m_s for t, v in b.velocities() if t > b.mark_s + 1.6},
+    "holds": lambda b, words: b.firmware.params[words.split()[0]].value == float(words.split()[1]),
+    "writes": lambda b, words: [packet.name for _, packet in b.sent if isinstance(packet, SetParam)].count(
+        words.split()[0]) == int(words.split()[1]),
     "place": lambda b, words: b.firmware.plant.position == pytest.approx(numbers(words), abs=0.05),
     "sent": Stage.sent_order, "became": Stage.became, "velocities": Stage.flew, "refused": Stage.refused,
 }  # fmt: skip
@@ -187,12 +220,14 @@ def flights():
 OF_FIRMWARE = {"auto_arm", "needs_poses", "clock_rate"}
 
 
-def begin(place=(0.0, 0.0), uptime_s=0.0, **options):
+def begin(place=(0.0, 0.0), uptime_s=0.0, posed_by="", tilt_deg=0.0, **options):
+    options |= {"needs_poses": True, "mocap": posed_by == "bridge"} if posed_by else {}
     firmware = Firmware(
         Point(*place), **{k: v for k, v in options.items() if k in ("auto_arm", "needs_poses")}
     )
     firmware._boot_s = -uptime_s
-    return Stage(firmware, Rules(**{k: v for k, v in options.items() if k in Rules.__dataclass_fields__}))
+    rules = Rules(**{k: v for k, v in options.items() if k in Rules.__dataclass_fields__})
+    return Stage(firmware, rules, posed_by=posed_by, tilt_deg=tilt_deg)
 
 
 @pytest.mark.parametrize(("options", "steps"), [pytest.param(*rest, id=name) for name, *rest in flights()])
