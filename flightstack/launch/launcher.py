@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 
 from rich.console import Console
 
@@ -89,10 +88,7 @@ class Launcher:
             ends = number is not signal.SIGQUIT and not self._real
             handle({number: self._interrupt if ends else partial(self._hand_on, number)})
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        del kind, error, trace
+    def __exit__(self, *_: object) -> None:
         self._take_over()  # a second signal must not interrupt the termination of the child processes
         self.end_all()
         for number, handler in self._previous.items():
@@ -123,30 +119,21 @@ class Launcher:
 
         ``where``: value of ``--view``; ``endpoint``, ``config``, ``namespace``: those of the onboard process.
         """
-        watch = self.start(
-            "watch",
-            WatchOptions(view=where, connect=(endpoint,), config_file=config, namespace=namespace),
-        )
-        self.hint(f"view: {watch.wait_ready()}")
+        options = WatchOptions(view=where, connect=(endpoint,), config_file=config, namespace=namespace)
+        self.hint(f"view: {self.start('watch', options).wait_ready()}")
 
     def end_all(self) -> None:
         """End every child; the recorder is last, so that the log contains the end of every other process."""
-        lands_s = LAND_MAX_S if self._real else END_TIME_MAX_S
+        most_s = {"record": CLOSE_TIME_MAX_S, "onboard": LAND_MAX_S if self._real else END_TIME_MAX_S}
         for child in reversed(self.children):
-            most_s = {"record": CLOSE_TIME_MAX_S, "onboard": lands_s}
             child.end(most_s.get(_verb(child), END_TIME_MAX_S))
         self.children.clear()
         self.reserved.close()
 
     def fly(
-        self,
-        flights: Sequence[Followed],
-        title: str | None,
-        limit_s: float = math.inf,
-        teller: Child | None = None,
-        *,
-        lockstep: bool = False,
-    ) -> tuple[str | None, float]:
+        self, flights: Sequence[Followed], title: str | None, limit_s: float = math.inf,
+        teller: Child | None = None, *, lockstep: bool = False,
+    ) -> tuple[str | None, float]:  # fmt: skip
         """Wait for the onboard processes, watch the flights, end all processes; return problem and wall time.
 
         ``title``: title of the live view (None: no view); ``limit_s``: wall time after which the run is

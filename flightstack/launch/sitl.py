@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,13 +17,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.launch.launcher import Followed, Launcher
 from flightstack.launch.result import Flown
 from flightstack.launch.run_options import Flies, RunOptions
-from flightstack.launch.vehicles import (
-    VEHICLES,
-    Flying,
-    longest_s,
-    others_s,
-    plugged,
-)
+from flightstack.launch.vehicles import VEHICLES, Flying, longest_s, others_s, plugged
 from flightstack.onboard import process  # noqa: F401  # forked onboard processes then need not load it
 from flightstack.onboard.recording import Described, describe, log_in, new_folder
 from flightstack.verify.certificate import problems
@@ -39,10 +32,7 @@ LOCKSTEP_SLOWEST = 0.05  # ratio of simulated to wall time below which a lockste
 
 
 def prepare(options: RunOptions) -> Scenario:
-    """Return the checked scenario, with the configuration for the chosen autopilot.
-
-    Raises ConfigError: the scenario must not fly.
-    """
+    """Return the checked scenario, with the configuration for the chosen autopilot."""
     scenario = load(options.scenario)
     for each in scenario.members:
         try_out(each.target)
@@ -109,10 +99,7 @@ class _Vehicle:
 
 
 def run(options: RunOptions, console: Console) -> Flown:
-    """Fly a scenario with a process for each part.
-
-    Raises ConfigError: an input is wrong; LaunchError: a process did not start.
-    """
+    """Fly a scenario with a process for each part."""
     scenario = prepare(options)
     name = short_name(scenario.onboard.filter)
     folder = options.out or new_folder(f"{scenario.name}-seed{options.seed}-{name}")
@@ -121,101 +108,94 @@ def run(options: RunOptions, console: Console) -> Flown:
     with Launcher(folder, console, tells=not options.as_json) as launcher:
         if line := not_proven(scenario):
             launcher.hint(line)
-        return _fly(launcher, options, scenario, log)
+        return _Run(launcher, options, scenario).fly(log)
 
 
-def _vehicles(launcher: Launcher, options: RunOptions, scenario: Scenario) -> list[_Vehicle]:
-    found, names = [], scenario.namespaces()
-    shown = labels(list(names.values()))
-    for number, (member, seed) in enumerate(scenario.singles(options.seed), 1):
-        config = launcher.folder / f"onboard-{names[number]}.toml"
-        config.write_text(dumps(member.onboard), encoding="utf-8")
-        found.append(
-            _Vehicle(number, names[number], shown[number - 1], member, seed, launcher.endpoint(), config)
-        )
-    return found
+class _Run:
+    """Processes of a run, which are started in the order of their connections."""
 
+    def __init__(self, launcher: Launcher, options: RunOptions, scenario: Scenario) -> None:
+        self._launcher, self._options, self._scenario = launcher, options, scenario
+        names = scenario.namespaces()
+        shown = labels(list(names.values()))
+        self._vehicles: list[_Vehicle] = []
+        for number, (member, seed) in enumerate(scenario.singles(options.seed), 1):
+            name, config = names[number], launcher.folder / f"onboard-{names[number]}.toml"
+            config.write_text(dumps(member.onboard), encoding="utf-8")
+            vehicle = _Vehicle(number, name, shown[number - 1], member, seed, launcher.endpoint(), config)
+            self._vehicles.append(vehicle)
+        self._robots_at = launcher.endpoint()  # Zenoh endpoint of the robots
 
-def _fly(launcher: Launcher, options: RunOptions, scenario: Scenario, log: Path) -> Flown:
-    """Start the processes in the order of their connections; then watch until all flights have ended."""
-    vehicles = _vehicles(launcher, options, scenario)
-    robots_at = launcher.endpoint()
-    launcher.record(log)
-    if options.view is not None:
-        launcher.view(options.view, vehicles[0].endpoint, vehicles[0].config)
-    _describe(launcher.socket, options, scenario, vehicles)
-    kind = VEHICLES[options.flies]
-    flying = kind.start(launcher, options, scenario, robots_at)
-    if not kind.with_robots:
-        own = plugged(
-            TargetOptions, launcher, options, **flying.clock, rate_hz=scenario.rate_hz,
-            duration_s=others_s(scenario), listen=(robots_at,), connect=(vehicles[0].endpoint,),
+    def fly(self, log: Path) -> Flown:
+        """Start all processes, then watch until all flights have ended."""
+        launcher, options, scenario, vehicles = self._launcher, self._options, self._scenario, self._vehicles
+        launcher.record(log)
+        if options.view is not None:
+            launcher.view(options.view, vehicles[0].endpoint, vehicles[0].config)
+        self._describe()
+        kind = VEHICLES[options.flies]
+        flying = kind.start(launcher, options, scenario, self._robots_at)
+        if not kind.with_robots:
+            own = plugged(
+                TargetOptions, launcher, options, **flying.clock, rate_hz=scenario.rate_hz,
+                duration_s=others_s(scenario), listen=(self._robots_at,), connect=(vehicles[0].endpoint,),
+            )  # fmt: skip
+            launcher.start("target", own).wait_ready()
+        flights = tuple(self._start(each, flying) for each in vehicles)
+        if options.members:
+            launcher.hint(f"robots: {self._robots_at}")
+        speed = LOCKSTEP_SLOWEST / len(vehicles) if options.lockstep else min(1.0, options.speed)
+        filters = ", ".join(sorted({each.scenario.onboard.filter for each in vehicles}))
+        title = f"{scenario.name}  seed {options.seed}  filter {filters}"
+        live = not options.as_json and launcher.console.is_terminal and not options.lockstep
+        problem, wall_s = launcher.fly(
+            flights, title if live else None, longest_s(scenario) / speed + GRACE_S, flying.teller,
+            lockstep=options.lockstep,
         )  # fmt: skip
-        launcher.start("target", own).wait_ready()
-    flights = tuple(_start(launcher, options, each, vehicles, flying, robots_at) for each in vehicles)
-    if options.members:
-        launcher.hint(f"robots: {robots_at}")
-    speed = LOCKSTEP_SLOWEST / len(vehicles) if options.lockstep else min(1.0, options.speed)
-    filters = ", ".join(sorted({each.scenario.onboard.filter for each in vehicles}))
-    title = f"{scenario.name}  seed {options.seed}  filter {filters}"
-    live = not options.as_json and launcher.console.is_terminal and not options.lockstep
-    problem, wall_s = launcher.fly(
-        flights, title if live else None, longest_s(scenario) / speed + GRACE_S, flying.teller,
-        lockstep=options.lockstep,
-    )  # fmt: skip
-    about = {"scenario": scenario.name, "seed": options.seed, "filter": filters}
-    return Flown(about, launcher.folder, log, wall_s, flights, problem)
+        about = {"scenario": scenario.name, "seed": options.seed, "filter": filters}
+        return Flown(about, launcher.folder, log, wall_s, flights, problem)
 
+    def _start(self, vehicle: _Vehicle, flying: Flying) -> Followed:
+        """Start the onboard process of a vehicle; in real time, each one connects to all earlier ones."""
+        options, n = self._options, vehicle.number - 1
+        earlier = () if options.lockstep else self._vehicles[:n]
+        own = {"system_id": vehicle.number, **flying.clock, **flying.options[n]}
+        onboard = shared(
+            options, OnboardOptions, **own, target_key=f"{vehicle.name}/target/odom",
+            connect=(self._robots_at, *(each.endpoint for each in earlier)), namespace=vehicle.name,
+            listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
+            duration_s=vehicle.scenario.duration_max_s, recorder=self._launcher.socket,
+            unproven=True,  # a simulated vehicle may fly an unproven configuration
+        )  # fmt: skip
+        child = self._launcher.start("onboard", onboard, of=vehicle.label)
+        return Followed(child, vehicle.name, (vehicle.endpoint, *options.listen), vehicle.label)
 
-def _start(
-    launcher: Launcher,
-    options: RunOptions,
-    vehicle: _Vehicle,
-    vehicles: Sequence[_Vehicle],
-    flying: Flying,
-    robots_at: str,
-) -> Followed:
-    """Start the onboard process of a vehicle; in real time, each one connects to all earlier ones."""
-    earlier = () if options.lockstep else vehicles[: vehicle.number - 1]
-    own = {"system_id": vehicle.number, **flying.clock, **flying.options[vehicle.number - 1]}
-    onboard = shared(
-        options, OnboardOptions, **own, target_key=f"{vehicle.name}/target/odom",
-        connect=(robots_at, *(each.endpoint for each in earlier)), namespace=vehicle.name,
-        listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
-        duration_s=vehicle.scenario.duration_max_s, recorder=launcher.socket,
-        unproven=True,  # a simulated vehicle may fly an unproven configuration
-    )  # fmt: skip
-    child = launcher.start("onboard", onboard, of=vehicle.label)
-    return Followed(child, vehicle.name, (vehicle.endpoint, *options.listen), vehicle.label)
+    def _describe(self) -> None:
+        """Write scenario, configuration and options of the run to the log."""
+        options = self._options
+        pad = {"pad": NO_PAD} if options.flies in (Flies.PX4_SIH, Flies.ARDUPILOT) else {}
+        flights = []
+        for each in self._vehicles:
+            member = each.scenario
+            run = {
+                **self._about(member, each.seed),
+                "judge_alpha_1_m": repr(member.judged_by.alpha_1_m),
+                "judge_beta_m": repr(member.judged_by.beta_m),
+                "outside_envelope": outside([member]),
+                "pad_radius_m": repr(member.target.pad_radius_m),
+                **pad,
+            }
+            flights.append(Described(member.onboard, run, Names(each.name, each.number)))
+        source = {SCENARIO.replace(".", "_source."): path_of(options.scenario).read_bytes()}
+        files = {SCENARIO: text(self._scenario).encode(), **source}
+        fleet = self._about(self._scenario, options.seed)
+        describe(self._launcher.socket, *flights, fleet=fleet, attachments=files)
 
-
-def _describe(recorder: Path, options: RunOptions, scenario: Scenario, vehicles: Sequence[_Vehicle]) -> None:
-    """Write scenario, configuration and options of the run to the log."""
-    pad = {"pad": NO_PAD} if options.flies in (Flies.PX4_SIH, Flies.ARDUPILOT) else {}
-    flights = []
-    for each in vehicles:
-        member = each.scenario
-        run = {
-            **_about(options, member, each.seed),
-            "judge_alpha_1_m": repr(member.judged_by.alpha_1_m),
-            "judge_beta_m": repr(member.judged_by.beta_m),
-            "outside_envelope": outside([member]),
-            "pad_radius_m": repr(member.target.pad_radius_m),
-            **pad,
+    def _about(self, scenario: Scenario, seed: int) -> dict[str, str]:
+        return {
+            "scenario": scenario.name,
+            "description": scenario.description,
+            "seed": str(seed),
+            "mode": "lockstep" if self._options.lockstep else "real-time",
+            **self._options.described(),
         }
-        flights.append(Described(member.onboard, run, Names(each.name, each.number)))
-    files = {
-        SCENARIO: text(scenario).encode(),
-        SCENARIO.replace(".", "_source."): path_of(options.scenario).read_bytes(),
-    }
-    describe(recorder, *flights, fleet=_about(options, scenario, options.seed), attachments=files)
-
-
-def _about(options: RunOptions, scenario: Scenario, seed: int) -> dict[str, str]:
-    return {
-        "scenario": scenario.name,
-        "description": scenario.description,
-        "seed": str(seed),
-        "mode": "lockstep" if options.lockstep else "real-time",
-        **options.described(),
-    }

@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 
+from bridge.mavlink.client.link import VehicleLink
 from bridge.target.odometry import RawSample, SampleSource
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import (
@@ -45,13 +46,12 @@ OVER = 1  # second value of the last message of a member
 _LENGTH = struct.Struct("<I")
 
 
-class VehicleTicks:
-    """Ticks that the vehicle requests by TIMESYNC; by default, a missing request is not waited for."""
+class VehicleTicks(LinkedVehicle):
+    """Vehicle that requests the ticks by TIMESYNC; by default, a missing request is not waited for."""
 
-    def __init__(
-        self, vehicle: LinkedVehicle, rate_hz: int, stopped: Callable[[], bool] = lambda: True
-    ) -> None:
-        self._vehicle, self._clock, self._stopped = vehicle, LockstepClock(rate_hz), stopped
+    def __init__(self, link: VehicleLink, rate_hz: int, stopped: Callable[[], bool] = lambda: True) -> None:
+        super().__init__(link, lockstep=True)
+        self._clock, self._stopped = LockstepClock(rate_hz), stopped
         self._last_ns = -1
 
     def passed(self, sim_ns: int) -> None:
@@ -60,7 +60,7 @@ class VehicleTicks:
 
     def wait(self) -> Tick:
         """Wait for the vehicle's request, in bounded wall time."""
-        link = self._vehicle.link
+        link = self.link
         first, silence = self._last_ns < 0, None
         most_s, due_s = (FIRST_WAIT_MAX_S, SAID_S) if first else (LOST_RUN_MAX_S, math.inf)
         if self._last_ns >= 0:  # the vehicle requests the next tick only after it has flown this one
@@ -72,7 +72,7 @@ class VehicleTicks:
                 self._last_ns = sim_ns
                 return self._clock.tick(sim_ns)
             if sim_ns is not None:
-                link.endpoint.repeat(self._vehicle.reply)
+                link.endpoint.repeat(self.reply)
             if silence is None:  # usually the request has already arrived, and the time-out is not needed
                 silence = Silence()
             waited_s = silence.look()
@@ -89,22 +89,16 @@ class VehicleTicks:
             link.endpoint.wait(WAIT_SLICE_S)
 
 
-class LockstepWires:
-    """Clock and target in lockstep: a tick starts when vehicle, target and fleet have all reached it."""
+class LockstepWires(VehicleTicks):
+    """Wires in lockstep: a tick starts when vehicle, target and fleet have all reached it."""
 
     def __init__(
-        self,
-        vehicle: LinkedVehicle,
-        rate_hz: int,
-        odometry: SampleSource,
-        session: zenoh_link.Session,
-        namespace: str,
-        person: Person,
-        fleet: NoFleet,
-    ) -> None:
-        self._person, self._fleet = person, fleet
-        self._ticks = VehicleTicks(vehicle, rate_hz, person.left)
-        self._odometry = odometry
+        self, link: VehicleLink, rate_hz: int, odometry: SampleSource, session: zenoh_link.Session,
+        namespace: str, person: Person, fleet: NoFleet,
+    ) -> None:  # fmt: skip
+        super().__init__(link, rate_hz, person.left)
+        self._person, self._fleet, self._odometry = person, fleet, odometry
+        self.statuses = fleet.statuses
         self._markers = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/target/tick")
         self._credit = zenoh_link.blocking_publisher(session, f"{namespace}/sim/credit")
         self._session, self._alive_key = session, f"{namespace}/{ALIVE}"
@@ -118,7 +112,7 @@ class LockstepWires:
     def wait(self) -> Tick:
         """Wait for the vehicle, then for target and fleet messages, each in bounded wall time."""
         try:
-            tick = self._ticks.wait()
+            tick = super().wait()
         except ClockStoppedError:
             if self._person.stop:
                 raise ClockStoppedError("ended by the operator") from None

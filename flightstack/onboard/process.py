@@ -39,7 +39,6 @@ from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.recording import Described, own_recorder
 from flightstack.onboard.runner import (
     Ended,
-    LinkedVehicle,
     LiveWires,
     Refusals,
     Runner,
@@ -224,8 +223,8 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
             if ended is not None:
                 return ended
         quiet_garbage_collector()
-        leaving, vehicle = _Leaving(onboard, signals), LinkedVehicle(onboard.link, lockstep=options.lockstep)
-        return fly(_runner(onboard, vehicle, leaving, signals), vehicle, leaving, onboard.failed)
+        wires, leaving = _wires(onboard, signals), _Leaving(onboard, signals)
+        return fly(Runner(onboard.controller, wires, leaving, onboard), wires, leaving, onboard.failed)
 
 
 def _check_speed(options: OnboardOptions) -> None:
@@ -315,19 +314,14 @@ class _Leaving(Leaving):
         return ended._replace(reason=f"{ended.reason}: {'; '.join(lacking)}")
 
 
-def _runner(onboard: Onboard, vehicle: LinkedVehicle, leaving: Leaving, signals: Signals) -> Runner:
-    """Return the runner of the ticks, in real time or in lockstep."""
-    options, wires, fleet = onboard.options, onboard.wires, onboard.fleet
+def _wires(onboard: Onboard, signals: Signals) -> LockstepWires | LiveWires:
+    """Return the wires of the ticks, in lockstep or in real time."""
+    options, link, zenoh, fleet = onboard.options, onboard.link, onboard.wires, onboard.fleet
     rate_hz = onboard.config.loop.rate_hz
-    both: LockstepWires | LiveWires
     if options.lockstep:
-        both = LockstepWires(
-            vehicle, rate_hz, wires.odometry, wires.session, onboard.namespace, signals, fleet
-        )
-    else:
-        run_promptly()
-        clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
-        pacer = RealTimePacer(rate_hz, clock)
-        fleet.begin(pacer.unix_start_ns, pacer.now_s)
-        both = LiveWires(pacer, onboard.link, wires.odometry)
-    return Runner(onboard.controller, both, vehicle, both, leaving, onboard, fleet.statuses)
+        return LockstepWires(link, rate_hz, zenoh.odometry, zenoh.session, onboard.namespace, signals, fleet)
+    run_promptly()
+    clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
+    pacer = RealTimePacer(rate_hz, clock)
+    fleet.begin(pacer.unix_start_ns, pacer.now_s)
+    return LiveWires(link, pacer, zenoh.odometry, fleet.statuses)

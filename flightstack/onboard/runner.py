@@ -34,7 +34,7 @@ from flightstack.core.types import (
 class Arrived(NamedTuple):
     """Target data that arrived since the last tick."""
 
-    samples: tuple[TargetSample, ...] = ()  # decoded samples, for the controller
+    samples: tuple[TargetSample, ...] = ()  # samples for the controller
     problems: Sequence[str] = ()  # errors of messages that could not be decoded
     messages: Sequence[RawSample] = ()  # raw messages for the log; empty if they are not recorded
 
@@ -68,30 +68,29 @@ class Ended(NamedTuple):
     exit_code: int
 
 
+Statuses = Callable[[], tuple[MemberStatus, ...]]  # source of the statuses of other vehicles
+
+
 class ClockStoppedError(RuntimeError):
     """No further tick arrives; the text gives the reason."""
 
 
-class Clock(Protocol):
-    """Source of the controller's ticks, in real time or in lockstep."""
+class Wires(Protocol):
+    """Everything that a tick exchanges with its clock, the vehicle, the target and other vehicles."""
 
     def wait(self) -> Tick:
         """Wait for the next tick, and read the vehicle's messages until then."""
 
-
-class Vehicle(Protocol):
-    """The vehicle: source of its newest inputs, and receiver of the outputs of a tick."""
+    def samples(self, now_s: float) -> Arrived:
+        """Return the target's samples since the last call; ``now_s`` is their arrival time."""
 
     def read(self) -> VehicleInputs: ...
 
-    def answer(self, out: Outputs, now_s: float) -> None: ...
+    def statuses(self) -> tuple[MemberStatus, ...]:
+        """Return the statuses of other vehicles since the last tick."""
 
-
-class Target(Protocol):
-    """Source of the target's samples; it learns when the landing starts."""
-
-    def samples(self, now_s: float) -> Arrived:
-        """Return the samples since the last call; ``now_s`` is their arrival time."""
+    def answer(self, out: Outputs, now_s: float) -> None:
+        """Send the outputs of the tick to the vehicle."""
 
     def landing_began(self, tick: int) -> None:
         """Report the start of the landing; a simulated robot may drive from this tick."""
@@ -113,24 +112,11 @@ class Sink(Protocol):
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None: ...
 
 
-Statuses = Callable[[], tuple[MemberStatus, ...]]  # statuses of other vehicles since the last tick
-
-
 class Runner:
-    """Runs the ticks of a flight with the five parts."""
+    """Runs the ticks of a flight."""
 
-    def __init__(
-        self,
-        controller: Controller,
-        clock: Clock,
-        vehicle: Vehicle,
-        target: Target,
-        ending: Ending,
-        sink: Sink,
-        statuses: Statuses = tuple,
-    ) -> None:
-        self._controller, self._clock, self._vehicle, self._statuses = controller, clock, vehicle, statuses
-        self._target, self._ending, self._sink = target, ending, sink
+    def __init__(self, controller: Controller, wires: Wires, ending: Ending, sink: Sink) -> None:
+        self._controller, self._wires, self._ending, self._sink = controller, wires, ending, sink
         self._landing = False
         self.now_s = 0.0  # stack clock at the newest tick
 
@@ -145,56 +131,24 @@ class Runner:
         return self._controller.config.filter
 
     def tick(self) -> Ended | None:
-        """Run one tick; the outputs are sent to the vehicle before they are logged.
-
-        Raises ClockStoppedError: there is no further tick.
-        """
-        tick = self._clock.wait()
+        """Run one tick; the outputs are sent to the vehicle before they are logged."""
+        controller, wires = self._controller, self._wires
+        tick = wires.wait()
         began_s = time.perf_counter()
-        self.now_s, controller = tick.now_s, self._controller
-        now_s = tick.now_s
-        arrived = self._target.samples(now_s)
-        own, status, command_failed, power = self._vehicle.read()
+        self.now_s = now_s = tick.now_s
+        arrived = wires.samples(now_s)
+        own, status, command_failed, power = wires.read()
         operator = self._ending.operator(status, now_s)
-        inputs = Inputs(own, status, arrived.samples, operator, power, self._statuses())
+        inputs = Inputs(own, status, arrived.samples, operator, power, wires.statuses())
         out = controller.step(inputs, now_s, command_failed=command_failed)
-        self._vehicle.answer(out, now_s)
+        wires.answer(out, now_s)
         exec_s = time.perf_counter() - began_s
         memory = controller.memory
         if not self._landing and memory.started_s <= now_s:
             self._landing = True
-            self._target.landing_began(tick.number)
+            wires.landing_began(tick.number)
         self._sink.write(tick, Taken(inputs, command_failed, arrived), out, exec_s)
         return self._ending.ended(out, memory, status, now_s)
-
-
-class LiveWires:
-    """Clock with deadlines, and target, in real time; the robot receives no message about the landing."""
-
-    def __init__(self, pacer: RealTimePacer, link: VehicleLink, source: SampleSource) -> None:
-        self._pacer, self._link, self._source = pacer, link, source
-
-    def wait(self) -> Tick:
-        """Sleep until the next deadline, then read the vehicle's messages."""
-        tick = self._pacer.wait()
-        self._link.poll(tick.now_s)
-        return tick
-
-    def samples(self, now_s: float) -> Arrived:
-        """Return the samples that have arrived since the last call.
-
-        Samples of a tick in which the process stalled are dropped: they may have arrived after the tick
-        started, would reduce the minimum delay too much, and later samples would then count as too late.
-        """
-        messages = self._source.poll()
-        stall_s = self._pacer.now_s() - now_s
-        if messages and stall_s > STALL_MAX_S:
-            text = f"target samples not used: the process stalled for {stall_s:.2f} s before it had read them"
-            return Arrived((), [text], messages)
-        return decoded(messages, now_s)
-
-    def landing_began(self, tick: int) -> None:
-        pass
 
 
 class LinkedVehicle:
@@ -234,6 +188,38 @@ class LinkedVehicle:
             return
         self._reply = reply = link.timesync_reply(round(now_s * 1e9))
         link.flush([reply])
+
+
+class LiveWires(LinkedVehicle):
+    """Wires in real time, with a clock that has deadlines; the robot is not informed about the landing."""
+
+    def __init__(
+        self, link: VehicleLink, pacer: RealTimePacer, source: SampleSource, statuses: Statuses
+    ) -> None:
+        super().__init__(link, lockstep=False)
+        self._pacer, self._source, self.statuses = pacer, source, statuses
+
+    def wait(self) -> Tick:
+        """Sleep until the next deadline, then read the vehicle's messages."""
+        tick = self._pacer.wait()
+        self.link.poll(tick.now_s)
+        return tick
+
+    def samples(self, now_s: float) -> Arrived:
+        """Return the samples that have arrived since the last call.
+
+        Samples of a tick in which the process stalled are dropped: they may have arrived after the tick
+        started, would reduce the minimum delay too much, and later samples would then count as too late.
+        """
+        messages = self._source.poll()
+        stall_s = self._pacer.now_s() - now_s
+        if messages and stall_s > STALL_MAX_S:
+            text = f"target samples not used: the process stalled for {stall_s:.2f} s before it had read them"
+            return Arrived((), [text], messages)
+        return decoded(messages, now_s)
+
+    def landing_began(self, tick: int) -> None:
+        pass
 
 
 REFUSED = "target sample refused: "

@@ -91,7 +91,7 @@ class _Run:
         self.controller = Controller(self.config)
         self.result = Result(flight.log.path)
         self.text = state_text(self.config)
-        self.runner = Runner(self.controller, *(self,) * 4, sink=self, statuses=self.statuses)
+        self.runner = Runner(self.controller, self, self, self)
         self.record: TickRecord
         self.given: TickInputs
         self.wire: WireReplay | None = None

@@ -27,7 +27,7 @@ from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import MemberStatus, Phase
 from flightstack.onboard.leaving import Leaving
 from flightstack.onboard.lockstep import VehicleTicks
-from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
+from flightstack.onboard.runner import Runner, Taken
 from logs.recorder.feed import Feed
 from logs.schema import Names, member_name
 from logs.verdict.truth import judge_truth
@@ -45,6 +45,18 @@ from sim.scenarios.scenario import Scenario, load
 from sim.vehicle.vehicle import VehicleSim
 
 OnStep = Callable[[Tick, Outputs], None]
+
+
+class _Wires(VehicleTicks):
+    """Wires of a companion whose vehicle, robot and neighbours are in the same process."""
+
+    def __init__(self, link: VehicleLink, rate_hz: int, target: DirectTarget) -> None:
+        super().__init__(link, rate_hz)
+        self.samples, self.landing_began = target.samples, target.landing_began
+        self.neighbours: tuple[MemberStatus, ...] = ()  # messages of other vehicles since the last tick
+
+    def statuses(self) -> tuple[MemberStatus, ...]:
+        return self.neighbours
 
 
 class Companion:
@@ -89,7 +101,6 @@ class Companion:
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id)
         # outputs of the newest tick; None before the first tick and after the last
         self.outputs: Outputs | None = None
-        self._neighbours: tuple[MemberStatus, ...] = ()  # messages of other vehicles since the last tick
         self._notes = Notes(config, scenario.target.pad_radius_m)
         self.node = node = VehicleNode(
             system_id,
@@ -103,20 +114,16 @@ class Companion:
         self._link.poll(0.0)  # send the first heartbeat before the first tick, as the onboard process does
         radio_s = scenario.vehicle.setpoint_delay_s
         self.loop = LockstepVehicle(node, target, grid, self._stop, radio_s, self)
-        linked = LinkedVehicle(self._link, lockstep=True)
         self._ends_s = scenario.duration_max_s
-        self._ticks = VehicleTicks(linked, rate_hz)
-        self._runner = Runner(
-            self.controller, self._ticks, linked, target, Leaving(self._ends_s), self,
-            statuses=lambda: self._neighbours,
-        )  # fmt: skip
+        self._wires = _Wires(self._link, rate_hz, target)
+        self._runner = Runner(self.controller, self._wires, Leaving(self._ends_s), self)
 
     def batches(self) -> Batches | None:
         """Return the runner of batches; None: this landing cannot fly in batches, or ``on_step`` is set."""
         if self._on_step is not None or not suited(self.controller, self.node):
             return None
         return Batches(
-            self.controller, self._link, self._ticks, self.target, self.loop, self._notes, self._ends_s
+            self.controller, self._link, self._wires, self.target, self.loop, self._notes, self._ends_s
         )
 
     @property
@@ -131,7 +138,7 @@ class Companion:
 
     def hear(self, words: tuple[MemberStatus, ...]) -> None:
         """Receive the messages of other vehicles for the next tick."""
-        self._neighbours = words
+        self._wires.neighbours = words
 
     def seen(self) -> Seen:
         """Return the data that a flight log would contain. Raises RuntimeError: the landing did not end."""

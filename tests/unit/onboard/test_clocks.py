@@ -260,7 +260,7 @@ def test_a_companion_says_that_it_waits_for_its_vehicle_and_not_for_ever(monkeyp
         monkeypatch.setattr(lockstep, name, value)
     endpoint = SimpleNamespace(wait=lambda _: time.sleep(0.001))
     link = SimpleNamespace(poll=lambda _: None, take_timesync=lambda: None, endpoint=endpoint)
-    ticks = lockstep.VehicleTicks(SimpleNamespace(link=link), 100, lambda: False)
+    ticks = lockstep.VehicleTicks(link, 100, lambda: False)
     if asked_before:
         ticks.passed(0)
     why = "no further message" if asked_before else "no vehicle requested a tick within 0.1 s"

@@ -68,6 +68,9 @@ class Flight:
         self._break(Breaks.TARGET)
         return NOTHING
 
+    def statuses(self):
+        return ()
+
     def read(self):
         own = OwnState(self.now_s, self.now_s, (2.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0)
         return VehicleInputs(own, VehicleStatus(self.now_s, self.armed, self.mode, self.landed, True), False)
@@ -165,7 +168,7 @@ def flown(exits, name="APPROACH", duration_s=None, **more):
     leaving.ended = lambda out, memory, status, now_s: (
         way_out.Ended(out.phase, refusals[0], 1) if refusals else ended(out, memory, status, now_s)
     )
-    runner = Runner(controller, flight, flight, flight, leaving, flight)
+    runner = Runner(controller, flight, leaving, flight)
     return flight, fly(runner, flight, leaving, flight.said.append)
 
 

@@ -18,7 +18,7 @@ from flightstack.core.types import Intent, MemberStatus, Operator, Phase
 from flightstack.onboard import process
 from flightstack.onboard.fleet_wire import DRIFT, FleetWire, Offset, OtherClock
 from flightstack.onboard.process import Onboard
-from flightstack.onboard.runner import LinkedVehicle
+from flightstack.onboard.runner import Runner
 from logs.schema import schemas
 from logs.schema.controller_rows import unpack_neighbours
 from logs.schema.rows import MemberStatusRow
@@ -89,8 +89,8 @@ def other(onboard, endpoint):
 
 
 def running(onboard):
-    vehicle, leaving = LinkedVehicle(onboard.link, lockstep=False), process._Leaving(onboard, nobody())
-    return process._runner(onboard, vehicle, leaving, nobody())
+    wires, leaving = process._wires(onboard, nobody()), process._Leaving(onboard, nobody())
+    return Runner(onboard.controller, wires, leaving, onboard)
 
 
 def word(id_, now_s):

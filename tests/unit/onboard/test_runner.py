@@ -27,6 +27,7 @@ ANSWERS = {
     "samples": Arrived(("sample",)),
     "read": VehicleInputs("own", "status", True),
     "operator": Operator.LAND,
+    "statuses": (),
 }
 
 
@@ -35,7 +36,7 @@ class Parts:
 
     def __init__(self):
         self.calls, self.memory = [], Memory()
-        self.runner = Runner(*[self] * 6)
+        self.runner = Runner(*[self] * 4)
 
     def __getattr__(self, name):
         return lambda *given: self.calls.append((name, *given)) or ANSWERS.get(name)
@@ -56,7 +57,7 @@ class Parts:
 def test_the_vehicle_is_answered_before_anything_is_written_and_the_target_hears_once_of_the_landing():
     parts = Parts()
     assert [parts.runner.tick() for _ in range(4)] == [None, None, None, "over"]
-    tick = ["samples", "read", "operator", "step", "answer", "write"]
+    tick = ["samples", "read", "operator", "statuses", "step", "answer", "write"]
     assert [name for name, *_ in parts.calls] == [*tick, *tick, *tick[:-1], "landing_began", "write", *tick]
     calls = {name: given for name, *given in parts.calls}
     assert calls["landing_began"] == [2]
@@ -71,7 +72,7 @@ def test_the_vehicle_is_answered_before_anything_is_written_and_the_target_hears
 def test_samples_of_a_tick_in_which_the_process_stalled_are_told_and_not_used(stall_s, used):
     messages = [RawSample(Odometry(1, "map", "target", (1.0, 2.0, 0.2), (1.0, 0.0, 0.0, 0.0)).pack())]
     pacer, source = SimpleNamespace(now_s=lambda: 8.0 + stall_s), SimpleNamespace(poll=lambda: messages)
-    arrived = LiveWires(pacer, None, source).samples(8.0)
+    arrived = LiveWires(None, pacer, source, tuple).samples(8.0)
     assert arrived.messages == messages
     if used:
         assert (arrived.samples[0].arrival_s, arrived.problems) == (8.0, [])
