@@ -13,14 +13,14 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import Enum, IntEnum
 from typing import Any
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, Group
 from rich.live import Live
 from rich.panel import Panel
 from rich.table import Column, Table
 from rich.text import Text
 
 from bridge.zenoh import zenoh_link
-from flightstack.common.text import one_line
+from flightstack.common.text import labels, one_line
 from flightstack.core.types import FilterStatus, Landed, Mode, Phase
 from logs.schema.rows import ControllerStepRow, HealthRow, LoopTimingRow
 
@@ -41,8 +41,6 @@ _STYLE: Mapping[int, str] = {
     Phase.ABORT: "bold red",
     Phase.LEAVE: "green",
 }
-_BAR = 40  # length of the bar, characters
-_H_LOW_M, _H_HIGH_M = -0.2, 1.0  # values of h at the ends of the bar, m
 _LOUD = "bold white on red"
 
 
@@ -199,74 +197,43 @@ def _vector(values: Sequence[float]) -> list[float] | None:
 
 
 class LiveView:
-    """Terminal view of one vehicle, or of several with a line each; no flight depends on it."""
+    """Terminal view of one or several vehicles; no flight depends on it."""
 
     def __init__(self, watches: Mapping[str, Watch], title: str, console: Console, whom: str = "") -> None:
         self._watches, self._title, self._whom = watches, title, whom
-        self.live = Live(self._draw(), console=console, refresh_per_second=REFRESH_HZ, transient=False)
+        view = draw(watches, title, whom)
+        self.live = Live(view, console=console, refresh_per_second=REFRESH_HZ, transient=False)
+
+    def draw(self) -> None:
+        """Draw the newest samples."""
+        self.live.update(draw(self._watches, self._title, self._whom))
 
     def poll(self) -> None:
-        """Read the new samples and redraw."""
+        """Read the new samples and draw them."""
         for watch in self._watches.values():
             watch.poll()
-        self.live.update(self._draw())
-
-    def _draw(self) -> Panel:
-        if len(self._watches) == 1:
-            return draw(next(iter(self._watches.values())), self._title, self._whom)
-        return draw_fleet(self._watches, self._title)
+        self.draw()
 
 
-def draw_fleet(watches: Mapping[str, Watch], title: str) -> Panel:
-    """Return a table with a line for each vehicle."""
-    right = (Column(name, justify="right") for name in ("e_z, m", "d, m", "h, m", "overruns"))
-    table = Table("vehicle", "phase", *right, "filter", "why", box=None, padding=(0, 2))
-    for namespace, watch in watches.items():
-        table.add_row(Text(namespace), *_line(watch), style="none" if watch.news is News.FRESH else "dim")
-    return Panel(table, title=Text(title), title_align="left")
+def draw(watches: Mapping[str, Watch], title: str, whom: str = "") -> Panel:
+    """Return a table with a column of newest values for each vehicle, below warnings about old data."""
+    old = {namespace: watch for namespace, watch in watches.items() if watch.news is not News.FRESH}
+    names = dict(zip(watches, labels(list(watches)), strict=True))
+    lines = [Text.assemble(f"{names[each]} ".lstrip(), _no_news(watch, whom)) for each, watch in old.items()]
+    columns = [_column(watch) for watch in watches.values()]
+    table = Table("", *(Column(Text(namespace)) for namespace in watches), box=None, padding=(0, 2))
+    for name in dict.fromkeys(name for column in columns for name in column):
+        table.add_row(Text(name, style="dim"), *(column.get(name, "-") for column in columns))
+    style = "red" if len(old) == len(watches) else "none"
+    return Panel(Group(*lines, table), title=Text(title), title_align="left", border_style=style)
 
 
-def _line(watch: Watch) -> tuple[str | Text, ...]:
-    """Return the table line of a vehicle: phase, height, distance, h, overruns, filter and reason."""
-    step = watch.step
-    if step is None:
-        return (watch.news.value,)
-    fresh = watch.news is News.FRESH or watch.over
-    x, y, z = _relative_m(step)
-    return (
-        Text(name_of(Phase, step.phase), style=_dim(_STYLE.get(step.phase, ""), fresh)),
-        _value(z, "+.3f"),
-        _value(math.hypot(x, y), ".3f"),
-        Text(_value(step.h_m, "+.3f"), style=_dim("red" if step.h_m < 0.0 else "green", fresh)),
-        str(watch.timings[-1].overruns) if watch.timings else "-",
-        name_of(FilterStatus, step.filter_status).lower().replace("_", " "),
-        Text(one_line(watch.health.reason) if watch.health is not None else ""),
-    )
-
-
-def draw(watch: Watch, title: str, whom: str = "") -> Panel:
-    """Return the view of one vehicle with the known values and their ages."""
-    style = "none" if watch.news is News.FRESH else "red"
-    parts: list[RenderableType] = [banner(watch, whom)]
-    if watch.step is not None:
-        fresh = watch.news is News.FRESH
-        parts += [_head(watch.step, fresh), _h_bar(watch.step.h_m, fresh), _velocities(watch.step, fresh)]
-    if watch.health is not None:
-        parts.append(_health(watch.health, watch.health_fresh))
-    parts.append(_timing(list(watch.timings), watch.news is News.FRESH))
-    return Panel(Group(*parts), title=Text(title), title_align="left", border_style=style)
-
-
-def banner(watch: Watch, whom: str) -> Text:
-    """Return the first line with the age of the data; the line is highlighted if the data is old."""
+def _no_news(watch: Watch, whom: str) -> Text:
+    """Return why no recent data are shown; the text is highlighted unless the flight is over."""
     refused = f"   {watch.refused} samples not readable" if watch.refused else ""
-    if watch.news is News.FRESH:
-        tick = watch.step.tick if watch.step is not None else 0
-        return Text(f"live, tick {tick}{refused}", style="dim")
     if watch.over:
         phase = name_of(Phase, watch.step.phase) if watch.step is not None else ""
         return Text(f"the flight is over: {phase}, {watch.age_s:.0f} s ago{refused}", style="bold")
-    lost = f"no data for {watch.age_s:.1f} s"
     if watch.connections == 0:
         why = f"no reply from {whom}: not running, or access denied" if whom else "no connection"
     elif watch.past_router:
@@ -274,93 +241,60 @@ def banner(watch: Watch, whom: str) -> Text:
     else:
         why = "connected, but no data arrives on these keys"
     old = "; data below is OLD" if watch.step is not None else ""
-    return Text(f" {lost}: {why}{old}{refused} ", style=_LOUD)
+    return Text(f" no data for {watch.age_s:.1f} s: {why}{old}{refused} ", style=_LOUD)
 
 
-def _head(step: ControllerStepRow, fresh: bool) -> Table:
-    x, y, z = _relative_m(step)
-    colour = "bold red" if step.h_m < 0.0 else "bold green"
-    head = Table.grid(padding=(0, 3))
-    head.add_row(
-        Text(f" {name_of(Phase, step.phase)} ", style=f"reverse {_dim(_STYLE.get(step.phase, ''), fresh)}"),
-        Text(f"e_z {_value(z, '+.3f')} m"),
-        Text(f"d {_value(math.hypot(x, y), '.3f')} m"),
-        Text(f"h {_value(step.h_m, '+.3f')} m", style=_dim(colour, fresh)),
-        style="none" if fresh else "dim",
-    )
-    return head
+def _column(watch: Watch) -> dict[str, Text]:
+    """Return the values of a vehicle by name; old values are dim, values outside their limits red."""
+    rows: dict[str, tuple[str, str]] = {}
+    if (step := watch.step) is not None:
+        x, y, z = _relative_m(step)
+        status = name_of(FilterStatus, step.filter_status).lower().replace("_", " ")
+        rows |= {
+            "tick": (f"{step.tick}, {watch.refused} samples not readable", ""),
+            "phase": (name_of(Phase, step.phase), _STYLE.get(step.phase, "")),
+            "e_z, d": (f"{_value(z, '+.3f')} m, {_value(math.hypot(x, y), '.3f')} m", ""),
+            "h": (f"{_value(step.h_m, '+.3f')} m", "bold red" if step.h_m < 0.0 else "bold green"),
+            "nominal, ENU": _velocity(step.nominal_enu_m_s),
+            "filtered, ENU": _velocity(step.filtered_enu_m_s),
+            "set-point, ENU": _velocity(step.command_enu_m_s if step.setpoint_sent else (math.nan,) * 3),
+            "flown, ENU": _velocity(step.own_velocity_enu_m_s),
+            "filter": (f"{status}, barrier {'acts' if step.barrier_active else 'idle'}", ""),
+        }
+    fresh = dict.fromkeys(rows, watch.news is News.FRESH)
+    if (health := watch.health) is not None:
+        armed, share = "ARMED" if health.armed else "disarmed", _value(100.0 * health.battery_share, ".0f")
+        landed = name_of(Landed, health.landed).lower().replace("_", " ")
+        rows |= {
+            "vehicle state": _age(health.own_age_s, health.own_valid),
+            "target": _age(health.target_age_s, health.target_valid),
+            "heartbeat": _age(health.link_age_s, health.link_valid),
+            "samples refused": (str(health.target_rejected), ""),
+            "vehicle": (f"{armed}, {name_of(Mode, health.mode).lower()}, {landed}", ""),
+            "battery": (f"{_value(health.battery_v, '.2f')} V {share} %", ""),
+            "reason": (one_line(health.reason), ""),
+        }
+    periods = [t.period_s for t in watch.timings if t.period_s > 0.0]
+    if periods:
+        last, mean_ms = watch.timings[-1], 1e3 * sum(periods) / len(periods)
+        dropped = f", {last.feed_dropped} log records dropped" if last.feed_dropped else ""
+        loop = f"{mean_ms:.2f} ms, tick {1e6 * last.exec_s:.0f} us, {last.overruns} overruns{dropped}"
+        rows["loop"], fresh["loop"] = (loop, ""), watch.news is News.FRESH
+    return {
+        name: Text(text, style=style if fresh.get(name, watch.health_fresh) else "dim")
+        for name, (text, style) in rows.items()
+    }
 
 
-def _h_bar(h_m: float, fresh: bool) -> Text:
-    """Return a bar of h from -0.2 to 1.0 m; the mark | is h = 0."""
-    span = _H_HIGH_M - _H_LOW_M
-    zero = round(_BAR * -_H_LOW_M / span)
-    at = round(_BAR * (min(max(h_m, _H_LOW_M), _H_HIGH_M) - _H_LOW_M) / span) if h_m == h_m else zero
-    cells = ["#" if zero < i <= at or at <= i < zero else "." for i in range(_BAR + 1)]
-    cells[zero] = "|"
-    bar = f"h {_H_LOW_M} [" + "".join(cells) + f"] {_H_HIGH_M} m"
-    return Text(bar, style=_dim("red" if h_m < 0 else "green", fresh))
+def _velocity(values_m_s: Sequence[float]) -> tuple[str, str]:
+    """Return a velocity east, north and up."""
+    return " ".join(_value(value, "+.3f") for value in values_m_s) + " m/s", ""
 
 
-def _velocities(step: ControllerStepRow, fresh: bool) -> Table:
-    axes = (Column(axis, justify="right") for axis in ("east", "north", "up"))
-    style = "none" if fresh else "dim"
-    table = Table("velocity, m/s", *axes, box=None, padding=(0, 2), header_style="dim", style=style)
-    none = (math.nan,) * 3
-    for name, values in (
-        ("nominal", step.nominal_enu_m_s),
-        ("filtered", step.filtered_enu_m_s),
-        ("set-point", step.command_enu_m_s if step.setpoint_sent else none),
-        ("flown", step.own_velocity_enu_m_s),
-    ):
-        table.add_row(name, *(_value(v, "+.3f") for v in values))
-    status = name_of(FilterStatus, step.filter_status).lower().replace("_", " ")
-    acting = "barrier acts" if step.barrier_active else "barrier idle"
-    table.add_row("filter", status, acting, "")
-    return table
-
-
-def _health(health: HealthRow, fresh: bool) -> Table:
-    """Return a table of ages and states; a value that the onboard process counts as lost is red."""
-    grid = Table.grid(padding=(0, 3))
-    grid.add_row(
-        _age("own state", health.own_age_s, health.own_valid, fresh),
-        _age("target", health.target_age_s, health.target_valid, fresh),
-        _age("heartbeat", health.link_age_s, health.link_valid, fresh),
-        Text(f"samples refused {health.target_rejected}"),
-        style="none" if fresh else "dim",
-    )
-    armed = "ARMED" if health.armed else "disarmed"
-    battery = f"battery {_value(health.battery_v, '.2f')} V {_value(100.0 * health.battery_share, '.0f')} %"
-    grid.add_row(
-        Text(f"{armed}, {name_of(Mode, health.mode).lower()}"),
-        Text(name_of(Landed, health.landed).lower().replace("_", " ")),
-        Text(battery),
-        Text(one_line(health.reason)),
-        style="none" if fresh else "dim",
-    )
-    return grid
-
-
-def _age(name: str, age_s: float, valid: bool, fresh: bool) -> Text:
-    age = f"{1e3 * age_s:.0f} ms" if age_s == age_s else "never"
-    return Text(f"{name} {age}", style=_dim("green" if valid else "bold red", fresh))
-
-
-def _timing(timings: Sequence[LoopTimingRow], fresh: bool) -> Text:
-    periods = [t.period_s for t in timings if t.period_s > 0.0]
-    if not periods:
-        return Text("loop: nothing yet", style="dim")
-    mean_ms = 1e3 * sum(periods) / len(periods)
-    last = timings[-1]
-    text = f"loop period {mean_ms:.2f} ms   tick {1e6 * last.exec_s:.0f} us   overruns {last.overruns}"
-    dropped = f"   log records dropped {last.feed_dropped}" if last.feed_dropped else ""
-    return Text(text + dropped, style="none" if fresh else "dim")
+def _age(age_s: float, valid: bool) -> tuple[str, str]:
+    """Return an age; that of data which the onboard process counts as lost is red."""
+    return f"{1e3 * age_s:.0f} ms" if age_s == age_s else "never", "green" if valid else "bold red"
 
 
 def _value(value: float, how: str) -> str:
     return format(value, how) if math.isfinite(value) else "-"
-
-
-def _dim(style: str, fresh: bool) -> str:
-    return style if fresh else "dim"

@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from flightstack.common.terminal import Terminal
     from flightstack.launch.result import Flown
     from flightstack.watch import Watch
+    from logs.view.live import LiveRecording
 
 
 @click.command()
@@ -175,27 +176,47 @@ def watch(options: WatchOptions) -> None:
     The command only receives data. Exit status: 0 normal end, 1 no recent data with --once, 2 wrong input.
     """
     from bridge.zenoh import zenoh_link
-    from flightstack.watch import Watch
+    from flightstack.common.terminal import Terminal
+    from flightstack.watch import REFRESH_HZ, LiveView, Watch, snapshot
 
     if options.view is not None and (options.once or options.as_json):
         raise click.UsageError("--view draws until it is ended; --once and --json print: give one of them")
-    draw = _view(options, options.view) if options.view is not None else None
+    recording = _recording(options, options.view) if options.view is not None else None
     stop = Stop().install()
     connect = options.connect or ((WATCHED,) if options.zenoh_config is None else ())
     session = zenoh_link.open_session([], connect, config_file=options.zenoh_config)
     try:
         role, dialled = zenoh_link.dialled(connect, config_file=options.zenoh_config)
-        flight = Watch(session, options.namespace, role=role)
+        name, endpoint = options.namespace, ", ".join(dialled)
+        flight = Watch(session, name, role=role)
         if options.once:
-            sys.exit(_once(options, flight, ", ".join(dialled), stop))
-        elif draw is not None:
-            draw(flight, stop)
+            sys.exit(_once(options, flight, endpoint, stop))
+        elif recording is not None:
+            for _ in _polls(flight, stop, DRAW_S):
+                if recording.closed:
+                    break
+                reason = flight.health.reason if flight.health else ""
+                recording.add(flight.new_steps, flight.new_timings, reason)
         elif options.as_json:
-            _print(flight, stop)
+            for _ in _polls(flight, stop, PRINT_S):
+                click.echo(json.dumps(snapshot(flight)))
         else:
-            _live(flight, options.namespace, ", ".join(dialled), stop)
+            view = LiveView({name: flight}, f"{name} at {endpoint}", Terminal(), endpoint)
+            with view.live:
+                for _ in _polls(flight, stop, 1.0 / REFRESH_HZ):
+                    view.draw()
     finally:
         session.close()
+        if recording is not None:
+            recording.close()
+
+
+def _polls(flight: Watch, stop: Stop, period_s: float) -> Iterator[None]:
+    """Poll a flight, until a signal arrives or the reader of the output ends."""
+    while not stop.is_set and not reader_gone():
+        time.sleep(period_s)
+        flight.poll()
+        yield
 
 
 def _once(options: WatchOptions, flight: Watch, endpoint: str, stop: Stop) -> int:
@@ -203,44 +224,18 @@ def _once(options: WatchOptions, flight: Watch, endpoint: str, stop: Stop) -> in
     from flightstack.watch import News, draw, snapshot
 
     until_s = time.monotonic() + options.timeout_s
-    while not (flight.news is News.FRESH and flight.health is not None) and time.monotonic() < until_s:
-        if stop.is_set:
+    for _ in _polls(flight, stop, LOOK_S):
+        if (flight.news is News.FRESH and flight.health is not None) or time.monotonic() >= until_s:
             break
-        time.sleep(LOOK_S)
-        flight.poll()
     if options.as_json:
         click.echo(json.dumps(snapshot(flight)))
     else:
-        Terminal().print(draw(flight, options.namespace, endpoint))
+        Terminal().print(draw({options.namespace: flight}, options.namespace, endpoint))
     return FRESH if flight.news is News.FRESH else NOTHING
 
 
-def _print(flight: Watch, stop: Stop) -> None:
-    from flightstack.watch import snapshot
-
-    while not stop.is_set and not reader_gone():
-        time.sleep(PRINT_S)
-        flight.poll()
-        click.echo(json.dumps(snapshot(flight)))
-
-
-def _live(flight: Watch, namespace: str, endpoint: str, stop: Stop) -> None:
-    from flightstack.common.terminal import Terminal
-    from flightstack.watch import REFRESH_HZ, LiveView
-
-    view = LiveView({namespace: flight}, f"{namespace} at {endpoint}", Terminal(), endpoint)
-    with view.live:
-        while not stop.is_set:
-            time.sleep(1.0 / REFRESH_HZ)
-            view.poll()
-
-
-def _view(options: WatchOptions, where: str) -> Callable[[Watch, Stop], None]:
-    """Open the 3-D view; return the function that draws a flight until the user ends it.
-
-    Raises ConfigError: the configuration is wrong; ValueError: Rerun is not installed, or the output file is
-    not allowed.
-    """
+def _recording(options: WatchOptions, where: str) -> LiveRecording:
+    """Open the 3-D view."""
     from flightstack.config import load
     from logs.reader.flight_data import shape
 
@@ -259,16 +254,4 @@ def _view(options: WatchOptions, where: str) -> Callable[[Watch, Stop], None]:
     os.nice(NICER)  # the viewer that Rerun starts inherits this niceness
     recording = LiveRecording(where, run, options.namespace)
     click.echo(f"ready {recording.address}")
-
-    def draw(flight: Watch, stop: Stop) -> None:
-        try:
-            while not stop.is_set and not recording.closed:
-                time.sleep(DRAW_S)
-                flight.poll()
-                recording.add(
-                    flight.new_steps, flight.new_timings, flight.health.reason if flight.health else ""
-                )
-        finally:
-            recording.close()
-
-    return draw
+    return recording

@@ -71,7 +71,7 @@ def until(watch, done, what):
 
 def shown(watch, whom="tcp/lab:7448"):
     console = Console(width=110, record=True, file=io.StringIO())
-    console.print(draw(watch, "title", whom))
+    console.print(draw({"cf1": watch}, "title", whom))
     return console.export_text()
 
 
@@ -92,7 +92,7 @@ def test_old_data_is_shown_as_old_and_never_as_new():
         until(watch, lambda: watch.step and watch.health and watch.timings, "nothing came")
         assert watch.news is News.FRESH
         text = shown(watch)
-        for words in ("APPROACH", f"h {row.h_m:+.3f} m", "target 20 ms", "battery 3.87 V 90 %", "good again"):
+        for words in ("APPROACH", f"{row.h_m:+.3f} m", " 20 ms", "3.87 V 90 %", "good again"):
             assert words in text
         assert "no data" not in text
         clock.now_s += STALE_S + 2.0

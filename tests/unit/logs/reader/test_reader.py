@@ -24,14 +24,14 @@ from flightstack.cli.main import main
 from flightstack.common.terminal import Terminal
 from flightstack.common.text import one_line, plain
 from flightstack.onboard.recording import new_folder
-from flightstack.watch import News, draw_fleet
+from flightstack.watch import News, draw
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from logs.recorder.recording import McapFile
 from logs.report.report import write_report
 from logs.schema import schemas
 from logs.schema.events import Severity, pack_log
-from logs.schema.rows import ControllerStepRow
+from logs.schema.rows import ControllerStepRow, HealthRow
 from logs.verdict.verdict import judged
 from tests.unit.logs.helpers import CHANNELS, EPOCH_NS, payloads, record
 
@@ -209,13 +209,11 @@ def test_names_of_a_log_become_no_paths(tmp_path, name):
 
 def test_the_view_of_a_fleet_takes_reasons_for_words(monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
-    step = SimpleNamespace(
-        own_position_enu_m=(0, 0, 1), target_position_enu_m=(0, 0, 0), phase=8, h_m=0.1, filter_status=0
-    )
-    health = SimpleNamespace(reason="it said: log [/fs/microsd] full\nready tcp/1")
-    watch = SimpleNamespace(step=step, news=News.FRESH, over=False, timings=[], health=health)
+    reason = "it said: log [/fs/microsd] full\nready tcp/1"
+    health = HealthRow(1, 42, *[0.1] * 5, 1, 2, *[True] * 6, 100, 1, 2, 3, reason)
+    watch = SimpleNamespace(step=None, news=News.FRESH, timings=[], health=health, health_fresh=True)
     out = io.StringIO()
-    Console(file=out).print(draw_fleet({"[cf1]": watch}, "[t]"))
+    Console(file=out).print(draw({"[cf1]": watch}, "[t]"))
     assert "log [/fs/microsd] full\\nready tcp/1" in out.getvalue()
     assert "[cf1]" in out.getvalue()
     assert "[t]" in out.getvalue()
