@@ -16,8 +16,16 @@ from flightstack.core.parameters.filters import short_name
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.launch.launcher import Followed, Launcher
 from flightstack.launch.result import Flown
-from flightstack.launch.run_options import Flies, RunOptions
-from flightstack.launch.vehicles import VEHICLES, Flying, longest_s, others_s, plugged
+from flightstack.launch.run_options import RunOptions
+from flightstack.launch.vehicles import (
+    VEHICLES,
+    Flying,
+    around_the_start,
+    longest_s,
+    others_s,
+    plugged,
+    to_the_floor_m,
+)
 from flightstack.onboard import process  # noqa: F401  # forked onboard processes then need not load it
 from flightstack.onboard.recording import Described, describe, log_in, new_folder
 from flightstack.verify.certificate import problems
@@ -43,7 +51,9 @@ def prepare(options: RunOptions) -> Scenario:
             f"--member: found {', '.join(map(str, requested))}; allowed are 1 to {number}, and one at least "
             "is simulated here"
         )
-    members = tuple(VEHICLES[options.flies].adapt(adapted(options, each)) for each in scenario.members)
+    members = tuple(adapted(options, each) for each in scenario.members)
+    if VEHICLES[options.flies].own_physics:
+        members = tuple(map(around_the_start, members))
     for n, each in enumerate(members, 1):
         neighbours, known = {*range(1, number + 1)} - {n}, set(each.onboard.fleet_or_alone.others)
         if neighbours and not known:
@@ -160,6 +170,8 @@ class _Run:
         options, n = self._options, vehicle.number - 1
         earlier = () if options.lockstep else self._vehicles[:n]
         own = {"system_id": vehicle.number, **flying.clock, **flying.options[n]}
+        if VEHICLES[options.flies].own_physics:
+            own["target_offset_m"] = to_the_floor_m(vehicle.scenario)
         onboard = shared(
             options, OnboardOptions, **own, target_key=f"{vehicle.name}/target/odom",
             connect=(self._robots_at, *(each.endpoint for each in earlier)), namespace=vehicle.name,
@@ -173,7 +185,7 @@ class _Run:
     def _describe(self) -> None:
         """Write scenario, configuration and options of the run to the log."""
         options = self._options
-        pad = {"pad": NO_PAD} if options.flies in (Flies.PX4_SIH, Flies.ARDUPILOT) else {}
+        pad = {"pad": NO_PAD} if VEHICLES[options.flies].own_physics else {}
         flights = []
         for each in self._vehicles:
             member = each.scenario

@@ -70,43 +70,43 @@ def _own(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at:
     return Flying(given, child)
 
 
-class _Px4Start:
-    """PX4 before its start; its instance number is chosen first, since the simulator's port depends on it."""
+def _px4_number(launcher: Launcher, options: RunOptions) -> int:
+    """Return the instance number of PX4, on which the ports depend: the given one, or a free one."""
+    if options.instance is not None:
+        return options.instance
+    return launcher.reserved.enter_context(contextlib.closing(InstanceClaim())).number
 
-    def __init__(self, launcher: Launcher, options: RunOptions) -> None:
-        self._launcher, self._options, self._binary = launcher, options, _program_of(options)
-        if options.instance is not None:
-            self.number = options.instance
-        else:
-            self.number = launcher.reserved.enter_context(contextlib.closing(InstanceClaim())).number
 
-    def run(self, model: Px4Model, wanted: Mapping[str, float]) -> Mapping[str, Any]:
-        """Start PX4 and wait until it can arm; return the options of the onboard process."""
-        program = Px4Program(
-            self._binary, self._launcher.folder / "px4", model,
-            instance=self.number, parameters=wanted, speed=self._options.speed,
-        )  # fmt: skip
-        self._launcher.children.append(program)
-        program.wait_ready()
-        for name in program.absent:
-            text = f"PX4: this release has no {name}; the pre-flight check uses those that it has"
-            self._launcher.console.print(text, markup=False, soft_wrap=True)
-        url = f"udpin:127.0.0.1:{program.onboard_port}"
-        system_id = 1 + self.number  # PX4's script rcS sets MAV_SYS_ID to this value
-        return {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
+def _run_px4(
+    launcher: Launcher, options: RunOptions, number: int, model: Px4Model, wanted: Mapping[str, float]
+) -> Mapping[str, Any]:
+    """Start PX4 and wait until it can arm; return the options of the onboard process."""
+    program = Px4Program(
+        _program_of(options), launcher.folder / "px4", model, instance=number, parameters=wanted,
+        speed=options.speed,
+    )  # fmt: skip
+    launcher.children.append(program)
+    program.wait_ready()
+    for name in program.absent:
+        text = f"PX4: this release has no {name}; the pre-flight check uses those that it has"
+        launcher.console.print(text, markup=False, soft_wrap=True)
+    url = f"udpin:127.0.0.1:{program.onboard_port}"
+    system_id = 1 + number  # PX4's script rcS sets MAV_SYS_ID to this value
+    return {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
 
 
 def _px4(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
     """Start the simulator, then PX4 on it."""
+    _program_of(options)  # a missing program is an error before anything starts
     compile_first(scenario)
-    px4 = _Px4Start(launcher, options)
+    number = _px4_number(launcher, options)
     clock: Mapping[str, Any] = {"clock": launcher.socket.with_name("clock")}
     poses = scenario.vehicle.mocap if options.mocap else None
     simulator = launcher.start(
         "px4-sim",
         plugged(
             Px4SimOptions, launcher, options, duration_s=None, connect=(robots_at,), once=True,
-            tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", **clock,
+            tcp=f"127.0.0.1:{SIMULATOR_PORT + number}", **clock,
         ),
     )  # fmt: skip
     simulator.wait_ready()
@@ -115,22 +115,22 @@ def _px4(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at:
     from sim.px4.airframe import parameters
 
     wanted = parameters(params.load(scenario.vehicle.airframe), poses)
-    given = px4.run(Px4Model.NONE_IRIS, wanted)
+    given = _run_px4(launcher, options, number, Px4Model.NONE_IRIS, wanted)
     return Flying([given], simulator, {**clock, "speed": 1.0})
 
 
 def _px4_sih(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
     """Start PX4 and its simulation-in-hardware of a 1 kg quadrotor."""
-    del robots_at
+    del scenario, robots_at
     from sim.px4.airframe import SAFE_PARAMETERS
 
-    given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
-    return Flying([{**given, "target_offset_m": _to_the_floor_m(scenario)}])
+    number = _px4_number(launcher, options)
+    return Flying([_run_px4(launcher, options, number, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)])
 
 
 def _ardupilot(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
     """Start ArduCopter's software in the loop; the onboard process waits for its heartbeat."""
-    del robots_at
+    del scenario, robots_at
     number = options.instance or 0
     folder = launcher.folder / "ardupilot"
     folder.mkdir(exist_ok=True)
@@ -145,8 +145,7 @@ def _ardupilot(launcher: Launcher, options: RunOptions, scenario: Scenario, robo
     )  # fmt: skip
     launcher.children.append(child)
     url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
-    floor_m = _to_the_floor_m(scenario)
-    return Flying([{"vehicle_url": url, "autopilot": ARDUPILOT.name, "target_offset_m": floor_m}])
+    return Flying([{"vehicle_url": url, "autopilot": ARDUPILOT.name}])
 
 
 # Parameters of ArduCopter's simulated quadrotor that differ from the defaults: frame, battery, calibrations
@@ -175,8 +174,9 @@ _FIRMWARE = re.compile(rb"ArduCopter V(\d+)\.(\d+)")  # THISFIRMWARE of ArduCopt
 _DEAD_TIME_SINCE = (4, 7)  # first release whose velocity loop has a dead time (ATC_INPUT_TC)
 
 
-def _ardupilot_configuration(program: Path | None) -> str:
+def _ardupilot_configuration(scenario: Scenario, program: Path | None) -> str:
     """Return the configuration's name for the release of the program; if unknown, for the newest one."""
+    del scenario
     release = _DEAD_TIME_SINCE
     if program is not None and program.is_file() and program.stat().st_size:
         with program.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as held:
@@ -191,28 +191,19 @@ class Vehicle(NamedTuple):
     # function that starts the vehicle and, if its URL depends on that, waits until it can fly; its last
     # argument is the Zenoh endpoint of the robots; it raises LaunchError if the vehicle is not ready
     start: Callable[[Launcher, RunOptions, Scenario, str], Flying]
-    configs: Mapping[str, str] = {}  # names of configurations by airframe; for another one: the scenario's
-    # function from program path to configuration name, for all airframes
-    config: Callable[[Path | None], str] | None = None
+    # function from scenario and program to the configuration's name; None: the scenario's configuration
+    configuration: Callable[[Scenario, Path | None], str | None] = lambda _scenario, _program: None
     with_robots: bool = False  # whether the vehicle's process also simulates the robots
-    at_origin: bool = False  # whether the vehicle's position starts at 0, so that the robot is moved
-
-    def adapt(self, scenario: Scenario) -> Scenario:
-        """Return the scenario with the changes that this vehicle needs."""
-        return around_the_start(scenario) if self.at_origin else scenario
-
-    def configuration(self, scenario: Scenario, program: Path | None) -> str | None:
-        """Return the name of the configuration for this vehicle; None: that of the scenario is used."""
-        if self.config is not None:
-            return self.config(program)
-        return self.configs.get(scenario.vehicle.airframe)
+    # whether the physics are those of the autopilot's program: no pad, and a position that starts at 0
+    own_physics: bool = False
 
 
+_PX4_CONFIGURATIONS = {"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}  # by airframe
 VEHICLES: Mapping[Flies, Vehicle] = {
     Flies.OWN: Vehicle(_own, with_robots=True),
-    Flies.PX4: Vehicle(_px4, configs={"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}),
-    Flies.PX4_SIH: Vehicle(_px4_sih, config=lambda _: "px4-1kg", at_origin=True),
-    Flies.ARDUPILOT: Vehicle(_ardupilot, config=_ardupilot_configuration, at_origin=True),
+    Flies.PX4: Vehicle(_px4, lambda scenario, _: _PX4_CONFIGURATIONS.get(scenario.vehicle.airframe)),
+    Flies.PX4_SIH: Vehicle(_px4_sih, lambda *_: "px4-1kg", own_physics=True),
+    Flies.ARDUPILOT: Vehicle(_ardupilot, _ardupilot_configuration, own_physics=True),
 }
 
 
@@ -246,11 +237,8 @@ def around_the_start(scenario: Scenario) -> Scenario:
     return replace(scenario, start=start, target=replace(target, position_m=(x_m - east_m, y_m - north_m)))
 
 
-def _to_the_floor_m(scenario: Scenario) -> Vec3:
-    """Return the offset of the landing spot that puts it on the floor.
-
-    The height of this vehicle counts from the floor, not from its reference point above the feet.
-    """
+def to_the_floor_m(scenario: Scenario) -> Vec3:
+    """Return the offset of the landing spot on the floor, from which the height of the vehicle counts."""
     down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
     return 0.0, 0.0, round(-down_m, 6)
 
