@@ -261,7 +261,7 @@ class TargetSource:
         self._subscriber.undeclare()
 
     def _check_key(self, key: str) -> None:
-        """Raise OdometryError if a key of the topic has not the expected message type."""
+        """Raise OdometryError if a key of the topic has another message type than expected."""
         found, wanted = parse_topic_key(key), ROS_TYPES[self._spec.type]
         if found is None:
             raise OdometryError(f"the key {key} is not one of rmw_zenoh")

@@ -1,4 +1,4 @@
-"""Commands that fly many times: ``campaign`` the seeds of a scenario, ``validate`` recorded set-points."""
+"""Commands of many flights: ``campaign`` flies seeds of a scenario, ``validate`` recorded set-points."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ class Files(Generic[T]):
         raise not_found(self._kind, path, self.names(), self._hint)
 
     def load(self, name_or_file: str | Path) -> T:
-        """Read and check a file."""
+        """Read the file of this name or path, and check its keys and values."""
         path = self.path_of(name_or_file)
         table = self.table(path)
         try:

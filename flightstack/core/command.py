@@ -1,7 +1,7 @@
-"""From the nominal velocity to the set-point: slew limit, safety filter, lag correction, gate.
+"""Computes the set-point from the nominal velocity: slew limit, safety filter, lag correction, gate.
 
 ``Controller`` calls ``command`` if the states of vehicle and target are known, which compiled code also does;
-``setpoint`` adds the gate, and serves ticks in which a state is missing. The constraints of neighbours
+``setpoint`` adds the gate, and also runs in ticks in which a state is missing. The constraints of neighbours
 (``rows``) join the filter's program.
 """
 

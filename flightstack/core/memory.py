@@ -210,7 +210,7 @@ class Heard:
 class FleetMemory:
     """State of the neighbours, and of this vehicle's right of way."""
 
-    slots: tuple[Heard, ...] = ()  # one for each other member, in the order of their ids
+    slots: tuple[Heard, ...] = ()  # one slot for each other member, in the order of their ids
     claim_s: float = nan  # time at which this vehicle claimed the right of way, s; NaN: no claim
     granted: bool = False
     waits_since_s: float = inf  # time since which the vehicle waits for the right of way, s

@@ -38,7 +38,7 @@ class Relative(NamedTuple):
 
 @numeric
 def relative(own: OwnState, target: TargetState) -> Relative:
-    """Return the vehicle relative to the target."""
+    """Return the states of vehicle and target with their offset and horizontal distance."""
     (x, y, z), (px, py, pz) = own.position_enu_m, target.position_enu_m
     e_m = (x - px, y - py, z - pz)
     return Relative(own, target, e_m, hypot(e_m[0], e_m[1]))

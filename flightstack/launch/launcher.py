@@ -206,7 +206,7 @@ class Launcher:
     def _ended(self, flight: Followed, *, others_fly: bool) -> str | None:
         """Handle the last output of an onboard process that has ended; return an error text if it failed.
 
-        ``others_fly``: whether the run goes on; else its result has the same text.
+        ``others_fly``: whether the run continues; if not, its result has the same text.
         """
         child = flight.child
         self._say(flight, child.lines(0.0))

@@ -63,7 +63,7 @@ def barriers(sides: Sequence[Side], axis: Axis) -> go.Figure | None:
 
 
 def distances(pairs: Sequence[PairSeries], axis: Axis) -> go.Figure | None:
-    """Draw the distance of each pair over time, in the ellipsoid's measure and in m; ``None`` without pairs.
+    """Draw the distance of each pair over time, as ellipsoid norm and in m; ``None`` without pairs.
 
     If there are many pairs, only the nearest ones are visible at first.
     """

@@ -131,7 +131,7 @@ class FleetVerdict:
     collisions: int | None  # pairs whose shapes overlapped; None: data are missing
     # number of times that two flying vehicles came inside their ellipsoid; None: data are missing
     ellipsoid_violations: int | None
-    # smallest distance of two flying vehicles in the ellipsoid's measure; None: never two, or unknown
+    # smallest ellipsoid norm between two flying vehicles, below 1: inside; None: never two, or unknown
     ellipsoid_min: float | None
     # smallest distance of two centres of mass; None: unknown, or a single member
     distance_min_m: float | None

@@ -110,7 +110,7 @@ class RealTimeVehicle:
 
 
 class RealTimeWorld:
-    """Runs ticks until the end.
+    """Runs the ticks of vehicles and robots in real time.
 
     ``vehicles``: at least one; ``robots``: all robots of this process, also those without a vehicle here;
     ``stop``: ends the process.

@@ -171,7 +171,7 @@ class VehicleLink:
             self._outgoing += origin.step(self.state.status, known, now_s)
 
     def send_setpoint(self, setpoint: ApprovedSetpoint, now_s: float) -> bool:
-        """Queue a velocity, the only function for it; False: not finite, or it would end a take-off."""
+        """Queue a velocity; no other function sends one. False: not finite, or it would end a take-off."""
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
         profile = self.state.profile
         if profile is None or not self._may_stream(profile) or not math.isfinite(sum(velocity) + yaw):

@@ -57,7 +57,7 @@ _INTENTS = MappingProxyType(
         Phase.HOLD: Intent.CLEARING,
         Phase.CLIMB: Intent.CLEARING,
         Phase.ABORT: Intent.DOWN,  # changes from CLEARING to DOWN when the vehicle has flown clear
-        Phase.LEAVE: Intent.CLEARING,  # first STANDING, before the take-off; last DOWN, in the landing
+        Phase.LEAVE: Intent.CLEARING,  # STANDING before the take-off, and DOWN in the landing
     }
 )
 
