@@ -184,12 +184,7 @@ class Relay:
     """
 
     def __init__(
-        self,
-        near: PtyEnd | TcpEnd,
-        vehicle: int,
-        baud: int | None,
-        *,
-        noise_bytes_s: float = 0.0,
+        self, near: PtyEnd | TcpEnd, vehicle: int, baud: int | None, *, noise_bytes_s: float = 0.0
     ) -> None:
         self.near, self.in_line, self.out_line = near, Line(baud), Line(baud)
         self.noise_bytes = 0

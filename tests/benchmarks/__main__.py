@@ -14,13 +14,11 @@ BENCH = {  # name: module in this folder and its function
     "environment": "speed:environment",
     "lockstep": "speed:lockstep",
 }
-LONG = {  # benchmarks that take hours, or whose result is a figure or a page
+LONG = {  # benchmarks that take hours, or whose result is a page
     "crazyflie_landings": "crazyflie_landings:main",
     "equal_rows": "equal_rows:main",
     "fault_grid": "fault_grid:main",
     "fleet_faults": "fleet_faults:main",
-    "landing_animation": "landing_figure:animation",
-    "landing_figure": "landing_figure:main",
     "paper_runs": "speed:paper_runs",
     "proven": "proven:main",
     "px4_faults": "px4_faults:main",

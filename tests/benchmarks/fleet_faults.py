@@ -21,12 +21,7 @@ from tests.fault_grid.fleet import Way, broken
 
 TEAM = "fleet_3"
 FROM_S, UNTIL_S = 0.5, 6.5  # range of the time at which the member fails
-KINDS: dict[str, Way | None] = {
-    "killed": Way.KILLED,
-    "silent": Way.SILENT,
-    "cut": Way.CUT,
-    "late": None,
-}
+KINDS: dict[str, Way | None] = {"killed": Way.KILLED, "silent": Way.SILENT, "cut": Way.CUT, "late": None}
 NAMES = {"late": "10 % of the messages lost, 0.1 s late"}
 LATE = ExchangeLink(delay_s=0.1, loss=0.1)
 COLUMNS = (

@@ -162,9 +162,7 @@ _NOT_FLOWN_OVER = _need(
     "takes half a second", short_ends=_CRASHED,
 )  # fmt: skip
 _NOT_FLOWN_YET = _need(
-    ABORTED,
-    why="the rate of climb is not checked in the first 7 s of a take-off",
-    within_s=8.0,
+    ABORTED, why="the rate of climb is not checked in the first 7 s of a take-off", within_s=8.0
 )
 _STAMPS = _need(LANDED, why="ages count from the arrival; stamps only give the order", within_s=None)
 

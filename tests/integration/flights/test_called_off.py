@@ -44,8 +44,7 @@ def children(pid):
 
 
 @pytest.mark.parametrize(
-    ("name", "number"),
-    [("fly", signal.SIGTERM), ("sitl", signal.SIGINT), ("onboard", signal.SIGQUIT)],
+    ("name", "number"), [("fly", signal.SIGTERM), ("sitl", signal.SIGINT), ("onboard", signal.SIGQUIT)]
 )
 def test_a_signal_while_the_recorder_starts_calls_the_flight_off(name, number, tmp_path):
     child = subprocess.Popen(

@@ -22,12 +22,7 @@ NS = 1e9
 PAST_APPROACH_BYTES = 1_200_000  # log size at the kill; the approach starts at 980,000 bytes
 WHEN_S = {False: (0.7, 8.0), True: (0.3, 0.8)}
 # A topic that each victim logs. None: any topic, for the recorder and the launcher, which kills all others.
-OWN_TOPIC = {
-    "world": "/cf1/sim/truth",
-    "onboard": "/cf1/controller/step",
-    "record": None,
-    "launcher": None,
-}
+OWN_TOPIC = {"world": "/cf1/sim/truth", "onboard": "/cf1/controller/step", "record": None, "launcher": None}
 
 
 class FlightOverError(Exception):

@@ -104,11 +104,7 @@ def rig_with(**parameters: float) -> Rig:
 
 @pytest.mark.parametrize(
     ("act", "mode", "doing"),
-    [
-        (0, FlightMode.LAND, "landing"),
-        (4, FlightMode.LAND, "landing"),
-        (5, FlightMode.HOLD, "holding"),
-    ],
+    [(0, FlightMode.LAND, "landing"), (4, FlightMode.LAND, "landing"), (5, FlightMode.HOLD, "holding")],
 )
 def test_loss_of_set_points_does_what_the_parameter_says(act: int, mode: FlightMode, doing: str) -> None:
     rig = rig_with(COM_OBL_RC_ACT=act).offboard()

@@ -97,8 +97,7 @@ def test_one_bad_row_in_a_thousand_misses_lab(bad, said):
 
 
 @pytest.mark.parametrize(
-    ("tier", "aborts"),
-    [(Tier.LAB, 1), (Tier.ROOM, 5), (Tier.FIELD, 5), (Tier.STORM, 30), (Tier.DECK, 5)],
+    ("tier", "aborts"), [(Tier.LAB, 1), (Tier.ROOM, 5), (Tier.FIELD, 5), (Tier.STORM, 30), (Tier.DECK, 5)]
 )
 def test_declared_aborts_are_allowed_up_to_the_share(tier, aborts):
     assert misses(tier, [ABORTED] * aborts + [GOOD] * (1000 - aborts), PAPER) == []

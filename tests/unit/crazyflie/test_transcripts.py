@@ -217,9 +217,6 @@ def flights():
             yield title, options.replace("{}", word), "; ".join(lines).replace("{}", word)
 
 
-OF_FIRMWARE = {"auto_arm", "needs_poses", "clock_rate"}
-
-
 def begin(place=(0.0, 0.0), uptime_s=0.0, posed_by="", tilt_deg=0.0, **options):
     options |= {"needs_poses": True, "mocap": posed_by == "bridge"} if posed_by else {}
     firmware = Firmware(

@@ -10,13 +10,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from sim.flights.recording import (
-    COLUMNS,
-    PWM_MAX,
-    RecordingError,
-    read_columns,
-    read_recording,
-)
+from sim.flights.recording import COLUMNS, PWM_MAX, RecordingError, read_columns, read_recording
 from sim.flights.screening import screen
 
 RATE_HZ = 100.0

@@ -9,7 +9,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.parameters import INT32
 from bridge.mavlink.server.profile import EVERY_TICK, FlightMode
-from flightstack.cli.real import bridge
 from sim.autopilot.autopilot import px4_parameters
 from sim.autopilot.flight import STREAM_LOST
 from sim.autopilot.telemetry import PX4
@@ -19,10 +18,6 @@ from sim.px4.plant import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
 from tests.unit.autopilot.autopilot_fakes import Rig
 
 DOCS = Path(__file__).parents[3] / "docs"
-
-
-def options(verb):
-    return {name for p in bridge.commands[verb].params for name in p.opts}
 
 
 MAVLINK = (Path(__file__).parents[3] / "docs" / "reference" / "mavlink.md").read_text(encoding="utf-8")

@@ -65,10 +65,7 @@ def test_each_lack_of_the_vehicle_has_its_sentence(changed, words):
         ({"age_s": None, "arrived": 0}, "no sample on cf1/target/odom; nor on any key like odometry"),
         ({"age_s": None, "arrived": 0, "keys": ("a/odom", "b/odom")}, "there are a/odom, b/odom"),
         ({"age_s": None, "arrived": 0, "problems": ("a hash",)}, "odom any more; of earlier ones: a hash"),
-        (
-            {"age_s": None, "arrived": 7, "problems": ("a frame",)},
-            "odom, none accepted: a frame",
-        ),
+        ({"age_s": None, "arrived": 7, "problems": ("a frame",)}, "odom, none accepted: a frame"),
         ({"every_s": 0.33}, "odom: one every 0.33 s (3.0 Hz); checks.target_age_max_s allows 0.25"),
         ({"contradicts": True}, "do not agree; checks.target_drift_max_m is 0.1; usual causes: a twist in"),
         ({"below": "the landing spot is 0.40 m below the ground"}, "0.40 m below the ground"),

@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 
 from sim.autopilot.telemetry import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 from sim.plant.params import load
-from sim.px4.plant import (
-    Body,
-    Px4Mocap,
-    Px4Sensors,
-    field_ned_gauss,
-    pressure_altitude_m,
-)
+from sim.px4.plant import Body, Px4Mocap, Px4Sensors, field_ned_gauss, pressure_altitude_m
 from sim.scenarios.tables import OdometryLink
 from tests.examples import examples
 

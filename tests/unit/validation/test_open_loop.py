@@ -90,9 +90,7 @@ def trace(seconds, delay_s=0.0, offset=(0.0, 0.0, 0.0), noise=None, speed=0.6):
 
 @examples(25)
 @given(
-    delay_s=st.floats(-0.08, 0.15),
-    offset=st.tuples(*[st.floats(-0.1, 0.1)] * 3),
-    speed=st.floats(0.3, 1.2),
+    delay_s=st.floats(-0.08, 0.15), offset=st.tuples(*[st.floats(-0.1, 0.1)] * 3), speed=st.floats(0.3, 1.2)
 )
 def test_delay_is_found_and_offset_is_no_error(delay_s, offset, speed):
     found = analyse([trace(20.0, delay_s, offset, speed=speed), trace(10.0, delay_s, offset, speed=speed)])

@@ -19,11 +19,7 @@ from sim.runners.robot import sample_rows, world_sample
 
 pytestmark = pytest.mark.slow
 
-_EXTREMES = {
-    "float": (0.1, -1e-9, 12345.678, math.nan, math.inf),
-    "double": (0.1, 1e300),
-    "char": (0,),
-}
+_EXTREMES = {"float": (0.1, -1e-9, 12345.678, math.nan, math.inf), "double": (0.1, 1e300), "char": (0,)}
 
 
 def some_message(cls, rng):

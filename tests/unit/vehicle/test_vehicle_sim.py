@@ -6,13 +6,7 @@ import pytest
 
 from flightstack.core.safety.barrier import Barrier
 from sim.scenarios.tables import OdometryLink, Start, StartKind, TargetSpec, VehicleSpec, Wind
-from tests.unit.vehicle.vehicle_sim_helpers import (
-    LOOPS,
-    QUIET,
-    STANDING,
-    fly,
-    vehicle,
-)
+from tests.unit.vehicle.vehicle_sim_helpers import LOOPS, QUIET, STANDING, fly, vehicle
 
 
 @pytest.mark.parametrize("loop", LOOPS)

@@ -25,11 +25,7 @@ KINDS = {
     "no_index": {"compression": CompressionType.LZ4, "index_types": IndexType.NONE},
     "no_chunks": {"use_chunking": False, "enable_crcs": False},
 }
-VERBS = (
-    ("log", "verdict"),
-    ("replay",),
-    ("identify",),
-)
+VERBS = (("log", "verdict"), ("replay",), ("identify",))
 
 
 def rows(path):

@@ -60,13 +60,7 @@ def record(
     feed = FileFeed(path)
     feed.file.attachment("cf1/onboard.toml", "application/toml", 0, dumps(config).encode())
     feed.file.metadata("cf1/onboard", {"namespace": "cf1"})
-    log = OnboardLog(
-        feed,
-        NoSession(),
-        Names("cf1", 1),
-        config,
-        lockstep=True,
-    )
+    log = OnboardLog(feed, NoSession(), Names("cf1", 1), config, lockstep=True)
     for number in range(round(seconds / DT_S)):
         tick = Tick(number, world.t_s, EPOCH_NS + round(world.t_s * 1e9), 0.0, 0.0)
         given = world.inputs()

@@ -19,7 +19,7 @@ from tests.unit.mavlink.client.vehicle_link_fakes import (
 )
 
 HERE, THERE = ("127.0.0.1", 14580), ("127.0.0.1", 14590)
-QUADROTOR, STATION, PLANE = Kind(2, 12), Kind(6, 8), Kind(1, 12)
+QUADROTOR, STATION = Kind(2, 12), Kind(6, 8)
 TEXT = dialect.MAVLink_statustext_message(4, b"motors on fire")
 ACK = dialect.MAVLink_command_ack_message(400, 4)
 
