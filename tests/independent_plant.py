@@ -39,7 +39,6 @@ class Lag:
     fall_1_rpm_s: float = 0.0
 
     def rate(self, rpm, command):
-        """Return the rate of change of the rotor speeds, rpm/s."""
         if self.rise_1_s is None:
             return (command - rpm) / self.time_s
         return np.where(

@@ -32,7 +32,6 @@ class Pauses:
         self._started = False
 
     def begin(self) -> None:
-        """Restart the measurement."""
         self.worst_s = 0.0
         if not self._started:
             self._started = True
@@ -53,7 +52,6 @@ PAUSES = Pauses()
 
 
 def in_real_time(item: pytest.Item) -> bool:
-    """Return whether a test flies in real time."""
     return any("real-time" in mark.args for mark in item.iter_markers("xdist_group"))
 
 

@@ -205,7 +205,6 @@ class Relay:
         self._wanted = True
 
     def close(self) -> None:
-        """End the thread and close both sides."""
         self._stop.set()
         self._thread.join(5.0)
         self._udp.close()

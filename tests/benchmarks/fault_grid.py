@@ -74,7 +74,6 @@ def section(part: Part, rows: list[str]) -> str:
 
 
 def main() -> None:
-    """Fly all cells of the grid and write the tables into the page."""
     warm_up(scenario())
     gc.disable()
     sections = []

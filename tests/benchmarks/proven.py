@@ -52,8 +52,6 @@ def base(name: str, kind: str) -> Scenario:
 
 
 class Parameter(NamedTuple):
-    """One numeric parameter of the configuration, with its allowed span."""
-
     path: tuple[str, ...]
     low: float
     high: float

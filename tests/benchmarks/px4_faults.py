@@ -138,7 +138,6 @@ def _place(room: Room, said: list[str]) -> str:
 
 
 def main() -> None:
-    """Fly the faults and print a table row for each."""
     place = px4_place()
     if place is None:
         sys.exit(f"no PX4 here: {PX4_PLACE} names none; nothing flown")

@@ -56,7 +56,6 @@ def row(tier: str, kind: str, s: dict) -> str:
 
 
 def known(folder: Path) -> list[Row]:
-    """Return the rows that the campaign has written so far."""
     path = folder / "rows.csv"
     return read_rows(path) if path.exists() else []
 

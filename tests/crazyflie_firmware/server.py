@@ -40,7 +40,6 @@ class Server:
 
     @property
     def now_s(self) -> float:
-        """Time on the clock of the firmware, s."""
         return time.monotonic() - self._start_s
 
     def __enter__(self) -> "Server":

@@ -80,11 +80,9 @@ class SimPlant:
         self.vehicle.know_drag(drag_1_s)
 
     def reset(self, x: float, y: float, z: float, yaw: float) -> None:
-        """Reset the estimate (``kalman.resetEstimation``)."""
         self.vehicle.reset_estimate((x, y, z), yaw)
 
     def restart(self) -> None:
-        """Restart the firmware."""
         self.motors_off()
         self.vehicle.reboot()
 

@@ -63,7 +63,6 @@ class Disk(io.RawIOBase):
         self._healed.set()
 
     def write(self, data: Any) -> int:
-        """Write the data, with the current failure of the disk."""
         data = bytes(data)
         return self._file.write(data) if self._way is None else self._ways[self._way](data)
 

@@ -65,7 +65,6 @@ class Flown:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """Texts of companion and vehicle, in time order."""
         return tuple(event.text for event in self.seen.events)
 
 
@@ -81,7 +80,6 @@ class _Target(DirectTarget):
         super().__init__(scenario, seed, grid)
 
     def take(self, tick: int) -> DeckState:
-        """Advance to this tick; return the true pose."""
         self._drive(tick)
         return super().take(tick)
 

@@ -149,7 +149,6 @@ def undisturbed(moment: Moment, seed: int) -> Flown:
 
 
 def equal(a: Truth, b: Truth) -> bool:
-    """Return whether two flights are equal bit for bit."""
     return all(
         np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True)
         for name in ("t_s", "position_enu_m", "velocity_enu_m_s", "orientation", "motors_running", "contacts")

@@ -16,8 +16,6 @@ from flightstack.core.types import Phase
 
 
 class Part(StrEnum):
-    """Component that fails."""
-
     OWN_STATE = "vehicle state"
     TARGET_STATE = "target state"
     HEARTBEAT = "heartbeat"
@@ -28,8 +26,6 @@ class Part(StrEnum):
 
 
 class Way(StrEnum):
-    """Kind of failure."""
-
     OFF = "off"
     STUCK = "stuck"
     GARBAGE = "garbage"
@@ -40,8 +36,6 @@ class Way(StrEnum):
 
 
 class Moment(Enum):
-    """Moment of the failure, which is permanent."""
-
     TAKEOFF = Phase.TAKEOFF  # the vehicle climbs at 0.2 m, because a vehicle on the ground cannot fall
     APPROACH = Phase.APPROACH
     LAND = Phase.LAND
@@ -49,8 +43,6 @@ class Moment(Enum):
 
 
 class End(StrEnum):
-    """End of a flight."""
-
     LANDED = "LANDED"  # the vehicle rests upright on the pad, motors off
     ABORTED = "ABORTED"  # the abort is declared; the vehicle rests upright on the floor, motors off
     VEHICLE_LANDS = "VEHICLE_LANDS"  # the vehicle rests upright on the floor after the autopilot's fail-safe

@@ -30,8 +30,6 @@ CLIMB_M_S = 0.5
 
 @dataclass(frozen=True)
 class Setpoint:
-    """A commanded velocity and heading."""
-
     velocity_enu_m_s: Vec3
     yaw_rad: float
 
@@ -85,7 +83,6 @@ class Pilot:
 
     @property
     def limits(self) -> Limits:
-        """Limits of the steps, from the room or from the vehicle's profile."""
         if self._room.limits is not None:
             return self._room.limits
         assert self.link.state.profile is not None, "not connected"
@@ -147,7 +144,6 @@ class Pilot:
         return self._run(step, work, done, limit_s)
 
     def take_off(self) -> None:
-        """Take off, then hold position by set-points."""
         enough_m = 0.8 * self._room.takeoff_height_m
         self.rise("take off", lambda: self.height_m > enough_m, 40.0)
         self.fly("hand over", ZERO, lambda: self.status.mode is Mode.EXTERNAL, 10.0)

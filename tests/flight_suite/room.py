@@ -23,16 +23,12 @@ from tests.processes.started import StartedChild
 
 
 class Lost(Enum):
-    """Reaction of the vehicle when set-points stop."""
-
     LANDS = "lands and stops its motors"
     STOPS = "hovers, armed, until a command lands it"
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the steps for one autopilot."""
-
     settle_s: float  # settling time at zero velocity before the evaluation
     still_m_s: float  # largest speed of a vehicle that holds position
     drift_m: float  # largest allowed displacement in five seconds with a zero velocity set-point

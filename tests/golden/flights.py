@@ -131,7 +131,6 @@ def fly(flight: Flight, target: Path) -> None:
 
 
 def _change(table: dict[str, object], changes: dict[str, object]) -> None:
-    """Set keys of a scenario to other values."""
     for key, value in changes.items():
         *sections, last = key.split(".")
         inner = table

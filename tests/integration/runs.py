@@ -71,7 +71,6 @@ def called(*arguments, cwd=None) -> Result:
 
 
 def fly(out: Path, scenario: str, seed: int = 0, *more) -> Result:
-    """Run ``sitl`` in lockstep without a report; return its result."""
     words = ["sitl", "--scenario", scenario, "--seed", seed, "--lockstep", "--json", "--no-report"]
     return flightstack(*words, "--out", out, *more)
 
@@ -106,7 +105,6 @@ class Background:
             self.lines.append(line.rstrip())
 
     def said(self, words: str) -> bool:
-        """Return whether a printed line contains this text."""
         return any(words in line for line in list(self.lines))
 
     def until(self, *words: str, each: Callable[[], object] = lambda: None) -> str:

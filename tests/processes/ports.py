@@ -10,7 +10,6 @@ _KEPT: list[Port | socket.socket] = []  # reserved until this worker ends, becau
 
 
 def free_port(*, udp: bool = False) -> int:
-    """Return a port for a TCP or UDP server."""
     port = Port()
     _KEPT.append(port)
     if udp:  # a TCP port with this number is reserved instead
@@ -20,5 +19,4 @@ def free_port(*, udp: bool = False) -> int:
 
 
 def free_endpoint() -> str:
-    """Return a port for a Zenoh session that listens."""
     return f"tcp/127.0.0.1:{free_port()}"

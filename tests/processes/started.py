@@ -63,7 +63,6 @@ class Started:
         return self._process.exitcode
 
     def poll(self) -> int | None:
-        """Return the exit status if the process has ended, else None."""
         return self._process.exitcode
 
     def wait(self, timeout: float | None = None) -> int:
@@ -114,7 +113,6 @@ class StartedChild(Child):
 
 
 def run_verb(words: Sequence[str]) -> None:
-    """Run the command ``flightstack`` with these arguments in this process."""
     main(list(words), prog_name="flightstack")
 
 

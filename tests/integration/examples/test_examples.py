@@ -32,7 +32,6 @@ ROOMS = {"flightstack", "bridge", "sim", "logs"}
 
 
 def run(name, *words, cwd=ROOT):
-    """Run an example to its end; return its output."""
     done = subprocess.run(
         [sys.executable, EXAMPLES / name, *map(str, words)],
         cwd=cwd, capture_output=True, text=True, timeout=WALL_MAX_S, check=False,

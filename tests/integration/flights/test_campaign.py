@@ -26,7 +26,6 @@ SHORT = ("stop_and_go", "--runs", RUNS, "--seed", 40, "--no-report")
 
 
 def campaign(*arguments, check=True):
-    """Run ``flightstack campaign`` to its end."""
     done = flightstack("campaign", *arguments)
     if check:
         assert done.code == 0, done.err

@@ -28,7 +28,6 @@ def gone():
 
 
 def ended(words, stdout):
-    """Return exit status and standard error of a subcommand."""
     child = subprocess.run([*COMMAND, *words], stdout=stdout, stderr=subprocess.PIPE, timeout=WALL_MAX_S)
     return child.returncode, child.stderr.decode()
 
@@ -50,7 +49,6 @@ def test_a_full_disk_is_told_where_the_output_is_all_there_is():
 
 
 def shell(words, redirections, cwd):
-    """Run a subcommand with a shell's redirections."""
     return subprocess.run(
         ["sh", "-c", f'exec "$@" {redirections}', "sh", *COMMAND, *words], cwd=cwd, timeout=WALL_MAX_S,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,

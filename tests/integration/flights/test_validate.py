@@ -21,7 +21,6 @@ FIGURES = 3
 
 
 def validate(folder, out, *options, code=None):
-    """Run ``flightstack validate``; return its JSON and its output."""
     few = len(list(folder.iterdir())) < 20  # runs in this process, in which everything is compiled
     workers = ("--workers", 1) if few else ()
     done = called("validate", folder, "--json", "--out", out, *workers, *options)

@@ -169,7 +169,6 @@ def folder(flown, tmp_path_factory):
 
 
 def table():
-    """Return type and rate of each topic in the table of the page."""
     rows = re.findall(r"^\| `(/\S+)` \| `(\S+)` \| (\S+) \|", PAGE.read_text(), re.MULTILINE)
     return {topic: (kind, rate) for topic, kind, rate in rows}
 

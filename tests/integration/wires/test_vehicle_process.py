@@ -176,8 +176,6 @@ def target(seed: int, port: int, **more):
 
 
 class Reader:
-    """Replaces the vehicle and the onboard process: reads all messages."""
-
     def __init__(self, port: int) -> None:
         self.session = zenoh_link.open_session([], [f"tcp/127.0.0.1:{port}"])
         self._truth = zenoh_link.fifo_subscriber(self.session, "t/sim/target/truth")

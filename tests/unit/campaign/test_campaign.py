@@ -244,7 +244,6 @@ def landed(seed):
 
 
 def interrupted(monkeypatch, *, written):
-    """Raise an interrupt just before or just after a row is written to the disk."""
     add = RowsFile.add
 
     def add_then_interrupt(self, rows):

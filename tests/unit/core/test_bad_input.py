@@ -73,7 +73,6 @@ UNSET = "ground_z_m"  # ground height; NaN if the vehicle never stood on the gro
 
 
 def spoiled(own, field, axis, bad):
-    """Return the vehicle state with one number replaced."""
     value = getattr(own, field)
     if isinstance(value, tuple):
         bad = (*value[:axis], bad, *value[axis + 1 :])

@@ -22,7 +22,6 @@ def flown():
 
 
 def phases(landing):
-    """Return the phases in their order, each with its start time."""
     steps = landing.seen.steps
     at = np.concatenate(([0], np.flatnonzero(np.diff(steps.phase)) + 1))
     return [(Phase(steps.phase[n]), float(steps.t_s[n])) for n in at]

@@ -33,8 +33,6 @@ WHERE = {
 
 
 class Feed:
-    """Replaces the connection to the recorder; stores topics and rows."""
-
     def __init__(self):
         self.topics, self.rows = {}, []
 

@@ -57,7 +57,6 @@ class Pair:
         )  # fmt: skip
 
     def begin(self):
-        """Send PX4's first messages, and run the first answered step."""
         self.fake.hello()
         self.session.greet()
         self.session._start_s += 10.0  # a busy machine may answer the first step late

@@ -19,7 +19,6 @@ def anchors(page):
 
 
 def prose(page):
-    """Return a page without its code blocks."""
     return re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
 
 

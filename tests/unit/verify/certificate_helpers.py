@@ -42,11 +42,9 @@ def config(**sections):
 
 
 def rooms(**sections):
-    """Return the remaining margin of each check, by the name of the check."""
     return {check.name: check.room for check in checks(config(**sections))}
 
 
 def one(name, **sections):
-    """Return the check of the certificate with this name."""
     (found,) = (check for check in checks(config(**sections)) if check.name == name)
     return found

@@ -79,7 +79,6 @@ def turn_back_m(c, x):
 
 
 def verdicts():
-    """Return the table of checks that each tier passes."""
     results = [{k.name: k for k in checks(scenario.load(tier).onboard)} for tier in TIERS]
     names = list(dict.fromkeys(name for result in results for name in result))
 
@@ -106,7 +105,6 @@ def _room(check):
 
 
 def tables():
-    """Return page and text of each table, by the name of the table."""
     return {
         "worked": (PAGES / "robust_filter.md", worked()),
         "verdicts": (PAGES / "robust_filter.md", verdicts()),

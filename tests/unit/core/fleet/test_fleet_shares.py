@@ -156,7 +156,6 @@ def test_a_vehicle_within_its_limits_never_jumps_and_one_that_lies_always_does(s
 
 
 def _towards(rng):
-    """Return a random unit vector."""
     away = rng.normal(size=3)
     return away / np.linalg.norm(away)
 

@@ -63,7 +63,6 @@ def differ(tmp_path):
 
 
 def replaced(number=4, log_ns=None, publish_ns=None, **changes):
-    """Return ten controller steps, one of them changed."""
     log_ns, publish_ns = (10 * number if t is None else t for t in (log_ns, publish_ns))
     return steps((STEP_TOPIC, schemas.CONTROLLER_STEP, log_ns, publish_ns, number, step(number, **changes)))
 

@@ -44,8 +44,6 @@ class FileFeed:
 
 
 class NoSession:
-    """A Zenoh session without subscribers."""
-
     def declare_publisher(self, key, **_):
         return self
 

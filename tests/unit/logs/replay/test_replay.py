@@ -35,7 +35,6 @@ def recorded(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def step(recorded):
-    """Return the recorded step of the changed tick."""
     return next(m.data for m in LogFile(recorded).messages({STEP}) if m.sequence == TICK)
 
 

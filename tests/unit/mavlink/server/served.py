@@ -25,7 +25,6 @@ def as_long(number: int, params: tuple[float, ...], target: tuple[int, int] = (1
 
 
 def as_int(number: int, params: tuple[float, ...], frame: int = 0):
-    """Return a command as COMMAND_INT."""
     p1, p2, p3, p4, p5, p6, p7 = (*params, *NAN7[len(params) :])
     x, y = (2**31 - 1 if math.isnan(p) else round(p * 1e7) for p in (p5, p6))
     return mav.MAVLink_command_int_message(1, 1, frame, number, 0, 0, p1, p2, p3, p4, x, y, p7)
@@ -87,11 +86,9 @@ class Served:
         return self
 
     def forget(self) -> None:
-        """Delete the telemetry that was received so far."""
         self.telemetry.clear()
 
     def texts(self) -> list[str]:
-        """Return the texts since the last call."""
         self.tick()
         return [text.text for text in self.server.take_texts()]
 
