@@ -59,8 +59,7 @@ def most(
 
     ``upper``: upper bound of the function in a cell; ``value``: the function at a point with finite
     coordinates; ``domain``: the box, one span per coordinate; ``likely``: points to evaluate first. Of points
-    with equal values the first is returned.
-    Raises ValueError: the function is not a number somewhere.
+    with equal values the first is returned. Raises ValueError: the function is not a number somewhere.
     """
 
     def point(cell: Cell) -> tuple[float, ...]:

@@ -1,21 +1,12 @@
 """Check that the loop with velocity and disturbance feedback is stable for every declared vehicle.
 
-``linear`` is the loop x' = A x: the vehicle's own loop as in velocity_tracking.py, the position loop over the
-pad around it, and the delay as a first-order Padé element. A depends linearly on the vehicle through W = w^2
-and D = 2 z w. For a small interval of the lag spread, (W, D) lies in a rectangle, and a quadratic Lyapunov
-function that decays at its four corners decays in the whole rectangle (convex hull of matrices). An interval
-for which this fails is halved. With an estimated vehicle state (``own.velocity_error_m_s``) the states of
-the estimator replace those of the observer.
-
-``follow_m`` bounds the distance from the pad's centre of a vehicle that follows its target. The loop
-x' = A x + B i, relative to the target, has two inputs of any sign at any time: the target's acceleration, and
-the error q of the commanded velocity (error of the estimated velocity plus the gain times that of the
-position). The absolute value of an output is at most the bounds of the inputs times the integrals of the
-absolute impulse responses. The command is assumed to stay within the limits of the feedback.
-
-The vehicles between two factors are compared with the one at the centre. The difference is a third input of
-the centre's loop, (W - W0) (u - v) - (D - D0) a. The bounds of u - v and a bound it, and contain it (small
-gain theorem). An interval of the lag spread with a large or no bound is halved.
+docs/how_it_works/robust_filter.md, *Velocity feedback*, derives both bounds. ``linear`` is the loop x' = A x,
+with the delay as a first-order Padé element; A depends linearly on the vehicle through W = w^2 and
+D = 2 z w. With an estimated vehicle state (``own.velocity_error_m_s``) the states of the estimator replace
+those of the observer. ``follow_m`` bounds the distance from the pad's centre of a vehicle that follows its
+target. Its inputs have any sign at any time: the target's acceleration, and the error of the commanded
+velocity. Vehicles beside the centre of an interval are a third input, (W - W0) (u - v) - (D - D0) a. An
+interval of the lag spread without a proof, or with a large bound, is halved.
 """
 
 from __future__ import annotations

@@ -103,8 +103,7 @@ def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec
             "fleet.margin_m", "velocity errors do not bring two vehicles into the ellipsoid",
             fleet.margin_m - lost_m, "m",
             f"found {fleet.margin_m:g}; errors of robust.tracking_error_m_s of both vehicles, in any "
-            "direction, "
-            f"reduce h by {lost_m:.3g}", "raise fleet.margin_m or fleet.rate_1_s", PROOF,
+            f"direction, reduce h by {lost_m:.3g}", "raise fleet.margin_m or fleet.rate_1_s", PROOF,
         ),
         Check(
             "shares",
@@ -126,9 +125,8 @@ def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec
             "the commanded velocity changes at most as fast as the others assume",
             fleet.acceleration_max_m_s2 - found_m_s2, "m/s^2",
             f"found {fleet.acceleration_max_m_s2:g}; the slew limits of all axes together allow "
-            f"{found_m_s2:.3g}; in "
-            f"a latency of {fleet.latency_max_s:g} s a velocity may differ by {lost_m_s:.3g} m/s from the "
-            "assumed one",
+            f"{found_m_s2:.3g}; in a latency of {fleet.latency_max_s:g} s a velocity may differ by "
+            f"{lost_m_s:.3g} m/s from the assumed one",
             "raise fleet.acceleration_max_m_s2, or lower robust.acceleration_max_m_s2", PROOF,
         ),
         Check(
@@ -309,11 +307,9 @@ def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
             "several neighbours",
             "if no h is negative, box and the rows of several neighbours have a common feasible point",
             -opposite_m_s, "m/s",
-            f"two neighbours approach from opposite sides with {c.speed_m_s:g} m/s each; a common "
-            "point exists "
-            f"from h = {opposite_m_s / fleet.rate_1_s:.3g} m on, and for any number with the landing "
-            "barrier from "
-            f"{from_m:.3g} m on; below, the rows of neighbours are relaxed together",
+            f"two neighbours approach from opposite sides with {c.speed_m_s:g} m/s each; a common point "
+            f"exists from h = {opposite_m_s / fleet.rate_1_s:.3g} m on, and for any number with the landing "
+            f"barrier from {from_m:.3g} m on; below, the rows of neighbours are relaxed together",
             "lower fleet.speed_max_m_s, or raise fleet.rate_1_s; no setting meets all", PROOF,
         ),
     ]  # fmt: skip
@@ -324,9 +320,8 @@ def team_checks(
 ) -> list[Check]:
     """Return the checks that involve all members; none for a single vehicle, or if one has no table [fleet].
 
-    ``configs``: configurations of the members; ``starts_enu_m``: known start
-    places in the air; ``touch_m``: largest offset of two vehicles at which they overlap; ``pads_apart_m``:
-    smallest distance of any two pads.
+    ``configs``: configurations of the members; ``starts_enu_m``: known start places in the air; ``touch_m``:
+    largest offset of two vehicles at which they overlap; ``pads_apart_m``: smallest distance of any two pads.
     """
     fleets = [config.fleet for config in configs if config.fleet is not None]
     if len(fleets) < max(2, len(configs)):
@@ -360,8 +355,7 @@ def team_checks(
             "pads", "no two pads are predicted to conflict, so no member waits",
             pads_apart_m - error_m - first.pad_distance_m, "m",
             f"{paths}, fleet.pad_distance_m is {first.pad_distance_m:g}; velocity errors of "
-            f"{velocity_m_s:.3g} m/s "
-            f"each add {error_m:.3g} m within fleet.descent_s",
+            f"{velocity_m_s:.3g} m/s each add {error_m:.3g} m within fleet.descent_s",
             "drive the robots farther apart, or lower fleet.pad_distance_m or fleet.descent_s", PROOF,
         ),
         Check(

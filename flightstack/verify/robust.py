@@ -195,9 +195,8 @@ def _reserve(config: FlightConfig, growth: Most) -> list[Check]:
             "thrust reserve",
             "the battery allows the climb that the barrier may demand, down to its lowest voltage",
             up_m_s2 - growth.bound, "m/s^2",
-            f"at {low_v:g} V thrust is {least:.3g} times the weight, which climbs with {up_m_s2:.3g} "
-            "m/s^2; at "
-            f"{growth.at[0]:.3g} m {growth.bound:.3g} are needed, which {takes}",
+            f"at {low_v:g} V thrust is {least:.3g} times the weight, which climbs with {up_m_s2:.3g} m/s^2; "
+            f"at {growth.at[0]:.3g} m {growth.bound:.3g} are needed, which {takes}",
             f"{remedy}lower what is needed, as the check acceleration says", PROOF,
         ),
     ]  # fmt: skip

@@ -1,13 +1,8 @@
 """Checks of the final descent with the robust filter: the vehicle reaches the pad in time.
 
-A comparison system bounds the horizontal motion over the pad (docs/how_it_works/robust_filter.md): with the
-distance y from the centre and the difference z between velocity and commanded velocity,
-
-    y' <= -K y + z + q,      z' <= -z / tau + rho (a + K (K y + z + q)),
-
-where K is the descent's gain, tau the vehicle's lag, rho the relative error of the set-point's lead, a the
-target's acceleration, and q the error of its estimated velocity plus K times that of its position.
-Off-diagonal terms are positive, so the system with equality is an upper bound of all motions.
+A comparison system bounds the horizontal motion over the pad (docs/how_it_works/robust_filter.md,
+*Touchdown*): y is the distance from the centre, z the difference between velocity and commanded velocity, K
+the descent's gain, tau the vehicle's lag, and rho the relative error of the set-point's lead.
 """
 
 from __future__ import annotations

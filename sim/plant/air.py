@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Motors, Record, Vector, new, reader
+from flightstack.compiled.records import F64, Motors, Record, Vector, new
 from flightstack.core.types import Vec3
 from sim.chance import stream
 from sim.plant.params import Body, Geometry, Rotor, WindShape
@@ -107,7 +107,6 @@ class WindModel:
         self, wind: Wind, shape: WindShape, seed: int, step_s: float, record: WindRecord | None = None
     ) -> None:
         self.record = r = new(WindRecord) if record is None else record
-        self._read = reader(r.now)
         drawn = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
         direction = drawn if wind.direction_rad is None else wind.direction_rad
         self.mean_enu_m_s: Vec3 = (
@@ -128,10 +127,6 @@ class WindModel:
     def step(self) -> None:
         self.top_up()
         blow(self.record)
-
-    @property
-    def now_enu_m_s(self) -> Vec3:
-        return self._read()
 
 
 AIR_KG_M3 = 1.204  # air density at 20 degrees C and sea level
