@@ -77,7 +77,7 @@ class Scenario:
     exchange: ExchangeLink = field(default_factory=ExchangeLink)
     # `fixed`: a vehicle lands on the robot of its table; `start`: the nearest robots, see ``load``
     assignment: Assignment = Assignment.FIXED
-    one_target: bool = False  # all vehicles land on one robot: its copies have one seed, so they move alike
+    one_target: bool = False  # whether all vehicles land on one robot: its copies have one seed
     others: tuple[Scenario, ...] = ()  # vehicles cf2, cf3 and so on
 
     def __post_init__(self) -> None:

@@ -74,8 +74,8 @@ class TargetSpec:
     position_m: tuple[float, float] = (0.0, 0.0)  # position of the axle at time zero
     heading_rad: float = 0.0  # heading at time zero, from east to north
     random_heading: bool = False  # whether the heading is drawn from the seed
-    wait_for_landing: bool = True  # the robot does not move until the landing starts
-    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # time between changes of stop_and_go, reversing
+    wait_for_landing: bool = True  # whether the robot does not move until the landing starts
+    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # period of changes in stop_and_go, reversing
     acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # largest acceleration of the wheels
     speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # largest speed (OpenCR: wheels at 61 rpm)
     turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # largest turn rate (OpenCR)
@@ -83,7 +83,7 @@ class TargetSpec:
     heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0  # frequency of the heave
     pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # height of the pad's top (LDS: 0.192 m)
     pad_radius_m: Annotated[float, span(0.05, 2.0)] = 0.10  # radius of the pad
-    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # pad behind the axle; body: 0.032
+    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # distance of pad behind axle; body: 0.032
 
     def __post_init__(self) -> None:
         turns = self.path in (PathKind.FIGURE_OF_EIGHT, PathKind.WAYPOINTS)
@@ -110,8 +110,8 @@ class OdometryLink:
     """Transmission of measurements: rate, noise, delay, loss."""
 
     rate_hz: Annotated[float, span(1.0, 500.0)] = 100.0  # samples per second
-    position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation on each axis
-    velocity_noise_m_s: Annotated[float, span(0.0, 0.5)] = 0.0  # standard deviation on each axis
+    position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation of position on each axis
+    velocity_noise_m_s: Annotated[float, span(0.0, 0.5)] = 0.0  # standard deviation of velocity on each axis
     yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation of the yaw
     delay_s: Annotated[float, span(0.0, 0.5)] = 0.0  # time from measurement to arrival
     loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability that a sample is lost
@@ -130,7 +130,7 @@ class StateError:
     tape: str | None = None  # folder of recorded flights; their error replaces the model below
     delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position, mean of all flights
     delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread of the mean delay between flights
-    delay_shared: bool = False  # vehicle and target have the same mean delay, or tapes of the same flight
+    delay_shared: bool = False  # whether vehicle and target have one mean delay, or tapes of one flight
     delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # fast variation of the delay, median flight
     delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # time constant T in (1 + t/T) exp(-t/T)
     # spread of the fast variation's logarithm between flights
@@ -142,8 +142,8 @@ class StateError:
     velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position minus delay of velocity
     velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # spread of the lead between flights
     position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # position error on each axis
-    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # error on horizontal axes, at any speed
-    velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # error on the vertical axis
+    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # horizontal velocity error at any speed
+    velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # velocity error on the vertical axis
     # velocity error as fraction of the speed, constant in a flight
     velocity_scale: Annotated[float, span(0.0, 1.0)] = 0.056
     # varying velocity error along the horizontal velocity, as fraction of the speed
@@ -185,13 +185,13 @@ class VehicleSpec:
     battery_charge: tuple[Share, Share] = (1.0, 1.0)  # range of the random state of charge at the start
     # smallest thrust-to-weight ratio of the weakest motor at the start; a lower one raises the charge
     hover_reserve: Annotated[float, span(0.0, 1.5)] = 0.0
-    slow_motors: bool = False  # slow motor lag: 0.136 s up, 0.108 s down instead of 0.07 s
+    slow_motors: bool = False  # whether the motor lag is 0.136 s up, 0.108 s down instead of 0.07 s
     ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0  # factor on the measured ground effect
     # motion capture of the on-board estimator
     mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
     own: StateError | None = None
-    known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # estimator: drag per mass, body axes
-    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # one-way delay, Crazyradio: 2 to 7 ms
+    known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # drag per mass used by the estimator, body axes
+    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # set-point's delay; Crazyradio: 2 to 7 ms
 
     def __post_init__(self) -> None:
         VEHICLE_FILES.path_of(self.airframe)
@@ -227,7 +227,7 @@ class ExchangeLink:
     silent: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
     # numbers of members that exchange messages only among themselves from broken_from_s on
     apart: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
-    broken_from_s: Annotated[float, span(0.0, 3600.0)] = 0.0  # time from which these links are broken
+    broken_from_s: Annotated[float, span(0.0, 3600.0)] = 0.0  # time from which ``silent`` and ``apart`` hold
 
 
 class Assignment(Enum):

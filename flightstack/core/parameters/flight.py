@@ -55,7 +55,7 @@ class Touchdown:
     rule: TouchdownRule = TouchdownRule.CONTACT  # `contact`: until contact; `paper`: motors off at height_m
     height_m: Annotated[float, span(0.01, 1.0)] = 0.05  # paper filter: height of the touchdown (section V)
     pad_radius_m: Annotated[float, span(0.03, 2.0)] = 0.10  # radius of the pad
-    feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # feet below the centre of mass (CAD)
+    feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # height of centre of mass on feet, CAD
     target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # fastest target; TurtleBot3 Burger's limit
     # maximum wait for a slow target after the landing starts; at low speed a delayed vehicle state has
     # smaller errors
@@ -65,7 +65,7 @@ class Touchdown:
     descent_m_s: Annotated[float, span(0.02, 1.0)] = 0.2  # paper filter: descent speed relative to the pad
     # time after a loss of the vehicle state in which the descent continues with the last set-point
     blind_time_s: Annotated[float, span(0.0, 5.0)] = 0.4
-    timeout_s: Annotated[float, span(0.5, 60.0)] = 2.0  # time limit, including a forced disarm
+    timeout_s: Annotated[float, span(0.5, 60.0)] = 2.0  # time limit of the touchdown, forced disarm included
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,7 @@ class Limits:
     velocity_max_m_s: Each[Annotated[float, span(0.05, 5.0)]] = (0.2, 0.2, 0.5)  # largest commanded velocity
     # paper filter: largest rate of change of the command
     slew_max_m_s2: Each[Annotated[float, span(0.2, 50.0)]] = (4.0, 4.0, 4.0)
-    altitude_max_m: Annotated[float, span(0.5, 100.0)] = 3.0  # highest flight above the pad
+    altitude_max_m: Annotated[float, span(0.5, 100.0)] = 3.0  # largest height of the flight above the pad
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ class VelocityLoop:
     rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0  # vertical natural frequency
     damping: Annotated[float, span(0.1, 2.0)] = 0.68  # damping ratio of the model
     gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # fraction of the tracking error added to the set-point
-    gain_z: Annotated[float, span(0.0, 2.0)] = 0.5  # vertical fraction of the tracking error in the set-point
+    gain_z: Annotated[float, span(0.0, 2.0)] = 0.5  # fraction of the vertical error that is added
     error_max_m_s: Annotated[float, span(0.05, 10.0)] = (
         0.6  # largest difference of horizontal set-point and velocity: it bounds the tilt
     )
@@ -56,7 +56,7 @@ class VelocityFeedback:
     The feedback rejects gusts. It needs an identified velocity loop, and more tilt than the wind requires.
     """
 
-    horizontal: bool = False  # use the feedback on x and y
+    horizontal: bool = False  # whether the feedback acts on x and y
     error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # correction rate of a velocity error
     tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # response rate of the tilt to its command
     observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # rate of the disturbance estimate
@@ -99,14 +99,14 @@ class TargetLink:
     delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
     position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation on each axis
     velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02  # standard deviation on each axis
-    jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # jerk density: 0.5 m/s^2 change a second
-    jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # jerk density on a floor; 0.6 on a ship
+    jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # jerk density; 0.6: 0.5 m/s^2 per second
+    jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # vertical jerk density; 0.6 on a ship
     # largest factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
     acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # initial standard deviation on x and y
     # time constant of the decay of the estimated acceleration on x and y
     acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5
-    turns_with_yaw: bool = True  # the velocity turns with the yaw; false for a robot that moves sideways
+    turns_with_yaw: bool = True  # whether velocity turns with yaw; false for a robot that moves sideways
     acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01  # initial standard deviation, vertical
 
 
@@ -137,9 +137,9 @@ class Robust:
     descent_max_m_s: Annotated[float, span(0.05, 10.0)] = 1.0  # fastest descent, relative to the pad
     wait_height_m: Annotated[float, span(0.03, 3.0)] = 0.1  # height of the wait before the final descent
     commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # height below which the final descent starts
-    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # distance to centre for the final descent
-    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # relative speed for the final descent
-    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # corridor radius; outside: go-around
+    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # largest distance for the final descent
+    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # largest relative speed for the final descent
+    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # radius of the corridor; outside: go-around
     descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # final descent relative to the pad, until contact
     descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # final descent: limit of set-point lead
     touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # height below which a stop means contact
