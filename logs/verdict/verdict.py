@@ -158,12 +158,12 @@ def fleet_verdict(
     return FleetVerdict(
         outcome,
         _reason(outcome, judged, hits),
-        any_known(each.violation for each in judged.values()),
+        _any_known(each.violation for each in judged.values()),
         judged,
         len(struck) if struck or complete else None,
         inside if inside or complete else None,
-        least(pair.ellipsoid_min for pair in pairs) if complete else None,
-        least(pair.distance_min_m for pair in pairs) if complete else None,
+        _least(pair.ellipsoid_min for pair in pairs) if complete else None,
+        _least(pair.distance_min_m for pair in pairs) if complete else None,
     )
 
 
@@ -265,13 +265,13 @@ def _vehicle_result(
     }
 
 
-def any_known(values: Iterable[bool | None]) -> bool | None:
+def _any_known(values: Iterable[bool | None]) -> bool | None:
     """Return whether any value is True; None if no value is True and one is unknown."""
     found = set(values)
     return True if True in found else None if None in found else False
 
 
-def least(values: Iterable[float | None]) -> float | None:
+def _least(values: Iterable[float | None]) -> float | None:
     """Return the smallest known and finite value; None without one."""
     return min((value for value in values if value is not None and value < float("inf")), default=None)
 

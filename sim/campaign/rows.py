@@ -10,8 +10,9 @@ import io
 import math
 import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import takewhile
 from pathlib import Path
 from types import TracebackType
@@ -23,7 +24,7 @@ from flightstack.common.text import failed_code
 from flightstack.core.types import Phase
 from logs.schema import member_name
 from logs.verdict.types import Outcome
-from logs.verdict.verdict import FleetVerdict, any_known, fleet_verdict, least
+from logs.verdict.verdict import FleetVerdict, fleet_verdict
 from sim.runners.landing import Landing
 
 ERROR = "error"  # outcome of a landing that could not be simulated to its end
@@ -37,10 +38,8 @@ _TIMED = {
     "hold_s": Phase.HOLD, "climb_s": Phase.CLIMB, "abort_s": Phase.ABORT,
 }  # fmt: skip
 _TOUCHDOWN = ("touchdown_error_m", "touchdown_speed_vertical_m_s", "touchdown_speed_horizontal_m_s")
-# columns that are fields of a verdict
-_JUDGED = (
-    "reason", "violation", "started_safe", "h_min_m", "h_min_outside_pad_m", *_TOUCHDOWN, "time_to_land_s",
-)  # fmt: skip
+# values that are fields of a verdict
+_JUDGED = ("started_safe", "h_min_m", "h_min_outside_pad_m", *_TOUCHDOWN, "time_to_land_s")
 
 
 class RowsError(ValueError):
@@ -105,36 +104,34 @@ def judge_landing(flown: Landing) -> FleetVerdict:
     return fleet_verdict(members, flown.pairs, names)
 
 
+# columns in which the values of all vehicles are joined, and the function that joins the known ones
+_JOINED: Mapping[str, Callable[[list[Any]], Any]] = {
+    "h_min_m": partial(min, default=None),
+    **dict.fromkeys(("retries", *_TIMED), sum),
+    **dict.fromkeys((*_TOUCHDOWN, "own_age_max_s", "target_age_max_s"), partial(max, default=None)),
+}
+
+
 def row_of(flown: Landing) -> Row:
-    """Return the row of a run: sums of retries and phase durations, and the worst member's other values."""
-    verdict, rows = judge_landing(flown), [_vehicle_row(landing) for landing in flown.members]
-    deepest = min(rows, key=lambda row: math.inf if (h := row.h_min_outside_pad_m) is None else h)
-
-    def known(name: str) -> list[Any]:
-        return [value for row in rows if (value := getattr(row, name)) is not None]
-
-    worst = (*_TOUCHDOWN, "own_age_max_s", "target_age_max_s")
-    lowest: dict[str, Any] = {
-        name: getattr(deepest, name) for name in ("h_min_outside_pad_m", "h_min_d_m", "h_min_e_z_m")
-    }
-    largest: dict[str, Any] = {name: max(known(name), default=None) for name in worst}
+    """Return the row of a run: sums of retries and phase durations, and the worst vehicle's other values."""
+    verdict, vehicles = judge_landing(flown), [_values(landing) for landing in flown.members]
+    deepest = min(vehicles, key=lambda each: math.inf if (h := each["h_min_outside_pad_m"]) is None else h)
+    known = {name: [each[name] for each in vehicles if each[name] is not None] for name in vehicles[0]}
+    landed_s = known["time_to_land_s"] if verdict.outcome is Outcome.LANDED else []
     waits_s = (each.wait_s for each in flown.members)
     several: dict[str, Any] = {"outcomes": " ".join(verdict.outcomes), "wait_max_s": max(waits_s)}
-    landed_s = known("time_to_land_s") if verdict.outcome is Outcome.LANDED else []
     return Row(
         seed=flown.seed,
         outcome=verdict.outcome.value,
         reason=verdict.reason,
-        violation=any_known(row.violation for row in rows),
-        started_safe=_all(row.started_safe for row in rows),
-        h_min_m=least(row.h_min_m for row in rows),
-        **lowest,
-        **largest,
+        violation=verdict.violation,
+        started_safe=_all(each["started_safe"] for each in vehicles),
+        **{name: deepest[name] for name in ("h_min_outside_pad_m", "h_min_d_m", "h_min_e_z_m")},
+        **{name: join(known[name]) for name, join in _JOINED.items()},
         time_to_land_s=max(landed_s, default=None),
-        **{name: sum(known(name)) for name in ("retries", *_TIMED)},
-        simulated_s=max(landing.simulated_s for landing in flown.members),
+        simulated_s=max(each.simulated_s for each in flown.members),
         wall_s=flown.wall_s,
-        cells=_joined(rows),
+        cells=_cells(*map(np.concatenate, zip(*known["cells"], strict=True))),
         collisions=verdict.collisions,
         ellipsoid_violations=verdict.ellipsoid_violations,
         ellipsoid_min=verdict.ellipsoid_min,
@@ -143,7 +140,8 @@ def row_of(flown: Landing) -> Row:
     )
 
 
-def _vehicle_row(landing: Landing) -> Row:
+def _values(landing: Landing) -> dict[str, Any]:
+    """Return the values of one vehicle by column; those of ``cells`` are d, e_z and h since the start."""
     verdict, seen = landing.verdict, landing.seen
     steps, truth, start_s = seen.steps, seen.truth, seen.landing_start_s
     begin = len(truth.t_s) if start_s is None else int(np.searchsorted(truth.t_s, start_s))
@@ -154,46 +152,23 @@ def _vehicle_row(landing: Landing) -> Row:
         lowest_d_m, lowest_e_z_m = float(truth.d_m[at]), float(truth.e_m[at, 2])
     # a phase lasts until the next step
     lengths_s = np.diff(steps.t_s, append=steps.t_s[-1])
-    spent_s: dict[str, Any] = {
-        name: float(lengths_s[steps.phase == phase].sum()) for name, phase in _TIMED.items()
-    }
     landing_steps = slice(0, 0) if start_s is None else slice(int(np.searchsorted(steps.t_s, start_s)), None)
-    return Row(
-        seed=landing.seed,
-        outcome=verdict.outcome.value,
+    return {
         **{name: getattr(verdict, name) for name in _JUDGED},
-        h_min_d_m=lowest_d_m,
-        h_min_e_z_m=lowest_e_z_m,
-        retries=landing.retries,
-        **spent_s,
-        own_age_max_s=_largest(steps.own_age_s[landing_steps]),
-        target_age_max_s=_largest(steps.target_age_s[landing_steps]),
-        simulated_s=landing.simulated_s,
-        wall_s=landing.wall_s,
-        cells=_cells(truth.d_m[begin:], truth.e_m[begin:, 2], truth.h_m[begin:]),
-    )
-
-
-def _visited(rows: Iterable[Row]) -> Iterator[tuple[int, int, int]]:
-    """Yield column, row and lowest h (mm) of each cell of the rows' maps."""
-    for row in rows:
-        for cell in filter(None, row.cells.split(";")):
-            i, j, h_mm = map(int, cell.split())
-            yield i, j, h_mm
+        "h_min_d_m": lowest_d_m,
+        "h_min_e_z_m": lowest_e_z_m,
+        "retries": landing.retries,
+        **{name: float(lengths_s[steps.phase == phase].sum()) for name, phase in _TIMED.items()},
+        "own_age_max_s": _largest(steps.own_age_s[landing_steps]),
+        "target_age_max_s": _largest(steps.target_age_s[landing_steps]),
+        "cells": (truth.d_m[begin:], truth.e_m[begin:, 2], truth.h_m[begin:]),
+    }
 
 
 def _all(values: Iterable[bool | None]) -> bool | None:
     """Return whether all values are true; None if a value is unknown and no value is false."""
     found = set(values)
     return False if False in found else None if None in found else True
-
-
-def _joined(rows: Sequence[Row]) -> str:
-    """Return the members' maps of h as one map, with the lowest h of each cell."""
-    lowest: dict[tuple[int, int], int] = {}
-    for i, j, h_mm in _visited(rows):
-        lowest[j, i] = min(h_mm, lowest.get((j, i), h_mm))
-    return ";".join(f"{i} {j} {h_mm}" for (j, i), h_mm in sorted(lowest.items()))
 
 
 def error_row(seed: int, reason: str) -> Row:
@@ -211,7 +186,8 @@ def cell_map(rows: Iterable[Row]) -> tuple[Any, Any]:
     """Return lowest h (m, NaN: no landing) and number of landings in each cell, (E_Z_CELLS, D_CELLS) each."""
     lowest = np.full((E_Z_CELLS, D_CELLS), np.inf)
     visits = np.zeros((E_Z_CELLS, D_CELLS), dtype=np.int64)
-    for i, j, h_mm in _visited(rows):
+    for cell in (each for row in rows for each in filter(None, row.cells.split(";"))):
+        i, j, h_mm = map(int, cell.split())
         lowest[j, i] = min(lowest[j, i], h_mm * 1e-3)
         visits[j, i] += 1
     return np.where(np.isfinite(lowest), lowest, np.nan), visits
