@@ -1,4 +1,4 @@
-"""The programs of ``examples/`` run as documented, and import only the public interface."""
+"""Tests that examples and blocks of the documentation run; examples import only the public interface."""
 
 import ast
 import csv
@@ -7,18 +7,22 @@ import re
 import signal
 import subprocess
 import sys
+import tomllib
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 
+import plotly.graph_objects as go
 import pytest
 
 import flightstack as fs
 from bridge.target.odometry import raw_sample
 from bridge.zenoh.zenoh_link import drain, open_session, ring_subscriber
+from flightstack.config import load as load_config
 from logs.reader.flight import load_flight
 from sim.runners.published_robot import deck_state
+from sim.scenarios.scenario import load as load_scenario
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import verb
 from tests.processes.bounded import PATIENCE_S, wait_for
@@ -171,3 +175,38 @@ def test_the_target_is_landed_on(tmp_path):
     # without a log the onboard process's estimate is used, and nothing is measured
     assert (done.json["log"], done.json["touchdown_error_m"]) == (None, None)
     assert not list(tmp_path.glob("*.mcap"))
+
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def blocks(language):
+    """Yield (page and number, text) for every block of a language."""
+    for page in PAGES:
+        found = re.findall(rf"^```{language}[^\n]*\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+        yield from ((f"{page.relative_to(ROOT)}-{n}", text) for n, text in enumerate(found))
+
+
+# other blocks need a vehicle; MAVSDK's program and the subscriber of a flight have their own tests
+LIBRARY = {name: text for name, text in blocks("python") if "import flightstack as fs" in text}
+TABLES = dict(blocks("toml"))
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_a_program_of_a_page_runs(name, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(go.Figure, "show", lambda figure: figure.to_json())
+    exec(compile(LIBRARY[name], name, "exec"), {"__name__": "page"})
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_file_of_a_page_is_read(name, tmp_path):
+    table = tomllib.loads(TABLES[name])
+    assert table
+    file = tmp_path / "page.toml"
+    file.write_text(TABLES[name])
+    if "base" not in table or "crazyflie21" in table["base"]:
+        return
+    scenario = "description" in table
+    loaded = load_scenario(file) if scenario else load_config(file)
+    assert loaded is not None

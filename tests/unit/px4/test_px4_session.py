@@ -1,4 +1,4 @@
-"""Tests a session over a real TCP connection with a PX4 that violates the protocol."""
+"""Tests a session with a PX4 that violates the protocol, and the parameters that the process of PX4 gets."""
 
 import itertools
 import threading
@@ -14,6 +14,7 @@ from sim.px4 import session as px4_session
 from sim.px4.link import LinkClosedError, Px4Server
 from sim.px4.plant import Px4Plant
 from sim.px4.process import Px4Node
+from sim.px4.program import Px4Model, Px4Program
 from sim.px4.session import STEP_S, Event, NoLockstepError, NotPx4Error, Px4Session
 from sim.scenarios.tables import Start
 from tests.processes.bounded import AT_ONCE_S
@@ -216,3 +217,50 @@ def test_the_first_contact_with_the_pad_is_announced_once_with_its_place(capsys)
         node.before_step(flight)
     expected = "touched the pad at 1.500 s, +0.030 m east and -0.010 m north of its centre, 0.40 m/s down\n"
     assert capsys.readouterr().out == expected
+
+
+# Each parameter of the script is a file; a command with an unknown parameter fails.
+STAND_IN = """#!/bin/sh
+cd "$(dirname "$0")/.."
+case "$(basename "$0") $1" in
+  "px4 "*) echo 'Startup script returned successfully'; echo 'Ready for takeoff!'; exec sleep 60;;
+esac
+shift 2; verb=$1; name=$2; value=$3
+[ -e "values/$name" ] || exit 1
+case $verb in
+  compare) [ "$(cat "values/$name")" = "$value" ];;
+  set) echo "$value" > "values/$name";;
+  reset) echo reset > "values/$name";;
+esac
+"""
+
+
+@pytest.fixture
+def build(tmp_path):
+    """Return the folder of a fake build of PX4 that knows three parameters."""
+    (tmp_path / "etc").mkdir()
+    (tmp_path / "px4-alias.sh").write_text("alias param='px4-param --instance 0'\n")
+    (tmp_path / "px4").write_text(STAND_IN)
+    (tmp_path / "px4").chmod(0o755)
+    values = tmp_path / "run" / "values"
+    values.mkdir(parents=True)
+    for name in ("COM_OBL_RC_ACT", "COM_OF_LOSS_T", "COM_RC_IN_MODE"):
+        (values / name).write_text("0\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize("speed", [1.0, 5.0])
+def test_what_the_release_has_is_set_and_what_it_has_not_is_named(build, speed):
+    """PX4 1.18 removed COM_OBC_LOSS_T and renamed others: neither change prevents a flight."""
+    wanted = {"COM_OBL_RC_ACT": 4, "COM_RC_IN_MODE": 0, "SYS_HAS_GPS": 0}
+    px4 = Px4Program(
+        build, build / "run", Px4Model.SIHSIM_QUADX, parameters=wanted, speed=speed, origin_wgs84=None
+    )
+    try:
+        px4.wait_ready(20.0)
+        found = {file.name: file.read_text().strip() for file in (build / "run" / "values").iterdir()}
+    finally:
+        px4.end()
+    assert px4.absent == ["SYS_HAS_GPS"]
+    scaled = "reset" if speed != 1.0 else "0"
+    assert found == {"COM_OBL_RC_ACT": "4", "COM_RC_IN_MODE": "0", "COM_OF_LOSS_T": scaled}

@@ -1,6 +1,10 @@
-"""Tests the documentation: every link is valid, every named file exists, every page is in the index."""
+"""Tests the documentation: links and named files exist, the index has every page, the site builds."""
 
+import os
 import re
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -38,3 +42,16 @@ def test_the_index_names_every_page():
         (DOCS / link.partition("#")[0]).resolve() for link in LINK.findall((DOCS / "README.md").read_text())
     }
     assert {page for page in PAGES if page.parent != ROOT} - named == {DOCS / "README.md"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("mkdocs") is None, reason="the extra docs is not installed")
+def test_the_site_builds_strictly(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", tmp_path / "site"],
+        cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True,
+        timeout=200, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    page = (tmp_path / "site" / "reference" / "library.html").read_text()
+    assert "flightstack.api.landing.Landing" in page

@@ -1,5 +1,6 @@
-"""Tests a landing in one process: messages are rounded as on real links, equal seeds fly equally."""
+"""Tests landings in one process: rounding of messages, equal seeds, and the stored landings."""
 
+import json
 import math
 import random
 import struct
@@ -16,6 +17,7 @@ from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.types import TargetSample
 from sim.runners.landing_wire import PEER, wires
 from sim.runners.robot import sample_rows, world_sample
+from tests.golden.landings import CASES, FILE, differences
 
 pytestmark = pytest.mark.slow
 
@@ -67,3 +69,17 @@ def test_a_target_sample_is_what_cdr_makes_of_it():
         q, now_ns = quaternion_from_yaw(yaw), EPOCH_NS + round(time_s * 1e9)
         sent = Odometry(now_ns, "map", "target", (x, y, z), q, (vx, vy, vz), (0.0, 0.0, rate))
         assert TargetSample(1.25, *world_sample(row)) == sample_of(RawSample(sent.pack()), 1.25)
+
+
+STORED = json.loads(FILE.read_text())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_landing_is_flown_as_it_was(name):
+    found = json.loads(json.dumps(CASES[name]()))
+    different = differences(STORED.get(name), found)
+    assert different == [], "if this is meant: python -m tests.golden.landings"
+
+
+def test_nothing_else_is_stored():
+    assert set(STORED) == set(CASES)

@@ -1,4 +1,4 @@
-"""Tests the report of a fleet: messages, overview page, a page for each member, and the command."""
+"""Tests the report of a fleet, and the fleet in Rerun."""
 
 import json
 import re
@@ -16,7 +16,6 @@ from logs.verdict.verdict import pair_series
 from tests.fleet_log import near
 
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
-pytestmark = pytest.mark.xdist_group("fleet_log")
 MEMBERS = ("cf1", "cf2", "cf3")
 
 
@@ -44,6 +43,7 @@ def told(fleet, tmp_path_factory):
     return json.loads(done.stdout)
 
 
+@pytest.mark.xdist_group("fleet_log")
 def test_who_waited_for_whom_is_what_they_told(read, words):
     waits = {name: [s for s in spans if s.waits] for name, spans in words.spans.items()}
     assert waits["cf1"] == []
@@ -64,6 +64,7 @@ def test_who_waited_for_whom_is_what_they_told(read, words):
     assert goes["cf3"] >= down["cf2"]
 
 
+@pytest.mark.xdist_group("fleet_log")
 def test_lost_words_are_counted(words):
     exchange = near().exchange
     assert len(words.links) == 6
@@ -75,6 +76,7 @@ def test_lost_words_are_counted(words):
         assert link.silent == ()
 
 
+@pytest.mark.xdist_group("fleet_log")
 def test_a_member_that_is_not_heard_is_silent(fleet, read, tmp_path):
     """The log contains no messages from cf1 to cf2 for two seconds."""
     from flightstack.common.pacing import Tick
@@ -100,6 +102,7 @@ def test_a_member_that_is_not_heard_is_silent(fleet, read, tmp_path):
     assert end_s == pytest.approx(4.0, abs=0.1)
 
 
+@pytest.mark.xdist_group("fleet_log")
 def test_distances_are_those_that_were_judged(read, fleet):
     series = pair_series(read)
     assert [pair.name for pair in series] == ["cf1–cf2", "cf1–cf3", "cf2–cf3"]
@@ -114,6 +117,7 @@ def test_distances_are_those_that_were_judged(read, fleet):
     assert series[0].measure[100] == pytest.approx(rho)
 
 
+@pytest.mark.xdist_group("fleet_log")
 def test_the_page_of_all_links_those_of_the_members(told):
     text = Path(told["report"]).read_text(encoding="utf-8")
     assert "All landed" in text
@@ -132,6 +136,7 @@ def test_the_page_of_all_links_those_of_the_members(told):
     assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # waiting vehicle, and vehicle with right of way
 
 
+@pytest.mark.xdist_group("fleet_log")
 def test_the_command_writes_all_or_one(fleet, told):
     done = run("report", fleet.log, "--member", "cf3", "--json")
     assert json.loads(done.stdout)["report"] == str(fleet.log.with_name("report_cf3.html"))
@@ -142,3 +147,69 @@ def test_the_command_writes_all_or_one(fleet, told):
     assert "cf3: touched " in table.output
     one = json.loads(run("log", "verdict", fleet.log, "--member", "cf3", "--json").stdout)
     assert one == told["vehicles"]["cf3"] | {"report": None}
+
+
+@pytest.fixture(scope="module")
+def save(fleet, tmp_path_factory):
+    """Return a function that writes the recording of the fleet, or of a member, and returns its path."""
+    pytest.importorskip("rerun", reason="needs the extra [view]")  # loading takes a second
+    from logs.view.view import Recording
+
+    def recorded(*member):
+        out = tmp_path_factory.mktemp("view") / "fleet.rrd"
+        Recording(fleet.log, *member).save(out)
+        return out
+
+    return recorded
+
+
+def chunks(rrd):
+    from rerun.chunk import RrdReader
+
+    return RrdReader(rrd).store().stream().to_chunks()
+
+
+def curve(rrd, entity):
+    return values(rrd, entity, "Scalars:scalars")
+
+
+def values(rrd, entity, column):
+    """Return the values of one column of a Rerun entity, in the order of time."""
+    found = [
+        value
+        for chunk in chunks(rrd)
+        if chunk.entity_path == entity and not chunk.is_static
+        for value in chunk.to_record_batch().column(column).to_pylist()
+    ]
+    return [each[0] if each else None for each in found]
+
+
+@pytest.mark.xdist_group("fleet_log")
+@pytest.mark.slow
+def test_each_member_is_in_the_scene_at_its_place(fleet, save):
+    saved = save()
+    entities = {chunk.entity_path for chunk in chunks(saved)}
+    read_log = fleet.read
+    for member in MEMBERS:
+        for what in (
+            "vehicle/body", "vehicle/ellipsoid", "target/pad", "target_spot/barrier", "vehicle_path",
+            "target_path", "true_vehicle/body", "velocity/command",
+        ):  # fmt: skip
+            assert f"/world/{member}/{what}" in entities
+        truth = read_log.flights[member].truth
+        shown = values(saved, f"/world/{member}/true_vehicle", "Transform3D:translation")
+        nearest = [np.abs(truth.position_enu_m - place).sum(1).min() for place in shown[::50]]
+        assert max(nearest) < 1e-5
+        steps = read_log.flights[member].steps
+        assert curve(saved, f"/{member}/safety/h/controller") == pytest.approx(
+            steps.h_m.tolist(), nan_ok=True
+        )
+    assert not {e for e in entities if e.startswith(("/world/vehicle", "/world/target", "/safety", "/phase"))}
+
+
+@pytest.mark.xdist_group("fleet_log")
+@pytest.mark.slow
+def test_a_member_alone_is_as_a_single_flight(save):
+    entities = {chunk.entity_path for chunk in chunks(save("cf2"))}
+    assert {"/world/vehicle/body", "/safety/h/controller", "/phase", "/events", "/run"} <= entities
+    assert not {e for e in entities if "cf" in e}
