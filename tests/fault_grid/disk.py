@@ -90,7 +90,7 @@ class Disk(io.RawIOBase):
         return self._refuse(errno.EIO)
 
     def _late(self, data: bytes, seconds: float) -> int:
-        time.sleep(seconds)  # the simulated delay
+        time.sleep(seconds)  # delay of the simulated disk
         return self._file.write(data)
 
     def _now_and_then(self, data: bytes) -> int:

@@ -97,7 +97,7 @@ class Served:
 
 
 class Bridged(Served):
-    """The Crazyflie bridge with the firmware model."""
+    """Crazyflie bridge that is connected to the firmware model, without cflib."""
 
     silence_s = 1.0
 
