@@ -15,7 +15,7 @@ import click
 
 from flightstack.common.options import Option, takes
 from flightstack.common.strict_toml import ConfigError
-from flightstack.common.text import labels, outline, plain, without_rerun
+from flightstack.common.text import labels, named, outline, plain, without_rerun
 from flightstack.config import options as shared
 from flightstack.core.parameters.filters import FILTERS
 
@@ -262,12 +262,11 @@ def replay(options: ReplayOptions) -> None:
     members = _members(options.log) if options.member is None else (options.member,)
     found, refused = {}, []
     for member, label in zip(members, labels(members), strict=True):
-        before = f"{label}: " if label else ""
         found[member], lines = _one(options, member or None)
         if reason := found[member].get("reason"):
-            refused.append(before + reason)
+            refused.append(named(label, reason))
         elif not options.as_json:
-            click.echo(plain("\n".join(before + line for line in lines)))
+            click.echo(plain("\n".join(named(label, line) for line in lines)))
     results = [values["result"] for values in found.values()]
     worst = next(word for word in _STATUS if word in results)
     if options.as_json:

@@ -37,7 +37,6 @@ from logs.schema import member_name
 from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.scenarios.fault_spec import Fault
-from sim.scenarios.places import apart_m, line, pad_m, start_m
 from sim.scenarios.tables import (
     MEMBERS_MAX,
     Assignment,
@@ -50,6 +49,7 @@ from sim.scenarios.tables import (
     TargetSpec,
     VehicleSpec,
     Wind,
+    apart_m,
 )
 
 _OF_THE_RUN = ("name", "description", "exchange", "assignment", "one_target")  # keys that no member has
@@ -172,12 +172,12 @@ class Scenario:
         for start, target in ((each.start, each.target) for each in self.members):
             drawn = target.random_heading and target.pad_behind_axle_m
             if start.kind is StartKind.HOVER and start.offset_m is not None and not drawn:
-                found.append(start_m(start, pad_m(target, ""), ""))
+                found.append(start.place_m(target.pad_m(""), ""))
         return found
 
     def pads_apart_m(self) -> float:
         """Return the smallest possible distance of two pads, m; 0 if their paths may meet."""
-        lines = [line(each.target) for each in self.members]
+        lines = [each.target.line() for each in self.members]
         return min((apart_m(*two) for two in combinations(lines, 2)), default=math.inf)
 
     def target_seed(self, seed: int) -> int | None:
@@ -335,8 +335,8 @@ def _assigned(scenario: Scenario) -> Scenario:
     if scenario.assignment is Assignment.FIXED:
         return scenario
     given = scenario.members
-    pads = [pad_m(each.target, f"member {n}") for n, each in enumerate(given, 1)]
-    starts = [start_m(each.start, pads[n], f"member {n + 1}") for n, each in enumerate(given)]
+    pads = [each.target.pad_m(f"member {n}") for n, each in enumerate(given, 1)]
+    starts = [each.start.place_m(pads[n], f"member {n + 1}") for n, each in enumerate(given)]
     members = []
     for n, k in enumerate(assign(starts, pads)):
         start, robot, (x, y, z), (px, py, pz) = given[n].start, given[k], starts[n], pads[k]

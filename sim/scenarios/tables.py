@@ -6,6 +6,7 @@ ENU.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Annotated
@@ -15,6 +16,9 @@ from flightstack.core.types import Vec3
 
 BELOW_PAD_MIN_M = 0.03  # smallest height of the pad's top above the floor, m: pad plate and robot below it
 MEMBERS_MAX = 250  # maximum number of vehicles, because each has a MAVLink system id
+# line on which a pad moves: point on the floor, and direction; direction (0, 0): the pad does not move
+Line = tuple[tuple[float, float], tuple[float, float]]
+_PARALLEL = 1e-9  # sine of the angle below which two lines count as parallel
 Share = Annotated[float, span(0.0, 1.0)]
 Drag = Annotated[float, span(0.0, 10.0)]
 VEHICLE_FILES = Files(dict, "sim.plant", "vehicle.airframe")  # files that ``sim.plant.params`` reads
@@ -57,6 +61,21 @@ class Start:
     offset_m: Vec3 | None = None
     distance_m: tuple[float, float] = (0.3, 2.5)  # drawn horizontal distance from the landing spot
     h_m: tuple[float, float] = (0.03, 1.2)  # drawn barrier value at the start
+
+    def place_m(self, pad_m: Vec3, where: str) -> Vec3:
+        """Return the start position of a vehicle with this pad, ENU, m; ``where``: start of an error text.
+
+        Raises ConfigError: the place is drawn from the seed.
+        """
+        if self.kind is StartKind.GROUND:
+            return (*self.ground_position_m, 0.0)
+        if self.offset_m is None:
+            raise ConfigError(
+                f"{where}: start.offset_m: missing; its start is drawn by chance, after robots are "
+                'assigned: give it, or assignment = "fixed"'
+            )
+        (x, y, z), (dx, dy, dz) = pad_m, self.offset_m
+        return (x + dx, y + dy, z + dz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +122,29 @@ class TargetSpec:
                 f"heave_amplitude_m: found {self.heave_amplitude_m:g}; with pad_height_m "
                 f"{self.pad_height_m:g} at most {most_m:.4g}, so that {BELOW_PAD_MIN_M:g} m are left below"
             )
+
+    def pad_m(self, where: str) -> Vec3:
+        """Return the pad's centre at time zero, ENU, m, without heave; ``where``: start of an error text.
+
+        Raises ConfigError: the place is drawn from the seed.
+        """
+        (x, y), behind_m = self.position_m, self.pad_behind_axle_m
+        if behind_m and self.random_heading:
+            raise ConfigError(
+                f"{where}: target.random_heading: found true, with a pad behind the axle its place is drawn "
+                'by chance; give target.heading_rad, or assignment = "fixed"'
+            )
+        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return (x - behind_m * c, y - behind_m * s, self.pad_height_m)
+
+    def line(self) -> Line | None:
+        """Return the line on which the pad moves; None: the pad may be anywhere."""
+        stands = self.path is PathKind.STILL or self.speed_m_s == 0.0 == self.turn_rate_rad_s
+        behind = bool(self.pad_behind_axle_m)
+        if (self.random_heading and (behind or not stands)) or (self.turn_rate_rad_s and not stands):
+            return None
+        x, y, _ = self.pad_m("")
+        return (x, y), (0.0, 0.0) if stands else (math.cos(self.heading_rad), math.sin(self.heading_rad))
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,3 +277,15 @@ class Assignment(Enum):
 
     FIXED = "fixed"  # each vehicle lands on the robot of its own table
     START = "start"  # the assignment with the smallest sum of horizontal distances from the starts
+
+
+def apart_m(one: Line | None, other: Line | None) -> float:
+    """Return the smallest distance of two lines or points; 0 if one of them is unknown."""
+    if one is None or other is None:
+        return 0.0
+    (ax, ay), (ux, uy), (bx, by), (vx, vy) = *one, *other
+    if abs(ux * vy - uy * vx) > _PARALLEL:
+        return 0.0
+    x, y = bx - ax, by - ay
+    cx, cy = (ux, uy) if (ux, uy) != (0.0, 0.0) else (vx, vy)
+    return abs(x * cy - y * cx) if (cx, cy) != (0.0, 0.0) else math.hypot(x, y)
