@@ -97,7 +97,7 @@ class RecordedCompanion(Companion):
         )  # fmt: skip
         vehicle = VehicleLog(self.feed, EPOCH_NS, names)
         rosout = self.feed.channel("/rosout", schemas.LOG)
-        truth, event = self._notes.truth, self._notes.event
+        truth, event = self._notes.truth, self._notes.note
 
         def note_truth(tick, now_ns, state):
             truth(tick, now_ns, state)
@@ -109,7 +109,7 @@ class RecordedCompanion(Companion):
             if source != CONTROLLER:  # the onboard process writes the texts of its controller itself
                 self.feed.write(rosout, at_ns, at_ns, 0, pack_log(at_ns, level, names.logger(source), text))
 
-        self._notes.truth, self._notes.event = note_truth, note_event
+        self._notes.truth, self._notes.note = note_truth, note_event
 
     def write(self, tick, taken, out, exec_s):
         super().write(tick, taken, out, exec_s)

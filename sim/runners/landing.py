@@ -37,7 +37,7 @@ from sim.clock import TickGrid
 from sim.runners.batches import Batches, suited
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import Exchange, LockstepVehicle, LockstepWorld
-from sim.runners.log import Notes, Seen, VehicleNotes
+from sim.runners.log import Notes, Seen
 from sim.runners.robot import DirectTarget
 from sim.runners.room import Pair, Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
@@ -68,7 +68,7 @@ class Companion:
     """
 
     robot_type: ClassVar[type[DirectTarget]] = DirectTarget
-    log_type: ClassVar[type[VehicleNotes]] = VehicleNotes
+    log_type: ClassVar[type[Notes]] = Notes
 
     def __init__(
         self, scenario: Scenario, seed: int, on_step: OnStep | None = None, system_id: int = SYSTEM_ID,
@@ -101,15 +101,8 @@ class Companion:
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id)
         # outputs of the newest tick; None before the first tick and after the last
         self.outputs: Outputs | None = None
-        self._notes = Notes(config, scenario.target.pad_radius_m)
-        self.node = node = VehicleNode(
-            system_id,
-            self.name,
-            vehicle,
-            autopilot,
-            here,
-            self.log_type(self._notes, Names(self.name, system_id)),
-        )
+        self._notes = self.log_type(config, scenario.target.pad_radius_m, Names(self.name, system_id))
+        self.node = node = VehicleNode(system_id, self.name, vehicle, autopilot, here, self._notes)
         here.answer = self._answer
         self._link.poll(0.0)  # send the first heartbeat before the first tick, as the onboard process does
         radio_s = scenario.vehicle.setpoint_delay_s
@@ -159,7 +152,7 @@ class Companion:
         self.outputs = out
         self._notes.step(tick, out)
         for _, text in self._link.take_texts():
-            self._notes.event(tick.now_s, 0, "onboard", f"vehicle: {text}")
+            self._notes.note(tick.now_s, 0, "onboard", f"vehicle: {text}")
         if self._on_step is not None:
             self._on_step(tick, out)
 

@@ -135,14 +135,15 @@ class Seen(Judged):
     config: FlightConfig
 
 
-class Notes:
-    """Collects the data of a flight while it runs."""
+class Notes(VehicleLog):
+    """Collects the data of a flight in this process, in place of the logs of vehicle and onboard process."""
 
-    def __init__(self, config: FlightConfig, pad_radius_m: float) -> None:
+    def __init__(self, config: FlightConfig, pad_radius_m: float, names: Names) -> None:
+        super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, names)
         self._config, self._pad_radius_m = config, pad_radius_m
         self._steps: list[tuple[int, int, float, float]] = []
         self._truth_ticks: list[tuple[int, int]] = []
-        self._truth: list[states.Truth] = []  # true states since the newest block
+        self._truths: list[states.Truth] = []  # true states since the newest block
         self._blocks: list[Floats] = []  # blocks of true states, one row each
         self._events: list[Event] = []
 
@@ -154,12 +155,15 @@ class Notes:
         target_age_s = target.age_s if target is not None else math.nan
         self._steps.append((tick.unix_ns - EPOCH_NS, int(out.phase), own_age_s, target_age_s))
         for event in out.events:
-            self.event(tick.now_s, event.level, "controller", event.text)
+            self.note(tick.now_s, event.level, "controller", event.text)
 
     def truth(self, tick: int, now_ns: int, truth: states.Truth) -> None:
         """Record a true state."""
         self._truth_ticks.append((tick, now_ns))
-        self._truth.append(truth)
+        self._truths.append(truth)
+
+    def target(self, now_ns: int, payload: bytes) -> None:
+        """Do nothing: the true state contains the deck's state."""
 
     def batch(
         self, first: int, times_ns: Sequence[int], phase: Phase, ages_s: Floats, truths: Floats
@@ -176,12 +180,16 @@ class Notes:
         self._blocks.append(truths)
 
     def _close_block(self) -> None:
-        if self._truth:
-            columns = [_rows(values) for values in zip(*self._truth, strict=True)]
+        if self._truths:
+            columns = [_rows(values) for values in zip(*self._truths, strict=True)]
             self._blocks.append(np.column_stack(columns))
-            self._truth = []
+            self._truths = []
 
-    def event(self, t_s: float, level: int, source: str, text: str) -> None:
+    def event(self, now_ns: int, level: int, text: str) -> None:
+        """Record an event of the vehicle."""
+        self.note(now_ns * 1e-9, level, "vehicle", text)
+
+    def note(self, t_s: float, level: int, source: str, text: str) -> None:
         """Record an event."""
         self._events.append(Event(t_s, level, source, text))
 
@@ -212,25 +220,6 @@ class Notes:
             motors_running=of.motors_running.astype(np.bool_),
             **columns,
         )
-
-
-class VehicleNotes(VehicleLog):
-    """Replacement of the vehicle process's log: passes its entries to ``Notes``."""
-
-    def __init__(self, notes: Notes, names: Names) -> None:
-        super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, names)
-        self._notes = notes
-
-    def truth(self, tick: int, now_ns: int, truth: states.Truth) -> None:
-        """Record the true state of the vehicle."""
-        self._notes.truth(tick, now_ns, truth)
-
-    def target(self, now_ns: int, payload: bytes) -> None:
-        """Do nothing: the true state contains the deck's state."""
-
-    def event(self, now_ns: int, level: int, text: str) -> None:
-        """Record an event of the vehicle."""
-        self._notes.event(now_ns * 1e-9, level, "vehicle", text)
 
 
 def _seconds(times_ns: Sequence[int]) -> Floats:

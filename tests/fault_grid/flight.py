@@ -30,7 +30,7 @@ from sim.clock import TickGrid
 from sim.plant.states import Truth as TrueState
 from sim.robot import Sample
 from sim.runners.landing import Companion
-from sim.runners.log import Seen, VehicleNotes
+from sim.runners.log import Notes, Seen
 from sim.runners.robot import DeckState, DirectTarget
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario
@@ -108,7 +108,7 @@ def _cdr(sample: Sample) -> bytes:
     ).pack()  # fmt: skip
 
 
-class _Log(VehicleNotes):
+class _Log(Notes):
     """Log that also records the time at which the motors stopped for the last time."""
 
     down_s, height_m = math.nan, 0.0
@@ -207,7 +207,7 @@ class Flight(Companion):
         super().write(tick, taken, out, exec_s)
         self._now_s = tick.now_s
         for text in taken.arrived.problems:
-            self._notes.event(tick.now_s, 30, "onboard", text)
+            self._notes.note(tick.now_s, 30, "onboard", text)
         if not self.phases or self.phases[-1] is not out.phase:
             self.phases.append(out.phase)
         given_up = out.phase in (Phase.HOLD, Phase.CLIMB, Phase.ABORT)
