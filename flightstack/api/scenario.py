@@ -18,7 +18,7 @@ from sim.scenarios.scenario import Scenario, load, one_pad
 
 Changes: TypeAlias = Mapping[str, Any]
 FilterLike: TypeAlias = str | type[Any] | None
-_SCENARIO = frozenset(field.name for field in fields(Scenario)) - {"others"}
+_SCENARIO = frozenset(field.name for field in fields(Scenario))
 _FLOWN = frozenset(field.name for field in fields(FlightConfig))
 _PAD = ("onboard", "touchdown", "pad_radius_m")
 
@@ -42,6 +42,8 @@ def scenario(
         changes = {**(changes or {}), "onboard.filter": filter_name(filter)}
     if not changes:
         return made
+    if "others" in (_path(key)[0] for key in changes):
+        raise ConfigError("others: unknown key; each change is made for all vehicles of the scenario")
     return Scenario.of(_changed(each, changes) for each in made.members)
 
 

@@ -75,7 +75,7 @@ class Scenario:
     judge: Judge | None = None  # barrier of the verdict; None: the flown barrier
     fault: tuple[Fault, ...] = ()  # [[fault]], in any order
     exchange: ExchangeLink = field(default_factory=ExchangeLink)
-    # `fixed`: a vehicle lands on the robot of its table; `start`: the nearest robots, see ``load``
+    # `fixed`: each vehicle lands on the robot of its table; `start`: the robots are assigned by the starts
     assignment: Assignment = Assignment.FIXED
     one_target: bool = False  # whether all vehicles land on one robot: its copies have one seed
     others: tuple[Scenario, ...] = ()  # vehicles cf2, cf3 and so on

@@ -46,6 +46,8 @@ FIRST, SECOND = BASED + "[[member]]\n", BASED + "[[member]]\n[[member]]\n"
         (ABOUT + 'base = "feild"\n[[member]]\n', "base: scenario 'feild': neither a file nor one of"),
         (ABOUT + "base = 3\n[[member]]\n", "base: found 3, the name of a scenario"),
         (BASED + "member = 3\n", r"member: found 3, allowed: tables \[\[member\]\]"),
+        (BASED + "[[others]]\n", r"others: unknown key; give a table \[\[member\]\] for each vehicle"),
+        (FIRST + "others = []\n", r"member 1: others: found \[\]; only the run has it, remove it"),
         (SECOND + "start.hight_m = 1.0\n", "member 2: start.hight_m: unknown key"),
         (FIRST + "target.speed_m_s = 9.0\n", "member 1: target.speed_m_s: found 9.0, allowed: 0 to 3"),
         (FIRST + 'name = "a"\n', "member 1: name: found 'a'; only the run has it, remove it"),
