@@ -18,7 +18,7 @@ from flightstack.core.types import ZERO, Vec3
 from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
-from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.scenario import Scenario, load, text
 from tests.processes.started import StartedChild
 
 
@@ -192,7 +192,7 @@ def on_px4(
     # the robot waits for the first approach, else it would be far away before everything has started
     scenario = replace(scenario, target=replace(scenario.target, wait_for_landing=True))
     file = folder / "scenario.toml"
-    file.write_text(dumps(scenario))
+    file.write_text(text(scenario))
     poses = scenario.vehicle.mocap if mocap else None
     common = ["--scenario", str(file), "--seed", str(seed)]
     paced = ["--speed", str(speed)]

@@ -15,7 +15,7 @@ from flightstack.config import path_of
 from flightstack.launch.run_options import Flies
 from flightstack.launch.vehicles import VEHICLES
 from logs.reader.flight import load_flight
-from sim.scenarios.scenario import load
+from sim.scenarios.scenario import load, text
 from sim.scenarios.tables import PathKind
 from tests.integration.flights.test_sitl import KEYS
 from tests.integration.runs import WALL_MAX_S, called, flightstack
@@ -107,7 +107,7 @@ def test_arducopters_program_is_started_and_flown_over_tcp(tmp_path):
     checks = replace(scenario.onboard.checks, wait_time_max_s=150.0)  # a busy machine starts slowly
     config.write_text(dumps(replace(scenario.onboard, vehicle=there, checks=checks)))
     target = replace(scenario.target, path=PathKind.STILL, speed_m_s=0.0)
-    still.write_text(dumps(replace(scenario, name="still", target=target)))
+    still.write_text(text(replace(scenario, name="still", target=target)))
     program = tmp_path / "arducopter"
     program.write_text(
         f'#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -m tests.ardupilot_program "$@"\n'
