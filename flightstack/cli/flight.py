@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from flightstack.common.hangup import Stop, say
+from flightstack.common.hangup import Stop, reader_gone, say
 from flightstack.common.options import takes
-from flightstack.common.streams import reader_gone
 from flightstack.common.text import without_rerun
 from flightstack.config.options import WATCHED, OnboardOptions, WatchOptions
 from flightstack.launch.run_options import FlyOptions, RunOptions

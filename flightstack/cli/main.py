@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from flightstack.common import hangup, streams
+from flightstack.common import hangup
 from flightstack.common.processes import LaunchError
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import plain
@@ -96,12 +96,12 @@ class Verbs(click.Group):
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command; it continues if the reader of its output ends, and no early signal is lost."""
-        if streams.guard():  # True in a process of its own, False in a test
+        if hangup.guard():  # True in a process of its own, False in a test
             hangup.start()
         try:
             return super().main(*args, **kwargs)
         except SystemExit as ended:
-            problem = streams.problem()
+            problem = hangup.problem()
             if problem is None:
                 raise
             click.echo(f"flightstack: standard output is not complete: {problem}", err=True)

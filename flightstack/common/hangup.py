@@ -1,11 +1,23 @@
-"""Handling of the signals that end a process: during its start, while it runs, and at a closed terminal."""
+"""Signals that end a process, in its start, in flight and at a closed terminal, and its standard streams.
+
+The reader of the output may end (``| head``, a closed terminal) or stop reading, the disk may be full, and
+the streams may be closed at the start. In these cases output is lost without an exception, which a library
+could convert to an exit, and no other file gets the descriptor of a standard stream.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import io
+import os
+import select
 import signal
+import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from types import FrameType
+from typing import Any
 
 import click
 
@@ -100,3 +112,102 @@ def handle(handlers: Mapping[signal.Signals, Callable[[], object]]) -> None:
 def _call(handler: Callable[[], object], number: int, frame: FrameType | None) -> None:
     del number, frame
     handler()
+
+
+# permanent errors: the reader has ended; other errors (ENOSPC) may be temporary
+_GONE = (errno.EPIPE, errno.EIO, errno.EBADF)
+_PART = select.PIPE_BUF  # number of bytes that a pipe accepts without blocking if it is ready
+_NUMBERS = {"stdout": 1, "stderr": 2}
+
+
+class Stream(io.FileIO):
+    """Standard stream that never raises an exception."""
+
+    waits = True  # whether to wait for a slow reader; False in flight
+    lost: OSError | None = None  # error of the first lost output; None: no output was lost
+
+    def write(self, data: Any) -> int:
+        """Write or drop bytes; return their number."""
+        size = memoryview(data).nbytes
+        part = data if Stream.waits else memoryview(data).cast("B")[:_PART]
+        try:
+            if not Stream.waits and not select.select((), (self.fileno(),), (), 0.0)[1]:
+                return size
+            written = super().write(part)
+        except OSError as error:
+            self.lost = error
+            if error.errno in _GONE:
+                _to_nothing(self.fileno())
+            return size
+        return size if written is None else written  # None: the stream is non-blocking and full
+
+
+def guard() -> bool:
+    """Replace the standard streams; call this before any file is opened.
+
+    Streams that a test has replaced remain. Return whether standard output was that of the process.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:  # for a closed stream: the next file would get its number
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    for name, number in _NUMBERS.items():
+        old = getattr(sys, name)
+        if old is not None and (_number(old) != number or isinstance(_raw(old), Stream)):
+            continue
+        raw = Stream(number, "w", closefd=False)
+        at_once = old is not None and old.write_through
+        stream = io.TextIOWrapper(
+            raw if at_once else io.BufferedWriter(raw),
+            encoding=old.encoding if old is not None else "utf-8",
+            # characters outside the terminal's encoding must not raise an error
+            errors=old.errors if old is not None and old.errors != "strict" else "backslashreplace",
+            line_buffering=number == 2 or (old is not None and old.line_buffering),
+            write_through=at_once,
+        )
+        setattr(sys, name, stream)
+    return isinstance(_raw(sys.stdout), Stream)
+
+
+def never_wait() -> None:
+    """From now on drop output that is not read, so that a flight does not wait for its reader."""
+    Stream.waits = False
+
+
+def problem() -> str | None:
+    """Return why standard output is incomplete; None: it is complete, or the reader ended."""
+    raw = _raw(sys.stdout)
+    if not isinstance(raw, Stream):
+        return None
+    sys.stdout.flush()
+    if raw.lost is None or raw.lost.errno in _GONE:
+        return None
+    return raw.lost.strerror
+
+
+def reader_gone() -> bool:
+    """Whether the reader of standard output has ended."""
+    raw = _raw(sys.stdout)
+    return isinstance(raw, Stream) and raw.lost is not None and raw.lost.errno in _GONE
+
+
+def _raw(stream: object) -> object:
+    """Return the raw file of a text stream."""
+    buffer = getattr(stream, "buffer", None)
+    return getattr(buffer, "raw", buffer)
+
+
+def _number(stream: io.TextIOBase) -> int | None:
+    try:
+        return stream.fileno()
+    except (OSError, ValueError):  # the stream has no descriptor, or is closed
+        return None
+
+
+def _to_nothing(number: int) -> None:
+    """Redirect a descriptor to the null device, so that libraries and children can write without an error."""
+    with contextlib.suppress(OSError):
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, number)
+        os.close(nothing)

@@ -27,7 +27,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple
 
-from flightstack.common.streams import never_wait
+from flightstack.common.hangup import never_wait
 
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, zero of simulated clocks
 PAIR = struct.Struct("<qq")  # lockstep message on Zenoh: (tick, number), docs/how_it_works/lockstep.md

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint
-from bridge.mavlink.line_budget import LinePlan, LineTooSlowError, plan
+from bridge.mavlink.line_budget import LineTooSlowError, plan
 from bridge.mavlink.preflight.examine import Report, examine
 from bridge.mavlink.preflight.table import Level, Needs
 from bridge.mavlink.profiles import OWN_SITL, profile
@@ -25,14 +25,6 @@ def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
     vx, vy, vz = config.limits.velocity_max_m_s
     ax, ay, az = strategy_of(config).acceleration_max_m_s2
     return Needs(math.hypot(vx, vy), vz, math.hypot(ax, ay), az, config.limits.altitude_max_m, system_id)
-
-
-def line_plan(baud: int | None, config: FlightConfig, *, signed: bool) -> LinePlan:
-    """Return the message rates with which a flight of this configuration does not overload a serial line.
-
-    ``baud``: rate of a serial line, None for other links; ``signed``: whether MAVLink is signed.
-    """
-    return plan(baud, config.loop.rate_hz, config.checks.own_age_max_s, signed=signed)
 
 
 def check(
@@ -53,7 +45,8 @@ def check(
     """
     accepted = config.vehicle.accepted_parameters
     try:
-        line = line_plan(endpoint.baud, config, signed=endpoint.signed)
+        rate_hz, age_max_s = config.loop.rate_hz, config.checks.own_age_max_s
+        line = plan(endpoint.baud, rate_hz, age_max_s, signed=endpoint.signed)
     except LineTooSlowError as error:
         return Report(None, None, (), str(error))
     counters, began_s = endpoint.counters, time.monotonic()

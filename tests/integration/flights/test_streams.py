@@ -65,9 +65,9 @@ def test_a_flight_lands_and_its_log_is_whole_whatever_becomes_of_the_output(redi
 
 PRINTS = """
 import sys, time
-from flightstack.common import streams
-streams.guard()
-streams.never_wait()
+from flightstack.common import hangup
+hangup.guard()
+hangup.never_wait()
 for _ in range(20):
     print("x" * 100_000, flush=True)
 print("y" * 100_000, file=sys.stderr, flush=True)

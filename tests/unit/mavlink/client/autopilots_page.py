@@ -8,11 +8,12 @@ from pathlib import Path
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.line_budget import LineTooSlowError
+from bridge.mavlink.line_budget import plan as line_plan
 from bridge.mavlink.preflight.table import Level, Needs, table
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.core.types import Mode, Request
-from flightstack.onboard.preflight import line_plan, needs_of
+from flightstack.onboard.preflight import needs_of
 from sim.scenarios import scenario
 from tests.unit.verify.certificate_page import BEGIN, END, split
 
@@ -130,7 +131,7 @@ def line_rates():
     rows = []
     for baud in (921_600, 115_200, 57_600, 38_400, 19_200):
         try:
-            plan = line_plan(baud, config, signed=False)
+            plan = line_plan(baud, config.loop.rate_hz, config.checks.own_age_max_s)
         except LineTooSlowError:
             rows.append((str(baud), "refused", "", "", ""))
             continue
