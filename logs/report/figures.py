@@ -15,7 +15,7 @@ from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import Intent
 from logs.reader.fleet_messages import FleetMessages
 from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, phase_name
-from logs.report import series, several, space
+from logs.report import series, space
 from logs.report.derived import Side, fault_spans
 from logs.report.page import Panel
 from logs.report.style import (
@@ -231,8 +231,8 @@ def fleet_panels(
             timeline(sides, axis, fleet.events, messages=messages),
         ),
         Panel("plan", "Paths from above", _ROOM, space.plan(sides)),
-        Panel("pairs", "Distance of each pair", _NEAR, several.distances(pairs, axis)),
-        Panel("barriers", "Barrier value of each member", _BARRIERS, several.barriers(sides, axis)),
+        Panel("pairs", "Distance of each pair", _NEAR, series.distances(pairs, axis)),
+        Panel("barriers", "Barrier value of each member", _BARRIERS, series.barriers(sides, axis)),
     ]  # fmt: skip
 
 
