@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from flightstack.api.landing import Landing as Landing
     from flightstack.api.landing import land as land
     from flightstack.api.landing import read_log as read_log
-    from flightstack.api.scenario import scenario as scenario
+    from flightstack.api.landing import scenario as scenario
     from flightstack.core.strategies.robust import RobustFilter as RobustFilter
     from flightstack.core.strategies.strategy import Filter as Filter
     from flightstack.core.strategies.user_filter import At as At
@@ -38,7 +38,7 @@ _HOME = {
     "land": "flightstack.api.landing",
     "make_env": "flightstack.api.env",
     "read_log": "flightstack.api.landing",
-    "scenario": "flightstack.api.scenario",
+    "scenario": "flightstack.api.landing",
     "sweep": "flightstack.api.campaign",
 }
 __all__ = sorted(_HOME)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flightstack.api.frames import frame
-from flightstack.api.scenario import Changes, FilterLike, scenario, whole
+from flightstack.api.landing import Changes, FilterLike, scenario, whole
 from flightstack.common.processes import may_fork
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.terminal import Bar, Terminal

@@ -15,7 +15,7 @@ import numpy as np
 from greenlet import greenlet
 from gymnasium import spaces
 
-from flightstack.api.scenario import Changes, single, whole
+from flightstack.api.landing import Changes, single, whole
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
 from flightstack.core.mission.phases import TIME_OVER
