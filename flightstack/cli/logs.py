@@ -28,15 +28,74 @@ LANDED, NOT_LANDED = 0, 1
 DIFFERENCES_MAX = 20  # maximum number of printed differences; the first ones are the most useful
 
 _log = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
+_out = click.option(
+    "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="File to write."
+)
+_force = click.option("--force", is_flag=True, help="Replace OUT if it exists.")
 _member = click.option("--member", metavar="NAME", help="Only the part of this member of a fleet, e.g. cf2.")
 
 
 @click.group()
 def log() -> None:
-    """Inspect and judge flight logs. The readable part of a broken LOG is used.
+    """Inspect, judge, compare, repair and export flight logs. The readable part of a broken LOG is used.
 
-    Exit status: 0 done, 1 the LOG is broken (its readable part was used), 2 wrong input.
+    Exit status: 0 done, 1 the LOG is broken (its readable part was used) or differs, 2 wrong input.
     """
+
+
+@log.command()
+@_log
+@_member
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def info(log_file: Path, member: str | None, as_json: bool) -> None:
+    """Show duration, topics, metadata and attachments of a LOG, and whether it is complete."""
+    from logs.reader.reader import LogFile
+    from logs.tools import summary, summary_lines
+
+    found = summary(LogFile(log_file, member))
+    click.echo(json.dumps(found) if as_json else plain("\n".join(summary_lines(found))))
+    sys.exit(DONE if found["complete"] else BROKEN)
+
+
+@log.command()
+@_log
+@_out
+@_force
+def recover(log_file: Path, out: Path, force: bool) -> None:
+    """Repair a broken LOG: write a complete file with an index and all readable records."""
+    from logs.reader.reader import LogFile
+    from logs.tools import recover as recovered
+
+    log = LogFile(log_file)
+    with new_file(out, force=force) as part:
+        messages = recovered(log, part)
+    click.echo(plain(f"{out}: {messages} messages; {log.problem or 'the log was complete'}"))
+
+
+@log.command()
+@_log
+@click.option("--topic", metavar="TOPIC", required=True, help="Topic to export; `log info` lists them.")
+@click.option(
+    "--format", "kind", type=click.Choice(["csv", "parquet"]), required=True,
+    help="Format of OUT; parquet needs the extra `export` and enough memory for the whole table.",
+)  # fmt: skip
+@_out
+@_force
+def export(log_file: Path, topic: str, kind: str, out: Path, force: bool) -> None:
+    """Write one topic of a LOG as a table: one row for each message, with its times and sequence number.
+
+    Nested fields have dotted names; a list is one column with JSON text.
+    """
+    from logs.reader.reader import LogFile
+    from logs.tools import Table, export_csv, export_parquet
+
+    table = Table(LogFile(log_file), topic)
+    with new_file(out, force=force) as part:
+        rows = (export_csv if kind == "csv" else export_parquet)(table, part)
+    click.echo(plain(f"{out}: {rows} rows"))
+    if problem := "; ".join(filter(None, (table.log.problem, table.problem))):
+        click.echo(plain(f"flightstack: the log is broken; what can be read was used: {problem}"), err=True)
+    sys.exit(BROKEN if problem else DONE)
 
 
 @log.command()
@@ -91,6 +150,9 @@ def compare(log_a: Path, log_b: Path) -> None:
     if differences and (tick := first_tick(log_a, log_b)) is not None:
         click.echo(f"the first tick that differs: {tick}")
     sys.exit(1 if differences else 0)
+
+
+log.add_command(compare, "diff")
 
 
 @dataclass(frozen=True, kw_only=True)

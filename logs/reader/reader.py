@@ -223,7 +223,7 @@ class LogFile:
                 f"{self.path} was recorded by another version of this stack: {self.made_by}. "
                 f"The fields of its {' and '.join(foreign)} messages are not those of this version, "
                 f"{version('crazyflie-flightstack')}. Read it with the version that recorded it; "
-                "the tools of MCAP read it as it is"
+                "`flightstack log info` and `log export` read it as it is"
             )
 
     @property

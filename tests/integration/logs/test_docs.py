@@ -200,7 +200,7 @@ def test_the_table_is_what_a_flight_records(folder):
 @log_docs
 def test_the_commands_run(folder):
     lines = re.findall(r"^\.venv/bin/flightstack log .*$", PAGE.read_text(), re.MULTILINE)
-    assert {shlex.split(line)[2] for line in lines} == {"verdict"}
+    assert {shlex.split(line)[2] for line in lines} == {"info", "verdict", "export", "recover"}
     for line in lines:
         done = subprocess.run(
             shlex.split(line), cwd=folder, capture_output=True, text=True, timeout=WALL_MAX_S, check=False

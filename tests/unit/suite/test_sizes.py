@@ -32,6 +32,7 @@ EXTRAS = {
     "flightstack.cli": {"view"},
     "flightstack.compiled": {"sim"},  # optional: tests/unit/compiled/test_core.py
     "logs.report": {"report"},
+    "logs.tools": {"export"},
     "logs.view": {"view"},
     "sim": {"sim"},
     "sim.flights": {"sim", "export"},

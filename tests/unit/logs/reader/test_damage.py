@@ -25,7 +25,14 @@ KINDS = {
     "no_index": {"compression": CompressionType.LZ4, "index_types": IndexType.NONE},
     "no_chunks": {"use_chunking": False, "enable_crcs": False},
 }
-VERBS = (("log", "verdict"), ("replay",), ("identify",))
+VERBS = (
+    ("log", "info"),
+    ("log", "verdict"),
+    ("log", "recover", "--force", "--out", "o.mcap"),
+    ("log", "export", "--force", "--topic", "/cf1/controller/step", "--format", "csv", "--out", "o.csv"),
+    ("replay",),
+    ("identify",),
+)
 
 
 def rows(path):
