@@ -11,12 +11,14 @@ from importlib import import_module
 BENCH = {  # name: module in this folder and its function
     "campaign_speed": "speed:campaign_speed",
     "control_step": "speed:control_step",
+    "environment": "speed:environment",
     "lockstep": "speed:lockstep",
 }
 LONG = {  # benchmarks that take hours, or whose result is a page
     "crazyflie_landings": "crazyflie_landings:main",
     "equal_rows": "equal_rows:main",
     "fault_grid": "fault_grid:main",
+    "fleet_faults": "fleet_faults:main",
     "paper_runs": "speed:paper_runs",
     "proven": "proven:main",
     "px4_faults": "px4_faults:main",

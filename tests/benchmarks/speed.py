@@ -1,4 +1,4 @@
-"""Measures the time of a control step, its solver, a lockstep run, a campaign.
+"""Measures the time of a control step, its solver, a lockstep run, a campaign, the environment.
 
 ``paper_runs`` flies the paper's four runs for docs/reference/paper_runs.md.
 """
@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from bridge.mavlink.client.companion import velocity_setpoint
 from bridge.mavlink.client.link import COMPONENT_ID
@@ -122,6 +123,31 @@ def lockstep() -> None:
             factors.append(sitl(folder, "paper_moving_1", seed, "--lockstep")["realtime_factor"])
     runs = ", ".join(f"{f:.1f}" for f in factors)
     print(f"{statistics.median(factors):.1f} x real time (asked 30); runs {runs}")
+
+
+def environment() -> None:
+    """Print steps per second of the Gymnasium environment, and of Pendulum-v1 for comparison."""
+    import gymnasium
+
+    import flightstack as fs
+
+    def flown(env: Any, seeds: range, act: Callable[[], Any]) -> float:
+        steps, began_s = 0, time.process_time()
+        for seed in seeds:
+            env.reset(seed=seed)
+            over = False
+            while not over:
+                _, _, terminated, truncated, _ = env.step(act())
+                steps, over = steps + 1, terminated or truncated
+        return steps / (time.process_time() - began_s)
+
+    for name in (None, "paper", "robust"):
+        env = fs.make_env("lab", filter=name)
+        flown(env, range(2), env.builtin_action)
+        rates = [flown(env, range(seed, seed + 8), env.builtin_action) for seed in (2, 10, 18)]
+        print(f"landing, filter {name}: {statistics.median(rates):,.0f} steps/s of CPU time")
+    pendulum = gymnasium.make("Pendulum-v1")
+    print(f"Pendulum-v1: {flown(pendulum, range(20), pendulum.action_space.sample):,.0f} steps/s of CPU time")
 
 
 PAPER_RUNS = ("paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2")
