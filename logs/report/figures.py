@@ -108,16 +108,15 @@ class _Lanes:
             )
         )  # fmt: skip
 
-    def figure(self, range_s: Sequence[float] | None = None) -> go.Figure | None:
-        """Return the figure, which at first shows ``range_s`` of the time axis; None if it has no lane."""
+    def figure(self) -> go.Figure | None:
+        """Return the figure, which at first shows the whole time axis; None if it has no lane."""
         figure, names = self._figure, list(self._names)
         if not names:
             return None
         layout(figure, 116 + _ROW_PX * len(names))
         time_axis(figure, self._axis)
         figure.update_layout(hovermode="closest", showlegend=False, margin={"t": 32, "b": 50, "l": 150})
-        if range_s is not None:
-            figure.update_xaxes(range=range_s)
+        figure.update_xaxes(range=self._axis.whole)
         figure.update_yaxes(categoryorder="array", categoryarray=names[::-1], showgrid=True, automargin=True)
         return figure
 
@@ -136,7 +135,7 @@ def timeline(
     lanes = _Lanes(axis)
     for side in sides:
         lanes.phases(f"{side.of}phase", side)
-        if len(sides) == 1:
+        if axis.flight is not None:
             _ticks(lanes, side)
         for fault in fault_spans(side.flight):
             ends = (fault.begin_s + side.offset_s, fault.end_s + side.offset_s)
@@ -153,7 +152,7 @@ def timeline(
             text = f"{link.receiver} received no message from {link.sender}"
             lanes.bar(f"{link.receiver} misses {link.sender}", ends, FAULT, text)
     lanes.events(events, -zero_s)
-    return lanes.figure(axis.whole if len(sides) == 1 else None)
+    return lanes.figure()
 
 
 def _lost(valid: Bools) -> Bools:

@@ -106,7 +106,7 @@ def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page
                 "events", "Events", "Times since the landing began; each is a link.",
                 tables.events_table(flight.events, -side.offset_s), style=_EVENTS,
             ),
-            repeat_section(flight),
+            repeat_section(flight, flight.label),
             [
                 Panel("run", "Run", "", tables.run_table(flight)),
                 Panel("versions", "Versions", "", tables.versions_table(flight.metadata)),
@@ -249,12 +249,15 @@ def command(run: Mapping[str, str], scenario: str) -> str:
     return shlex.join(parts + repeated(run))
 
 
-def repeat_section(of: Flight | Fleet) -> str:
-    """Return the section with the commands that repeat a flight, or the reason why there are none."""
+def repeat_section(of: Flight | Fleet, member: str = "") -> str:
+    """Return the section with the commands that repeat a flight, or the reason why there are none.
+
+    ``member``: name of the vehicle if it flew with others: then only the whole fleet can fly again.
+    """
     run, whole = of.metadata.get("run", of.metadata.get(FLEET, {})), of.attachments.get(SCENARIO)
     again = ["flightstack", "replay", of.path.name, "--check"]
-    if isinstance(of, Flight) and of.label:  # a member can only be repeated with its fleet
-        return repeat_box(replay=shlex.join([*again, "--member", of.label]), alone=False)
+    if member:
+        return repeat_box(replay=shlex.join([*again, "--member", member]), alone=False)
     if whole is None or "seed" not in run:
         return repeat_box(replay=shlex.join(again))
     by_name = "scenario" in run and "config" not in run

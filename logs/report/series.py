@@ -32,6 +32,7 @@ from logs.report.style import (
     TRUE,
     UNSAFE,
     Axis,
+    axis_of,
     chart,
     line,
     low_envelope,
@@ -79,7 +80,9 @@ def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
     margin_m = held_margin_m(flight)
     if margin_m is not None and steps is not None and np.nanmax(margin_m) > _MARGIN_SEEN_M:
         traces.append((1, line(steps.t_s - zero, margin_m, "margin: lower limit of h", MARGIN, width=2)))
-    figure = chart(flight, 420, traces, {"title_text": "h [m]", "range": value_range(flight, shown)})
+    figure = chart(
+        axis_of(flight), 420, traces, {"title_text": "h [m]", "range": value_range(axis_of(flight), shown)}
+    )
     for t, h, where, symbol in lowest:
         known = np.where(np.isfinite(h), h, np.inf)
         at = int(np.argmin(known))
@@ -122,7 +125,7 @@ def velocities(flight: Flight) -> go.Figure | None:
         look = {"width": 5, "legendgroup": "active", "hoverinfo": "skip"}
         traces.append((row, line(t, active, "barrier active", BOUNDARY, showlegend=row == 1, **look)))
         ranges[row - 1] = [floor - 0.02 * (high - low), high]
-    return chart(flight, 760, traces, *_of_axes(ranges), spacing=0.045)
+    return chart(axis_of(flight), 760, traces, *_of_axes(ranges), spacing=0.045)
 
 
 def tracking(flight: Flight) -> go.Figure | None:
@@ -138,7 +141,7 @@ def tracking(flight: Flight) -> go.Figure | None:
     )
     t = steps.t_s - zero_s(flight)
     traces, ranges = _components(flight, t, drawn, "flown (true)", FLOWN, width=1.4)
-    return chart(flight, 720, traces, *_of_axes(ranges), spacing=0.045)
+    return chart(axis_of(flight), 720, traces, *_of_axes(ranges), spacing=0.045)
 
 
 def sent_m_s(steps: Steps) -> Floats:
@@ -158,7 +161,7 @@ def _components(
             t_true, v_true = flight.truth.t_s - zero_s(flight), flight.truth.velocity_enu_m_s[:, row - 1]
             style = {"legendgroup": "true", "showlegend": row == 1, **look}
             traces.append((row, line(t_true, v_true, true, color, **style)))
-        ranges.append(value_range(flight, [(t, values[:, row - 1]) for _, values, *_ in drawn]))
+        ranges.append(value_range(axis_of(flight), [(t, values[:, row - 1]) for _, values, *_ in drawn]))
     return traces, ranges
 
 
@@ -186,8 +189,8 @@ def filter_activity(flight: Flight) -> go.Figure | None:
         if len(at):
             traces.append((2, marks(at, t, slack, name, symbol=symbol, size=7, color=BOUNDARY)))
     return chart(
-        flight, 480, traces, {"title_text": "change [m/s]", "rangemode": "tozero"},
-        {"title_text": "slack [m/s]", "range": value_range(flight, [(t, slack)])}, spacing=0.07,
+        axis_of(flight), 480, traces, {"title_text": "change [m/s]", "rangemode": "tozero"},
+        {"title_text": "slack [m/s]", "range": value_range(axis_of(flight), [(t, slack)])}, spacing=0.07,
     )  # fmt: skip
 
 
@@ -204,11 +207,11 @@ def estimate_error(flight: Flight) -> go.Figure | None:
         for y, (name, color) in zip(columns, looks, strict=True):
             look = {"width": 1.3, "legendgroup": name, "showlegend": row == 1}
             traces.append((row, line(t, y, name, color, **look)))
-        axes.append({"title_text": title, "range": value_range(flight, [(t, y) for y in columns])})
+        axes.append({"title_text": title, "range": value_range(axis_of(flight), [(t, y) for y in columns])})
     h_mm = 1e3 * errors.h_m
     traces.append((3, line(t, h_mm, "h", INK, width=1.3)))
-    axes.append({"title_text": "h [mm]", "range": value_range(flight, [(t, h_mm)])})
-    return chart(flight, 640, traces, *axes, spacing=0.05)
+    axes.append({"title_text": "h [mm]", "range": value_range(axis_of(flight), [(t, h_mm)])})
+    return chart(axis_of(flight), 640, traces, *axes, spacing=0.05)
 
 
 def vehicle_state(flight: Flight) -> go.Figure | None:
@@ -224,7 +227,7 @@ def vehicle_state(flight: Flight) -> go.Figure | None:
         (1, line(t, off, "motors off", LIMIT, width=5, hoverinfo="skip")),
     ]
     tilt_axis = {"title_text": "tilt [°]", "rangemode": "tozero"}
-    return chart(flight, 420, traces, tilt_axis, {"title_text": "battery [V]"}, spacing=0.08)
+    return chart(axis_of(flight), 420, traces, tilt_axis, {"title_text": "battery [V]"}, spacing=0.08)
 
 
 _WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # tick labels of the wall time axis, us
@@ -247,7 +250,7 @@ def loop_timing(flight: Flight) -> go.Figure | None:
         (2, line(t, late_us, "start after deadline", LIMIT, width=1.0, visible=hidden)),
     ]
     wall_axis = {"title_text": "wall time [µs]", "type": "log", "tickvals": _WALL_US}
-    return chart(flight, 480, traces, {"title_text": "period [ms]"}, wall_axis, spacing=0.07)
+    return chart(axis_of(flight), 480, traces, {"title_text": "period [ms]"}, wall_axis, spacing=0.07)
 
 
 def data_age(flight: Flight) -> go.Figure | None:
@@ -264,7 +267,7 @@ def data_age(flight: Flight) -> go.Figure | None:
         age_ms = np.where(np.isfinite(values), values, np.nan) * 1e3
         ages.append((t, age_ms))
         traces.append((1, line(t, age_ms, name, color, width=1.4)))
-    low, high = value_range(flight, ages)
+    low, high = value_range(axis_of(flight), ages)
     if flight.config is not None:
         checks = flight.config.checks
         limits = [("target", "right", checks.target_age_max_s), ("own", "left", checks.own_age_max_s)]
@@ -273,7 +276,7 @@ def data_age(flight: Flight) -> go.Figure | None:
     if len(refused):
         look = {"symbol": "x-thin", "size": 8, "line": {"color": BOUNDARY, "width": 1.5}}
         traces.append((1, marks(refused, t, np.zeros_like(t), "sample refused", **look)))
-    figure = chart(flight, 380, traces, {"title_text": "age at the tick [ms]", "range": [low, high]})
+    figure = chart(axis_of(flight), 380, traces, {"title_text": "age at the tick [ms]", "range": [low, high]})
     for name, side, limit_s in limits:
         figure.add_hline(
             limit_s * 1e3, line={"color": LIMIT, "width": 1, "dash": "dash"},

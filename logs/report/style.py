@@ -156,13 +156,14 @@ class Axis(NamedTuple):
     landing: list[float]  # range of the page's button "Landing"
     whole: list[float]  # range of the page's button "Whole flight"
     first: list[float]  # initial range of the axis
+    flight: Flight | None = None  # flight whose phases and faults the charts show; None: those of none
 
 
 def axis_of(flight: Flight) -> Axis:
     """Return the axis of a flight whose times count from the start of its landing."""
     began, zero = flight.landing_start_s is not None, zero_s(flight)
     landing, whole = shown_range(flight), [-zero, flight.duration_s - zero]
-    return Axis(f"time since the {'landing' if began else 'log'} began [s]", landing, whole, landing)
+    return Axis(f"time since the {'landing' if began else 'log'} began [s]", landing, whole, landing, flight)
 
 
 def fleet_axis(fleet: Fleet) -> Axis:
@@ -185,23 +186,20 @@ def time_axis(figure: go.Figure, axis: Axis, rows: int = 1, hovermode: str = "x 
 
 
 def chart(
-    of: Flight | Axis, height_px: int, traces: Iterable[tuple[int, go.Scatter]], *axes: dict[str, Any],
+    axis: Axis, height_px: int, traces: Iterable[tuple[int, go.Scatter]], *axes: dict[str, Any],
     spacing: float = 0.0, hovermode: str = "x unified", legend_px: int = 0,
 ) -> go.Figure:  # fmt: skip
-    """Draw traces over time, each in its row (1 is the top); ``axes``: y axis of each row.
-
-    The chart of a flight also shows its phases and faults.
-    """
+    """Draw traces over time, each in its row (1 is the top); ``axes``: y axis of each row."""
     rows = len(axes)
     figure = make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=spacing)
     for row, trace in traces:
         figure.add_trace(trace, row=row, col=1)
     layout(figure, height_px, legend_px)
-    if isinstance(of, Flight):
-        add_phases(figure, of, rows=rows)
-    time_axis(figure, axis_of(of) if isinstance(of, Flight) else of, rows, hovermode)
-    for row, axis in enumerate(axes, 1):
-        figure.update_yaxes(**axis, row=row, col=1)
+    if axis.flight is not None:
+        add_phases(figure, axis.flight, rows=rows)
+    time_axis(figure, axis, rows, hovermode)
+    for row, y_axis in enumerate(axes, 1):
+        figure.update_yaxes(**y_axis, row=row, col=1)
     return figure
 
 
@@ -232,9 +230,9 @@ def thin(n: int) -> slice:
     return slice(None, None, max(1, -(-n // POINTS_MAX)))
 
 
-def value_range(first: Flight | Axis, shown: list[tuple[Floats, Floats]]) -> list[float]:
+def value_range(axis: Axis, shown: list[tuple[Floats, Floats]]) -> list[float]:
     """Return the range of values within the initial time range, including zero and a margin."""
-    low_s, high_s = first.first if isinstance(first, Axis) else shown_range(first)
+    low_s, high_s = axis.first
     inside = np.concatenate(
         [h[(t >= low_s) & (t <= high_s) & np.isfinite(h)] for t, h in shown] + [np.zeros(1)]
     )
