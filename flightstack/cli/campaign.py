@@ -1,4 +1,4 @@
-"""Commands of many flights: ``campaign`` flies seeds of a scenario, ``validate`` recorded set-points."""
+"""Commands for many flights: ``campaign`` flies the seeds of a scenario, ``validate`` compares flights."""
 
 from __future__ import annotations
 

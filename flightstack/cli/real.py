@@ -1,4 +1,4 @@
-"""Commands for real vehicles: ``preflight`` checks parameters and changes none, ``bridge ...`` connects."""
+"""Commands for real vehicles: ``preflight`` checks parameters, ``bridge ...`` connects other systems."""
 
 from __future__ import annotations
 

@@ -342,7 +342,10 @@ def _own_streams(output: int, errors: int) -> None:
     # if the parent had no standard streams, these descriptors may have their numbers
     for place, number in enumerate([_above(each) for each in (nothing, output, errors)]):
         os.dup2(number, place)
-    os.closerange(_LAST_STREAM + 1, os.sysconf("SC_OPEN_MAX"))
+    for number in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
+        if number > _LAST_STREAM:
+            with contextlib.suppress(OSError):  # the descriptor of the directory listing is already closed
+                os.close(number)
     sys.stdin = os.fdopen(0, closefd=False)
     sys.stdout = os.fdopen(1, "w", closefd=False)
     sys.stderr = os.fdopen(2, "w", buffering=1, errors="backslashreplace", closefd=False)
