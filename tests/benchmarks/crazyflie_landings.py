@@ -24,9 +24,8 @@ import numpy as np
 from bridge.zenoh import zenoh_link
 from flightstack import config
 from flightstack.common.processes import ended
-from flightstack.common.strict_toml import dumps, to_table
 from sim.chance import stream
-from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.scenario import Scenario, load, text
 from sim.scenarios.tables import PathKind, Start, StartKind
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.server import Server
@@ -104,7 +103,7 @@ def fly(
     here, there = free_endpoint(), free_endpoint()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.toml"
-        file.write_text(dumps(to_table(one)))
+        file.write_text(text(one))
         robot = subprocess.Popen(
             [*COMMAND, "target", "--scenario", str(file), "--seed", str(seed), "--listen", here,
              "--connect", there],
