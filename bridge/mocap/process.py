@@ -212,24 +212,6 @@ _AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 _SAY_S = 2.0  # time between two texts on the same topic, s
 
 
-class StatusPrinter:
-    """Prints each status text when it changes, and repeats it every two seconds."""
-
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say = say
-        self._last: dict[str, tuple[str | None, float]] = {}
-
-    def about(self, topic: str, text: str | None, now_s: float, *, good: str | None = None) -> None:
-        """Print a message about a topic at most once a period; None ends the topic and prints ``good``."""
-        before, said_s = self._last.get(topic, (None, 0.0))
-        if (text is None) == (before is None) and (text is None or now_s - said_s < _SAY_S):
-            return
-        self._last[topic] = (text, now_s)
-        shown = good if text is None else text
-        if shown is not None:
-            self._say(shown)
-
-
 class Bridge:
     def __init__(
         self,
@@ -241,7 +223,8 @@ class Bridge:
     ) -> None:
         self._source, self._vehicle, self._endpoint = source, vehicle, endpoint
         self._system_id, self._say = system_id, say
-        self._status, self._senders = StatusPrinter(say), Senders()
+        self._senders = Senders()
+        self._told: dict[str, tuple[str | None, float]] = {}  # last text and its time, s, by topic
         self._start_s = time.monotonic()
 
     @property
@@ -273,9 +256,18 @@ class Bridge:
                 self._endpoint.send(vehicle.handle(message, now_s), peer)
         passed = self._source.poll(now_s, armed=vehicle.flies(now_s))
         self._endpoint.send(vehicle.step(passed, now_s))
-        told = self._status
-        told.about("poses", self._source.problem, now_s, good="mocap: poses are good")
-        told.about("vehicle", self._vehicle_problem(now_s), now_s, good=self._greeting())
+        self._tell("poses", self._source.problem, now_s, good="mocap: poses are good")
+        self._tell("vehicle", self._vehicle_problem(now_s), now_s, good=self._greeting())
+
+    def _tell(self, topic: str, text: str | None, now_s: float, *, good: str | None) -> None:
+        """Print a problem when it begins and at most every two seconds; print ``good`` when it ends."""
+        before, said_s = self._told.get(topic, (None, 0.0))
+        if (text is None) == (before is None) and (text is None or now_s - said_s < _SAY_S):
+            return
+        self._told[topic] = (text, now_s)
+        shown = good if text is None else text
+        if shown is not None:
+            self._say(shown)
 
     def _vehicle_problem(self, now_s: float) -> str | None:
         vehicle = self._vehicle

@@ -114,21 +114,15 @@ def _scan(
             pos = end
         elif stream is not None and end == NoFrame.CUT_SHORT and stream.worth_waiting(data, pos, size):
             return pos
+        elif (old := version_1_end(data, pos, size)) > 0:
+            count.version_1 += 1
+            pos = old
         else:
-            pos += _skipped(data, pos, size, count)
+            count.garbage_bytes += 1
+            pos += 1
         if stream is not None:
             stream.in_sync = end > 0
     return pos
-
-
-def _skipped(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
-    """Count a version 1 frame at ``pos``, or one byte of garbage, and return its length."""
-    end = version_1_end(data, pos, size)
-    if end > 0:
-        count.version_1 += 1
-        return end - pos
-    count.garbage_bytes += 1
-    return 1
 
 
 def with_signed_flag(frame: bytes) -> bytes:
