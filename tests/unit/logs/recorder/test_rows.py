@@ -204,3 +204,15 @@ def test_constants_match_the_stack(schema, prefix, enum):
     lines = schemas.schema_text(schema).splitlines()
     written = [line.split()[1] for line in lines if line.startswith(f"uint8 {prefix}_")]
     assert written == [f"{prefix}_{member.name}={member.value}" for member in enum]
+
+
+def test_a_log_with_a_former_name_of_a_message_type_is_read():
+    neighbours, former = schemas.schema_text(schemas.CONTROLLER_NEIGHBOURS), "flightstack_msgs/msg/FleetWord"
+    older = neighbours.replace("flightstack_msgs/ReceivedStatus", "flightstack_msgs/Neighbour")
+    assert schemas.same_fields(schemas.CONTROLLER_NEIGHBOURS, older)
+    assert schemas.current_name(former) == schemas.MEMBER_STATUS
+    status = schemas.schema_text(schemas.MEMBER_STATUS)
+    assert schemas.same_fields(former, status)
+    assert not schemas.same_fields(
+        former, status.replace("float64 position_sigma_m", "float32 position_sigma_m")
+    )
