@@ -68,7 +68,7 @@ STAND_INS[Osqp.solve] = _solve
 
 @jitted
 def take(kernel: Controller, row: F64, arrival_s: float) -> None:
-    """Pass a sample of the target to the kernel.
+    """Pass a sample of the target to the controller.
 
     ``row``: stamp, position, velocity, yaw, yaw rate of the sample.
     Raises NotOrdinary: the sample is not accepted, or the clock of its sender was set.
@@ -84,7 +84,7 @@ def take(kernel: Controller, row: F64, arrival_s: float) -> None:
 
 @jitted
 def _landed(kernel: Controller, given: F64, rules: I64) -> tuple[Landing, float]:
-    """Pass the samples to the kernel and run a tick; return its result and the thrust reserve."""
+    """Pass the samples to the controller and run a tick; return its result and the thrust reserve."""
     if given[0] == _NONE:
         raise NotOrdinary
     kernel.track.memory.settled = True  # ``step`` sets ``settled`` from the take-off on
@@ -142,7 +142,7 @@ class CompiledController(Controller):
         return out
 
     def _ordinary_tick(self, inputs: Inputs, now_s: float) -> Outputs | None:
-        """Run a tick in the kernel and return its outputs; None, without a change, if this is impossible."""
+        """Run a compiled tick and return its outputs; None, without a change, if this is impossible."""
         own, status, samples = inputs.own, inputs.status, inputs.target_samples
         if own is None or status is None or not self._holds(status):
             return None

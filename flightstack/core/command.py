@@ -125,7 +125,6 @@ class VelocityCommand:
         velocity_m_s, moves_m_s = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s
         base, active = self.base(velocity_m_s), self.strategy.barrier(at)
         active_m, gradient, dh_dt = active.evaluate(at.e_m, moves_m_s)
-        result = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
         if filtered and fresh:
             lower, upper = self.bounds(at, active_m, gradient, base)
             if self.crowded:
@@ -134,6 +133,8 @@ class VelocityCommand:
                 result = self.strategy.filtered(at, active_m, gradient, dh_dt, nominal, lower, upper)
             else:
                 result = self.program.solve(nominal, active_m, gradient, dh_dt, lower, upper)
+        else:
+            result = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
         wanted = result.velocity_enu_m_s if filtered else self.slewed(base, nominal)
         setpoint = self.strategy.setpoint(base, wanted, velocity_m_s, at.d_m, self.least_z_m_s(moves_m_s))
         barriers = Barriers(self.barrier.h(at.e_m), gradient, dh_dt, nominal, result)
