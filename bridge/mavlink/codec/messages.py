@@ -159,14 +159,11 @@ def _arguments(cls: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]]:
         found: list[Any] = []
         for start, length in spans:
             value = values[start]
-            text = isinstance(value, bytes)
-            found.append(
-                value.rstrip(_ZERO)
-                if text
-                else value
-                if length == 1
-                else list(values[start : start + length])
-            )
+            if isinstance(value, bytes):
+                value = value.rstrip(_ZERO)
+            elif length > 1:
+                value = list(values[start : start + length])
+            found.append(value)
         return found
 
     return arguments
