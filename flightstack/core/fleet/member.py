@@ -43,7 +43,7 @@ FUTURE_MAX_S = 0.05  # largest time by which a stamp may be ahead of this clock,
 # ratio of another member's longest flight (a wait and a landing) to the longest wait
 FLIGHTS_OF_OTHERS = 2.0
 REPORTED_M_S = 0.005  # smallest slack that is reported, m/s
-STEADY_S = 1.0  # time without relaxed rows after which the end of the relaxation is reported, s
+STEADY_S = 1.0  # time without relaxed constraints after which the end of the relaxation is reported, s
 HELD_BACK_M_S = 0.3  # largest horizontal speed of this vehicle in the reachable set of a silent one, m/s
 STAYS_S = 5.0  # time after a landing until a text reports a vehicle that still blocks a pad, s
 _INTENTS = MappingProxyType(
@@ -65,8 +65,8 @@ _INTENTS = MappingProxyType(
 class Rows(NamedTuple):
     """Neighbours within reach, and one constraint on this vehicle's velocity for each of them."""
 
-    rows: tuple[Row, ...]  # rows (constraints) of the program; the nearest neighbour first
-    basic: tuple[Row, ...]  # rows without the reachable sets of silent vehicles
+    rows: tuple[Row, ...]  # constraints of the program; the nearest neighbour first
+    basic: tuple[Row, ...]  # constraints without the reachable sets of silent vehicles
     neighbours: tuple[Near, ...]  # positions and velocities of the neighbours, for the side-step
     # whether the speed is limited because a silent vehicle may be near
     held_back: bool = False
@@ -123,7 +123,7 @@ class FleetMember:
         for message in messages:
             why = self._refusal(message, now_s)
             if why:
-                texts.append(f"word of vehicle {message.id} refused: {why}")
+                texts.append(f"message of vehicle {message.id} refused: {why}")
                 continue
             slot = self.memory.slots[self._index[message.id]]
             before = slot.message
@@ -142,8 +142,8 @@ class FleetMember:
         (x, y, z), (jx, jy, jz) = slot.jumped_m, by_m
         slot.jumped_m = (x + jx, y + jy, z + jz)
         return (
-            f"the place of vehicle {who} jumps by {math.hypot(*by_m):.2f} m: its ellipsoid is larger by "
-            f"{math.hypot(*slot.jumped_m):.2f} m now, since either place may be wrong"
+            f"the position of vehicle {who} jumps by {math.hypot(*by_m):.2f} m: its ellipsoid is larger by "
+            f"{math.hypot(*slot.jumped_m):.2f} m now, since either position may be wrong"
         )
 
     def _refusal(self, message: MemberStatus, now_s: float) -> str:
@@ -200,8 +200,8 @@ class FleetMember:
         return [f"it stays on the pad: {why or 'an input is lost'}; {permissions.text}"]
 
     def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
-        """Return the rows that this vehicle must satisfy for neighbours within reach; none in TOUCHDOWN."""
-        if phase is Phase.TOUCHDOWN:  # in a touchdown, the other vehicles keep clear of this one
+        """Return the constraints of the neighbours within reach on this vehicle; none in TOUCHDOWN."""
+        if phase is Phase.TOUCHDOWN:  # the other vehicles keep clear of a vehicle in its touchdown
             return NO_ROWS
         fleet, (x, y, z), found, held_back = self._fleet, own.position_enu_m, [], False
         reach_m = fleet.reach_m - fleet.radius_xy_m
@@ -241,7 +241,7 @@ class FleetMember:
     def beside(
         self, phase: Phase, own: OwnState, base: Vec3, nominal: Vec3, most_m_s: Vec3, now_s: float
     ) -> tuple[Vec3, Rows]:
-        """Return the nominal velocity with the side-step, and the rows of the neighbours.
+        """Return the nominal velocity with the side-step, and the constraints of the neighbours.
 
         ``base``: start of the slew limit; ``most_m_s``: largest velocity.
         """
@@ -255,7 +255,7 @@ class FleetMember:
 
     def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
         """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``."""
-        assert self._program is not None  # only neighbours have rows
+        assert self._program is not None  # a vehicle alone calls no fleet program
         found = self._program.solve(nominal, firm, rows.rows, lower, upper, rows.basic)
         self._given_m_s = found.given_m_s
         return found.filter
@@ -267,7 +267,7 @@ class FleetMember:
         return self._crowded(now_s) + self.remains_on_pad(permissions, in_phase_s, why)
 
     def _crowded(self, now_s: float) -> list[str]:
-        """Return an event text when the relaxation of the neighbours' rows starts or ends."""
+        """Return an event text when the relaxation of the neighbours' constraints starts or ends."""
         memory, given_m_s, self._given_m_s = self.memory, self._given_m_s, 0.0
         if given_m_s > REPORTED_M_S:
             before, memory.crowded, memory.crowded_s = memory.crowded, True, now_s

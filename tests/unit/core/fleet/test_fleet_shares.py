@@ -172,13 +172,13 @@ def test_a_place_that_jumps_makes_the_ellipsoid_larger_until_it_jumps_back():
     assert take(0.0, 0.0) == ([], pytest.approx(2.0 - A.radius_xy_m - A.margin_m))
     texts, h_m = take(0.02, 0.5)
     assert texts == [
-        "the place of vehicle 7 jumps by 0.50 m: its ellipsoid is larger by 0.50 m now, since either place "
-        "may be wrong"
+        "the position of vehicle 7 jumps by 0.50 m: its ellipsoid is larger by 0.50 m now, since either "
+        "position may be wrong"
     ]
     assert h_m == pytest.approx(1.0 - A.radius_xy_m - A.margin_m)  # the ellipsoid contains both positions
     assert take(0.04, 0.5) == ([], pytest.approx(h_m))  # the ellipsoid remains larger ...
     texts, h_m = take(0.06, 0.0)
-    assert [text[:32] for text in texts] == ["the place of vehicle 7 jumps by "]
+    assert [text[:35] for text in texts] == ["the position of vehicle 7 jumps by "]
     assert h_m == pytest.approx(2.0 - A.radius_xy_m - A.margin_m)  # ... until the vehicle jumps back
 
 
