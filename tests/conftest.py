@@ -49,7 +49,7 @@ def process_as_before() -> Iterator[None]:
     os.chdir(folder)
     sys.path[:] = path
     for number, handler in handlers:
-        if handler is not None:  # a library of machine code installed it
+        if handler is not None:  # None: installed by C code, so Python cannot install it again
             signal.signal(number, handler)
 
 
@@ -101,7 +101,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """If a vehicle is given, run only the tests made for it; tests that arm need ``--arm-ok``."""
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
-        if config.getoption("--flights") == 1:  # other tests already fly the simulated vehicle once
+        if config.getoption("--flights") == 1:  # 1: other tests fly this number of flights
             items[:] = [item for item in items if not _marked(item, "given")]
             _deal_out(items)
         return

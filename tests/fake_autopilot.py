@@ -64,7 +64,8 @@ class FakeAutopilot:
         if number == dialect.MAVLINK_MSG_ID_SYS_STATUS:
             health = dialect.MAV_SYS_STATUS_PREARM_CHECK if positioned and self.mode == GUIDED else 0
             return [dialect.MAVLink_sys_status_message(0, 0, health, 0, 12000, -1, 90, 0, 0, 0, 0, 0, 0)]
-        if number == dialect.MAVLINK_MSG_ID_ATTITUDE:  # the nose of the vehicle points east
+        if number == dialect.MAVLINK_MSG_ID_ATTITUDE:
+            # yaw pi/2 (NED): the nose points east
             return [dialect.MAVLink_attitude_message(ms, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0)]
         if number == dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
             return [dialect.MAVLink_extended_sys_state_message(0, 1 if self.standing else 2)]
@@ -122,7 +123,7 @@ class FakeAutopilot:
             error = dialect.MAVLink_param_error_message(1, 191, name.encode(), -1, 1)
             return [error] if self._says_unknown else []
         kind, number = 9, float(self._parameters[name])
-        if self._px4 and isinstance(self._parameters[name], int):  # PX4 sends integers bytewise
+        if self._px4 and isinstance(self._parameters[name], int):  # PX4's encoding of integers
             kind, number = 6, struct.unpack("<f", struct.pack("<i", self._parameters[name]))[0]
         return [dialect.MAVLink_param_value_message(name.encode(), number, kind, len(self._parameters), 0)]
 

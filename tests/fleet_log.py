@@ -106,7 +106,7 @@ class RecordedCompanion(Companion):
         def note_event(t_s, level, source, text):
             event(t_s, level, source, text)
             at_ns = EPOCH_NS + round(t_s * 1e9)
-            if source != CONTROLLER:  # the onboard process writes the texts of its controller itself
+            if source != CONTROLLER:  # texts of the controller are already written by the onboard process
                 self.feed.write(rosout, at_ns, at_ns, 0, pack_log(at_ns, level, names.logger(source), text))
 
         self._notes.truth, self._notes.note = note_truth, note_event

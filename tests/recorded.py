@@ -1,4 +1,4 @@
-"""Finds recorded flights for tests: a part of one in the repository, and all flights if installed."""
+"""Finds recorded flights for tests: the excerpt in the repository, and the folder of all flights."""
 
 from __future__ import annotations
 

@@ -169,7 +169,8 @@ class Line:
             self._credit += self._rate * elapsed_s
             count = min(int(self._credit), len(self._buffer))
             self._credit -= count
-            if count == len(self._buffer):  # an idle line does not save bit rate for later
+            if count == len(self._buffer):
+                # unused bit rate of an idle line is lost, except for 20 ms
                 self._credit = min(self._credit, self._rate * 0.02)
         out = bytes(self._buffer[:count])
         del self._buffer[:count]

@@ -51,7 +51,7 @@ class Condition:
         self._forget_outside()
 
     def _forget_outside(self) -> None:
-        """Reset the values that must be measured again on a new connection, possibly to another firmware."""
+        """Reset the data about external poses: a new connection may reach another firmware."""
         self._outside: Outside | None = None
         self._tick_s: float | None = None  # time of the last change of ``locSrvZ.tick``
         self._leaning: Vec3 | None = None  # mean difference of up in the poses and measured up, body frame

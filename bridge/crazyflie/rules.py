@@ -41,7 +41,7 @@ TAKEOFF_M = 0.5  # default take-off height above home, m
 @dataclass(frozen=True, slots=True)
 class Rules:
     speed_max_m_s: float = SPEED_MAX_M_S
-    land_on_silence: bool = False  # whether the bridge lands if set-points stop; else the firmware acts
+    land_on_silence: bool = False  # if set-points stop: True: the bridge lands it; False: motors stop
     mocap: bool = False  # whether poses come from an external system
     drag_1_s: Vec3 | None = None  # rotor drag for the firmware's filter, body axes; None: unchanged
     restore: bool = False  # whether the firmware's parameters are restored when the bridge ends

@@ -131,7 +131,7 @@ class Vehicle(Condition, Commander):
     def take_state(self, state: CrazyflieState, now_s: float, *, restarted: bool = False) -> None:
         """Handle a new state; ``restarted``: the firmware has restarted since the last state."""
         before, self.state = self.state, state
-        if not self.armed:  # a pending take-off climbs from the place where the vehicle is armed
+        if not self.armed:  # before arming, home and the take-off height follow the vehicle
             height_m = state.position_enu_m[2]
             self.takeoff_z_m += height_m - self.home_enu_m[2]
             self.home_enu_m = (0.0, 0.0, height_m)

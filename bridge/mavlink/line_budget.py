@@ -1,4 +1,4 @@
-"""Chooses message rates for which a serial line is fast enough. Pure."""
+"""Chooses message rates for which a serial line is fast enough; no I/O."""
 
 from __future__ import annotations
 

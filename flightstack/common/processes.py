@@ -319,7 +319,7 @@ class Forked(ForkProcess):
 
 
 def leave_parent(output: int, errors: int) -> None:
-    """Give a forked child its own session, signal handlers, files, and these descriptors as its output."""
+    """Detach a forked child: new session, default signals, inherited files closed, these standard streams."""
     os.setsid()
     hand_on_niceness(os.getpid())
     forget_handlers()

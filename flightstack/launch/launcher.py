@@ -83,7 +83,7 @@ class Launcher:
         return self
 
     def _take_over(self) -> None:
-        """Install the launcher's signal handlers; a signal that arrives earlier cancels the run."""
+        """Install the launcher's signal handlers; before this call, signals have their previous effect."""
         for number in _SIGNALS:
             ends = number is not signal.SIGQUIT and not self._real
             handle({number: self._interrupt if ends else partial(self._hand_on, number)})

@@ -94,7 +94,7 @@ def _margin_m(strategy: RobustFilter, motion: TargetMotion) -> float:
 class Errors(NamedTuple):
     """Standard deviations of the target's estimate at three ages of its newest sample."""
 
-    fresh: TargetMotion  # estimate when a sample arrives, at the age ``delay_s``
+    fresh: TargetMotion  # estimate when a sample has just arrived; the sample is ``delay_s`` old
     usual: TargetMotion  # estimate just before the next sample, one period later
     lost: TargetMotion  # estimate when the newest sample reaches the age limit
 

@@ -275,7 +275,7 @@ def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: floa
 
 
 def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
-    """Return the checks that rows, box and landing barrier have a common feasible velocity."""
+    """Return the checks that a velocity meets neighbours' rows, velocity limits and landing barrier."""
     vx, vy, _ = config.limits.velocity_max_m_s
     from_m, reach_m = anywhere_m(config, fleet, c), fleet.reach_m - fleet.radius_xy_m
     short_m_s, elevation = one_short_m_s(config, c, up_the_slope_m_s(config, c), -math.pi / 2.0)

@@ -283,7 +283,7 @@ class PairSeries(NamedTuple):
     t_s: Floats  # seconds since the origin of the fleet
     distance_m: Floats  # distance of the centres of mass
     measure: Floats  # distance in units of the ellipsoid around both vehicles: 1 on its surface, less inside
-    flying: Bools  # whether both vehicles flew
+    flying: Bools  # at each time: whether both vehicles were flying (motors on, no contact)
 
 
 def pair_series(fleet: Fleet) -> list[PairSeries]:

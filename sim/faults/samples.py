@@ -43,7 +43,7 @@ def _all_but_each_nth(running: Running) -> Lost:
     return lambda _: next(count) % n != 0
 
 
-# Function that creates the ``Lost`` of a fault, for samples and for messages, by kind of loss.
+# By kind of loss: function that makes the ``Lost`` test of a fault, for samples and for messages.
 LOST: Mapping[Kind, Callable[[Running], Lost]] = {
     Kind.OFF: lambda _: lambda _: True,
     Kind.LOSS: lambda running: lambda _: running.happens(),

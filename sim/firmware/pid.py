@@ -189,18 +189,19 @@ class PidLoop:
         self.record = c = new(CascadeRecord) if record is None else record
         slow, fast = POSITION_STEP_S, CONTROL_STEP_S
         g = params.velocity_gains
-        c.x = pid_record(2.0, 0.0, 0.0, 5000.0, slow, SPEED_MAX_M_S)  # PID_POS_X
-        c.y = pid_record(2.0, 0.0, 0.0, 5000.0, slow, SPEED_MAX_M_S)  # PID_POS_Y
-        c.z = pid_record(2.0, 0.5, 0.0, 5000.0, slow, SPEED_MAX_M_S)  # PID_POS_Z
-        c.vx = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_X
-        c.vy = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)  # PID_VEL_Y
-        c.vz = pid_record(g.z_p, g.z_i, 0.0, 5000.0, slow, 32.767)  # PID_VEL_Z, UINT16_MAX / 2 / thrustScale
-        c.roll = pid_record(6.0, 3.0, 0.0, 20.0, fast)  # PID_ROLL
-        c.pitch = pid_record(6.0, 3.0, 0.0, 20.0, fast)  # PID_PITCH
-        c.yaw = pid_record(6.0, 1.0, 0.35, 360.0, fast)  # PID_YAW
-        c.roll_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)  # PID_ROLL_RATE
-        c.pitch_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)  # PID_PITCH_RATE
-        c.yaw_rate = pid_record(120.0, 16.7, 0.0, 166.7, fast)  # PID_YAW_RATE
+        # values of the firmware's PID_POS_*, PID_VEL_*, PID_ROLL*, PID_PITCH* and PID_YAW*
+        c.x = pid_record(2.0, 0.0, 0.0, 5000.0, slow, SPEED_MAX_M_S)
+        c.y = pid_record(2.0, 0.0, 0.0, 5000.0, slow, SPEED_MAX_M_S)
+        c.z = pid_record(2.0, 0.5, 0.0, 5000.0, slow, SPEED_MAX_M_S)
+        c.vx = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)
+        c.vy = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)
+        c.vz = pid_record(g.z_p, g.z_i, 0.0, 5000.0, slow, 32.767)  # limit: UINT16_MAX / 2 / thrustScale
+        c.roll = pid_record(6.0, 3.0, 0.0, 20.0, fast)
+        c.pitch = pid_record(6.0, 3.0, 0.0, 20.0, fast)
+        c.yaw = pid_record(6.0, 1.0, 0.35, 360.0, fast)
+        c.roll_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)
+        c.pitch_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)
+        c.yaw_rate = pid_record(120.0, 16.7, 0.0, 166.7, fast)
         c.mode = UNKNOWN
         c.late_calls, c.response = round(g.xy_dead_time_s / slow), g.xy_response
         c.tilt_share = slow / max(slow, g.tilt_time_s)

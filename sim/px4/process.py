@@ -31,7 +31,7 @@ from sim.scenarios.scenario import Scenario
 
 SPEED_MAX = 100.0
 _LOG_EVERY = 3  # steps between two logged true states: 83 Hz
-_BEHIND_MAX_NS = 50_000_000  # largest difference of the log times of true state and onboard process
+_BEHIND_MAX_NS = 50_000_000  # largest difference between log times of true state and clock; above: corrected
 _NS_PER_STEP = STEP_MS * 1_000_000
 
 

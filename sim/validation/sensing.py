@@ -27,7 +27,7 @@ SLOWEST = 10.0  # percentage of the samples, the slowest ones, that determine th
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """A piece of estimate and truth at the same n times, longer than the range of ``DELAY_S``."""
+    """True and estimated values at the same n times, without gaps, over more time than ``DELAY_S`` spans."""
 
     step_s: float  # time between two samples
     truth: Floats  # (n, 3) position in m or velocity in m/s

@@ -41,7 +41,8 @@ def base(name: str, kind: str) -> Scenario:
     if not variant:
         return scenario
     table = to_table(scenario)
-    if variant == "feedback":  # the default feedback rates, or the highest ones that the certificate allows
+    if variant == "feedback":
+        # the default rates of the feedback, or the highest ones that the certificate allows
         rate_1_s = scenario.onboard.velocity_loop.rate_xy_1_s
         rates = {"error_rate_1_s": min(5.0, rate_1_s), "tilt_rate_1_s": min(13.0, BANDWIDTH * rate_1_s)}
         rates |= {f"far_{key}": value for key, value in rates.items()} | {"far_m": 1.0, "horizontal": True}

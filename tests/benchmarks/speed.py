@@ -65,7 +65,8 @@ def approach(controller: Controller, azimuth_rad: float) -> list[float]:
         if out.phase is Phase.LAND:
             return took[WARM_STEPS:]
         assert out.phase in (Phase.WAIT, Phase.TAKEOFF, Phase.APPROACH), controller.memory.reason
-        if out.setpoint is not None:  # the vehicle follows every set-point without delay
+        if out.setpoint is not None:
+            # the vehicle follows every set-point without delay
             v = out.setpoint.velocity_enu_m_s
             p = (p[0] + 0.01 * v[0], p[1] + 0.01 * v[1], p[2] + 0.01 * v[2])
     raise AssertionError(f"not above the pad after {STEPS_MAX} steps")

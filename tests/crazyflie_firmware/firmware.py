@@ -196,7 +196,8 @@ class Firmware:
             for vector in (position, velocity, plant.rates)
         )
         attitude = plant.quaternion
-        if self.needs_poses and self.poses:  # the filter copies the tilt of the poses
+        if self.needs_poses and self.poses:
+            # the firmware's filter takes the tilt from the newest pose
             x_, y_, z_, w_ = self.poses[-1][1][3:]
             attitude = (w_, x_, y_, z_)
         variance = plant.variance_m2 if self.params["stabilizer.estimator"].value == 2 else 0.0

@@ -1,4 +1,4 @@
-"""Messages and requests of the companion; each request is repeated until the vehicle shows its effect. Pure.
+"""Messages and requests of the companion; each request is repeated until the vehicle shows its effect.
 
 Only telemetry counts: an acknowledgement does not prove that a command was executed (PX4 answers a mode
 change twice, the first time always with ACCEPTED, and either can be lost). A rejection only affects the
@@ -114,7 +114,7 @@ class _Stream:
 
 
 class StreamRequests:
-    """Counts messages and returns SET_MESSAGE_INTERVAL commands as long as their rate is too low. Pure.
+    """Counts messages and returns SET_MESSAGE_INTERVAL commands while their rate is too low; no I/O.
 
     As long as no message arrives, it requests every second at first, then less often: an autopilot may have
     no position for minutes (no satellites, no origin). ``rates_hz``: required rate by message id.
@@ -195,10 +195,10 @@ _FINAL = frozenset(
 
 
 class CommandSequencer:
-    """Returns the commands of the current request, from status and time. Pure.
+    """Computes the commands for the current request from the vehicle's status and the time; no I/O.
 
-    A request is complete when a heartbeat newer than the request shows its status: a later change of mode has
-    another cause, and the controller decides how to react.
+    A request is complete when a heartbeat newer than the request shows the requested status. After that this
+    class sends nothing: the controller reacts to a later change of mode.
     """
 
     def __init__(

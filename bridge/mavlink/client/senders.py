@@ -1,4 +1,4 @@
-"""Selects the frames of one vehicle by their ids and address, and explains why none arrive. Pure.
+"""Selects the frames of one vehicle by their ids and address, and explains why none arrive.
 
 Ids do not identify a sender: a script or router with default ids, or a second vehicle, may use them, too. A
 sender is an address with ids, and a heartbeat adds its kind (type and autopilot). Frames that contradict the

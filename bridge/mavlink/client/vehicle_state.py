@@ -1,4 +1,4 @@
-"""Decodes MAVLink telemetry into the newest vehicle state and status in the stack's frames. Pure."""
+"""Decodes MAVLink telemetry into the newest vehicle state and status in the stack's frames; no I/O."""
 
 from __future__ import annotations
 

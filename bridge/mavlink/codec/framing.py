@@ -1,4 +1,4 @@
-"""Finds the MAVLink 2 frames in a datagram or a byte stream. Pure.
+"""Finds the MAVLink 2 frames in a datagram or a byte stream; no I/O.
 
 A parser that trusts the length byte after every start marker loses several good frames after a stray 0xFD,
 and a cut datagram damages the next datagram. Therefore each datagram is parsed alone, and a frame counts only

@@ -208,7 +208,10 @@ class _Check(Dialogue):
         self._grown: Mapping[str, int] = {}  # last increase of the counters by received data
 
     def run(self, wait_s: float, *, accept_release: bool) -> bool:
-        """Read release and parameters; return False if no heartbeat arrived. Raises _EndedError."""
+        """Read firmware version and parameters; return False if no heartbeat arrived within ``wait_s``.
+
+        ``accept_release``: for an unknown version, use the rules of another one. Raises _EndedError.
+        """
         self.until_s = time.monotonic() + wait_s
         if not self.until(lambda: self.profile is not None, wait_s) or self.profile is None:
             return False

@@ -1,4 +1,4 @@
-"""Rules for an autopilot's parameters by release, read from a TOML file, and their evaluation. Pure."""
+"""Rules for an autopilot's parameters by release, read from a TOML file, and their evaluation."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class Code(NamedTuple):
 
 
 _AUTO = 1 | 4 | 8 | 16  # bits custom, auto, guided, stabilised (PX4 streams/HEARTBEAT.hpp)
-_EXTERNAL = 1 | 16  # bits custom, stabilised: PX4's offboard is not an auto mode
+_EXTERNAL = 1 | 16  # bits custom and stabilised only: PX4 does not count OFFBOARD as an auto mode
 
 PX4_CODES: Mapping[FlightMode, Code] = {
     FlightMode.HOLD: Code(4, 3, _AUTO),  # PX4's name: AUTO.LOITER

@@ -1,4 +1,4 @@
-"""Barrier function between two vehicles, its constraint on this vehicle's velocity, and the side-step.
+"""Barrier between two vehicles (``barrier``), its constraint on this vehicle (``row``), and the side-step.
 
     h(p) = r_xy (rho - 1),   rho = sqrt((dx^2 + dy^2) / r_xy^2 + dz^2 / r_z^2)
 
@@ -6,11 +6,11 @@
 most length 1 if r_xy is the smaller semi-axis: a motion never reduces h more than the linear prediction. The
 ellipsoid grows with the uncertainty of the other vehicle's position.
 
-This vehicle takes a share of the avoidance: none, half or all. The shares of two vehicles always sum to at
-least 1, also with late or lost messages (docs/how_it_works/fleet.md). The order of the rules in ``share``
-proves this: first the announcements of this vehicle, then the reasons why the other one cannot give way, then
-the latest announcements of the other one. Two vehicles that meet head-on would block each other, so each
-steps aside to its right.
+This vehicle takes a share of the avoidance (``part`` in the code): none, half or all. The shares of two
+vehicles always sum to at least 1, also with late or lost messages (docs/how_it_works/fleet.md). The order of
+the rules in ``share`` proves this: first the announcements of this vehicle, then the reasons why the other
+one cannot give way, then the latest announcements of the other one. Two vehicles that meet head-on would
+block each other, so each steps aside to its right.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def jump(before: MemberStatus, message: MemberStatus, fleet: Fleet) -> Vec3:
 
 
 def faster(before_m_s2: Vec3, before: MemberStatus, message: MemberStatus) -> Vec3:
-    """Return the smoothed acceleration of another vehicle's commanded velocity."""
+    """Return the rate of change of another vehicle's velocity command, m/s^2, smoothed over messages."""
     t = message.stamp_s - before.stamp_s
     share = 1.0 / (t + SMOOTH_S)
     (x, y, z), (ox, oy, oz), (ax, ay, az) = message.wanted_enu_m_s, before.wanted_enu_m_s, before_m_s2
@@ -195,11 +195,11 @@ def row(
     part: float, h_m: float, gradient: Vec3, own_wanted_m_s: Vec3, message: MemberStatus, now: Estimate,
     fleet: Fleet,
 ) -> Row:  # fmt: skip
-    """Return the constraint on this vehicle's velocity.
+    """Return the constraint on this vehicle's velocity; ``part``: its share of the avoidance (``share``).
 
     With the whole share, the constraint uses the other vehicle's velocity. With half of it, it uses the mean
-    of both announced velocity commands: if both vehicles follow them, the distance falls no faster than the
-    rate allows. Possible changes of the other velocity since its message tighten the constraint.
+    of both announced velocity commands: if both vehicles follow them, h falls no faster than the rate
+    allows. Possible changes of the other velocity since its message tighten the constraint.
     """
     if part == ALL:
         c = now.velocity_enu_m_s
@@ -211,11 +211,11 @@ def row(
 
 
 def wider(basic: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
-    """Return the constraint for a vehicle whose messages are late: it may be anywhere in a larger ellipsoid.
+    """Tighten ``basic`` for a vehicle with late messages, which may be anywhere in a wider ellipsoid.
 
-    As long as the other vehicle may fly, this vehicle remains outside the ellipsoid or, inside it, does not
-    approach its centre. After that the other vehicle lies in the ellipsoid: a vehicle outside remains
-    outside, and a vehicle inside has only the row ``basic``, since it also has to land.
+    As long as the other vehicle may fly, this vehicle remains outside the wider ellipsoid or, inside it, does
+    not approach its centre. After that the other vehicle has landed inside: a vehicle outside remains
+    outside, and a vehicle inside has only the constraint ``basic``, since it also has to land.
     """
     bound_m_s = -fleet.rate_1_s * outer_m
     if now.age_s <= fleet.silent_flight_s:
@@ -237,7 +237,7 @@ class Near(NamedTuple):
 def sidestep(nominal: Vec3, near: Sequence[Near], rate_1_s: float) -> Vec3:
     """Return the nominal velocity plus a side-step to the right of each vehicle that it approaches.
 
-    The side-step grows from 0, where the row becomes active, to the closing speed at h = 0.
+    The side-step grows from 0, where the constraint becomes active, to the closing speed at h = 0.
     """
     x, y, z = nominal
     for h_m, (gx, gy, gz), (ax, ay, _), (vx, vy, vz) in near:

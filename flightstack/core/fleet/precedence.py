@@ -1,10 +1,12 @@
 """Order of landings on one pad, or on pads near each other, agreed by messages without a leader.
 
 A vehicle that starts its landing claims the right of way with a time stamp. The claim is granted when every
-member with a conflicting pad has sent a message later than claim plus latency, and has no claim or yields.
-The field ``yields_to`` is the reply of Ricart and Agrawala's algorithm. The older claim is first, then the
-lower id. A member yields until the other's claim ends. If clocks disagree on two claims and both members
-yield, the lower id stops yielding; if neither does, the higher id yields. A new claim breaks a longer cycle.
+member with a conflicting pad has sent a message later than claim plus latency, in which it has no claim or
+names this vehicle in ``yields_to`` (the reply of Ricart and Agrawala's algorithm). The older claim is first,
+or the claim of the lower id if both are equally old. A member yields until the other member's claim ends.
+
+Clocks may disagree on the order of two claims. If both members then yield, the lower id stops yielding; if
+neither yields, the higher id starts to. If three or more members wait in a circle, one makes a new claim.
 
 A vehicle that frees its pad lands beside the paths of all pads, away from landed vehicles (``place_beside``).
 """
@@ -78,7 +80,7 @@ def decide(
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
     if not memory.granted and _in_a_circle(memory, slots, now_s, fleet):
         memory.claim_s = now_s
-    if phase is not Phase.TOUCHDOWN:  # a touchdown continues whatever the neighbours announce
+    if phase is not Phase.TOUCHDOWN:  # in a touchdown, no announcement takes the right of way away
         taken = memory.granted and any(slot.yields for _, slot in slots)
         memory.granted = (memory.granted or not blockers) and not taken
         memory.waits_since_s = min(memory.waits_since_s, now_s) if not memory.granted else math.inf

@@ -1,9 +1,9 @@
-"""Quadratic program of a fleet member: landing barrier, box, and one row for each neighbour within reach.
+"""Quadratic program of a fleet member: that of ``safety/qp_filter.py``, and a constraint for each neighbour.
 
-It is the program of ``safety/qp_filter.py`` with more rows (constraints). OSQP starts from the exact solution
-(``solution.py``), and its result is used only if it meets all rows and equals that solution. If no point
-meets all rows, the rows of silent vehicles are relaxed first; then all rows of neighbours together by the
-smallest common slack. Landing barrier and box are never relaxed.
+OSQP starts from the exact solution (``solution.py``), and its result is used only if it meets all constraints
+(``Row``) and equals that solution. If no velocity meets all constraints, those of silent vehicles are relaxed
+first; then those of all neighbours together, by the smallest common slack. The landing barrier and the
+velocity limits (box) are never relaxed.
 
 Over the pad, ``Cone`` reduces the box first. A single vehicle flies inwards, where the boundary falls; one
 that gives way may fly outwards or past the centre, where the boundary may rise faster than a climb.
@@ -24,7 +24,7 @@ from flightstack.core.safety.projection import best_corner
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
-FIRM_MAX = 2  # largest number of rows that are never relaxed
+FIRM_MAX = 2  # largest number of constraints that are never relaxed
 AGREES_M_S = 1e-6  # largest difference between the solver's result and the exact solution, m/s
 _ROWS = FIRM_MAX + OTHERS_MAX
 INWARD_RATE_1_S = 2.5  # ratio of allowed horizontal velocity to distance from the pad's centre, 1/s
@@ -37,7 +37,7 @@ class FleetResult(NamedTuple):
 
     # its slack is that of the landing barrier; NaN if no landing barrier is active
     filter: FilterResult
-    given_m_s: float  # slack by which the neighbours' rows are relaxed; 0 unless the status is CROWDED
+    given_m_s: float  # slack of the neighbours' constraints, m/s; 0 unless the status is CROWDED
 
 
 class FleetProgram:
@@ -51,7 +51,11 @@ class FleetProgram:
         self, nominal: Vec3, firm: Sequence[Row], neighbours: Sequence[Row], lower: Vec3, upper: Vec3,
         basic: Sequence[Row] = (),
     ) -> FleetResult:  # fmt: skip
-        """Return the nearest velocity that satisfies all rows; those of neighbours may be relaxed."""
+        """Return the nearest velocity that meets all constraints; those of neighbours may be relaxed.
+
+        ``firm``: constraints that are never relaxed, the landing barrier first; ``basic``: constraints of the
+        neighbours without the reachable sets of silent vehicles.
+        """
         every = [*firm, *neighbours]
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = lower, upper, nominal
         sums = lx + ly + lz + hx + hy + hz + x + y + z
@@ -82,7 +86,7 @@ class FleetProgram:
                 less = given_m_s + RELAXED_M_S
                 found = nearest(nominal, [*firm, *(Row(g, b - less) for g, b in neighbours)], lower, upper)
                 point = found[0] if found is not None else point
-            elif landing is not None:  # no velocity of the box but this corner meets the barrier
+            elif landing is not None:  # rounding: only this corner of the box meets the barrier
                 point = corner
         slack = -landing.missing_m_s(point) if landing is not None else math.nan
         active = landing is not None and landing.missing_m_s(clip_to_box(nominal, lower, upper)) > 0.0
@@ -127,7 +131,7 @@ class Cone(NamedTuple):
     period_s: float  # period of a tick
 
     def outward(self, h_m: float, gradient: Vec3, before_m_s: Vec3, target_m_s: Vec3) -> Row:
-        """Return the row that limits the growth of an outward velocity; a climb must be able to restore h.
+        """Return the constraint that limits the growth of outward velocity, so that a climb can restore h.
 
         An inward motion may always be stopped.
         """

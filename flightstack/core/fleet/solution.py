@@ -1,4 +1,4 @@
-"""Exact solution of the quadratic program with several rows.
+"""Exact solution of the quadratic program with several constraints (``Row``).
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 
@@ -7,7 +7,7 @@
 largest violation until no constraint is violated, and removes a constraint whose multiplier would become
 negative. Its result is used only if it meets the Karush-Kuhn-Tucker conditions, which are checked here; if
 not, ``by_all_sets`` tries all active sets: in three dimensions at most three constraints are active at the
-minimiser. ``least_slack`` relaxes rows if no point meets all of them. The result depends only on the data of
+minimiser. ``least_slack`` relaxes constraints if no point meets all. The result depends only on the data of
 this tick, and OSQP shares no code with this module.
 """
 
@@ -45,18 +45,18 @@ class Row(NamedTuple):
     bound_m_s: float  # bound b of the constraint
 
     def missing_m_s(self, u: Vec3) -> float:
-        """Return the violation of the row by a velocity, m/s; it is not positive if the row is met."""
+        """Return the violation of the constraint by a velocity, m/s; it is not positive if it is met."""
         return self.bound_m_s - (self.g[0] * u[0] + self.g[1] * u[1] + self.g[2] * u[2])
 
 
-Nearest = tuple[Vec3, tuple[float, ...]]  # minimiser, m/s; one multiplier for each row, 0 for inactive rows
+Nearest = tuple[Vec3, tuple[float, ...]]  # minimiser, m/s; one multiplier for each ``Row``, 0 if inactive
 
 
 class Found(NamedTuple):
     """The minimiser, or constraints that no velocity meets together."""
 
     point: Vec3 | None  # minimiser, m/s; ``None``: no point meets all constraints
-    # multipliers of the rows, in the order of the input; if point is None: multipliers of contradictory
+    # multipliers, in the order of the input; if point is None: multipliers of contradictory
     # constraints, whose gradients times these multipliers sum to 0
     multipliers: tuple[float, ...]
     lacking_m_s: float = 0.0  # violation of the contradictory constraints if point is None
@@ -68,7 +68,7 @@ def by_active_set(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) 
     normals, bounds, lengths = [], [], []
     for (gx, gy, gz), bound in rows:
         length = math.sqrt(gx * gx + gy * gy + gz * gz)
-        if not length > _LEAST_LENGTH:  # without a gradient, either all velocities meet the row or none
+        if not length > _LEAST_LENGTH:  # no gradient: either all velocities meet the constraint or none
             gx = gy = gz = 0.0
             length = 1.0
         lengths.append(length)
@@ -185,7 +185,7 @@ def _impossible(
 
 
 def by_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    """Return the minimiser of the program, or ``None`` if no point of the box meets all rows."""
+    """Return the minimiser of the program, or ``None`` if no point of the box meets all constraints."""
     point = clip_to_box(nominal, lower, upper)
     missed = [k for k, row in enumerate(rows) if row.missing_m_s(point) > 0.0]
     if not missed:
@@ -201,7 +201,7 @@ def by_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) ->
 
 @cache
 def _sets(rows: int, size: int) -> Any:
-    """Return the sets of ``size`` rows and sides (rows, lower, upper), without two sides of one axis."""
+    """Return the sets of ``size`` constraints and sides of the box, without two sides of one axis."""
     sides = [(rows + k, rows + 3 + k) for k in range(3)]
     every = combinations(range(rows + 6), size)
     return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
@@ -250,7 +250,7 @@ def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -
 
 
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    """Return minimiser and multipliers, or ``None`` if no point of the box meets all rows."""
+    """Return minimiser and multipliers, or ``None`` if no point of the box meets all constraints."""
     x, y, z = point = clip_to_box(nominal, lower, upper)
     for (gx, gy, gz), bound_m_s in rows:
         if gx * x + gy * y + gz * z < bound_m_s:
@@ -264,7 +264,7 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Return the smallest common slack of the soft rows and a velocity that meets them with it.
+    """Return the smallest common slack of the soft constraints and a velocity that meets them with it.
 
     Each set of contradictory constraints gives a lower bound of the slack. The search is repeated with this
     slack until no such set is left: then the slack is the smallest sufficient one. It is infinite if no slack
@@ -284,7 +284,7 @@ def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Ve
 
 
 def _lowest_vertex(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Return the result of ``least_slack`` if rounding hides the bounds, as with nearly parallel rows.
+    """Return the result of ``least_slack`` if rounding hides the bounds, as with nearly parallel constraints.
 
     It is the lowest vertex of a linear program in four variables; each vertex is the intersection of four
     constraints. The function tries all vertices, which takes some milliseconds.

@@ -1,6 +1,6 @@
-"""Flags of the phase tables, computed from the snapshot of a tick.
+"""Flags of the phase tables, computed from the snapshot of a tick; the functions have no state.
 
-The functions of this module keep no state.
+``landing_flags`` decides on go-arounds: it sets DRIFTED in TOUCHDOWN (``Filter.drifts``, ``_sets_off``).
 """
 
 from __future__ import annotations
@@ -271,7 +271,7 @@ def landing_flags(
 
 @numeric
 def _sets_off(config: FlightConfig, barrier: Barrier, memory: Memory, at: Relative, now_s: float) -> bool:
-    """Whether a slow target has become fast while the vehicle is high enough to climb away and wait again."""
+    """Whether a slow target has become fast, a retry is left, and h is large enough for a climb."""
     if memory.retries >= config.checks.retries_max or barrier.h(at.e_m) < config.retreat.h_left_m:
         return False
     return waits_for_calm(config, memory, at, now_s)

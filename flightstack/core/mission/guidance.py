@@ -106,7 +106,7 @@ def ordinary_velocity(config: FlightConfig, memory: Memory, strategy: Filter, at
 
 
 def _outside(at: Relative, config: FlightConfig) -> Vec3:
-    """Return the velocity to the waiting place outside the cone, in the vehicle's direction from the pad."""
+    """Return the velocity to the waiting point outside the cone, on the vehicle's side of the pad."""
     (x, y, z), d, fleet = at.e_m, at.d_m, config.fleet_or_alone
     side = (x / d, y / d) if d > 1e-6 else (1.0, 0.0)
     e = (x - side[0] * fleet.wait_distance_m, y - side[1] * fleet.wait_distance_m, z - fleet.wait_height_m)

@@ -1,7 +1,8 @@
 """State machine of the mission: timers, condition flags, transitions, kind of abort, end of the flight.
 
 A ``Transition`` is a change of phase; ``parse`` reads its text back from a log. Only ``Mission`` writes the
-phase and its data. The rules are tables (``phases.py``); ``guidance.py`` computes the command of a phase.
+phase and its data, and counts the retries: each change from ``RETRY_FROM`` to ``RETRY_TO`` is a go-around.
+The rules are tables (``phases.py``); ``guidance.py`` computes the command of a phase.
 """
 
 from __future__ import annotations
@@ -261,7 +262,7 @@ class Mission:
             memory.swings += snapshot.permissions.may_land
         if after is Phase.APPROACH and memory.started_s == math.inf:
             memory.started_s = now_s
-        if after is Phase.TOUCHDOWN:  # clear the contact timers of an earlier descent
+        if after is Phase.TOUCHDOWN:  # the contact timers may have values of an earlier descent
             memory.contact_since_s = memory.stopped_since_s = math.inf
             memory.swings = 0
         if after is Phase.LEAVE:  # a new flight starts

@@ -1,11 +1,14 @@
 """Mission as tables: in each phase, the first rule whose conditions hold gives the next phase.
 
 ``conditions.py`` computes the ``Condition`` flags in each tick; a rule fires when all flags of ``when`` and
-none of ``unless`` are set. Nothing else changes a phase: a go-around is the rule of TOUCHDOWN for DRIFTED
-with RETRIES_LEFT. The kinds of abort (``AbortWay``) are parts of phase ABORT with their
-own table: the rules of ``AbortWay.NONE`` choose the kind when an abort starts. No rule leaves ABORT. Phase
-LANDED is left at most once, to free the pad for another fleet member; for another flight the operator starts
-a new process.
+none of ``unless`` are set. Nothing else changes a phase.
+
+A go-around is a change to APPROACH or TAKEOFF that uses a retry: from TOUCHDOWN (DRIFTED), or from HOLD or
+CLIMB (RECOVERED). LAND -> APPROACH is no go-around: the vehicle left the cone, and SWINGS limits how often.
+
+The kinds of abort (``AbortWay``) have their own table: the rules of ``AbortWay.NONE`` choose the kind when an
+abort starts. No rule leaves ABORT. Phase LANDED is left at most once, to free the pad for another fleet
+member; for another flight the operator starts a new process.
 """
 
 from __future__ import annotations
@@ -45,8 +48,8 @@ class Condition(IntEnum):
     PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase is over
     LANDING_TIME_OVER = 1 << 19
     COMMAND_FAILED = 1 << 20  # the vehicle has refused a command, also after repetitions
-    # the vehicle is about to leave the corridor above the pad while above the cone (Filter.drifts), or the
-    # target has become fast again with height left to climb away
+    # in TOUCHDOWN, with enough h to climb away: the vehicle is about to leave the corridor above the pad
+    # (``Filter.drifts``), or a slow target has become fast (``conditions.py``)
     DRIFTED = 1 << 21
     NOT_FOLLOWING = 1 << 22  # the vehicle does not follow the commanded velocity
     TIRED = 1 << 23  # the battery is too low to start a landing or to go around

@@ -51,8 +51,9 @@ from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, V
 class Filter:
     """Base class of a safety filter, which changes the nominal velocity of a tick if it is not safe.
 
-    Velocities are ENU, m/s; positions ENU, m. A filter may store data from tick to tick only in ``motion``,
-    ``tracking``, ``own`` and ``late``: they are written into the log, and a replay restores them.
+    Velocities are ENU, m/s; positions ENU, m. A filter may store data for later ticks only in ``state`` and,
+    as the package's filters do, in ``motion``, ``tracking``, ``own`` and ``late``. A log contains these five
+    attributes, and a replay restores them.
 
     Args:
         config: configuration of the flight.
@@ -60,7 +61,7 @@ class Filter:
 
     Attributes:
         State: class of ``state``, a dataclass whose fields have defaults and are numbers, texts, tuples or
-        dataclasses. ``filter`` may store data in it between ticks; a log contains it, a replay restores it.
+        dataclasses; None: ``state`` is None.
         certificate: ``MODULE:NAME`` of the function that returns the checks of a configuration
         (``FlightConfig -> list[Check]``, flightstack/verify). It covers this class only: a subclass does not
         inherit it, and has no certificate until it names its own.
@@ -281,7 +282,7 @@ class Filter:
         return False
 
     def drifts(self, at: Relative) -> bool:
-        """Whether the touchdown will miss the pad while the vehicle is high enough to climb away."""
+        """Whether the descent is about to miss the pad and the vehicle can still climb away (go-around)."""
         return False
 
     def setpoint(

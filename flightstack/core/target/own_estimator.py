@@ -1,6 +1,6 @@
 """Estimate of the vehicle state from delayed positions and velocities with errors.
 
-An onboard estimate from late positions reports velocities with two errors: one changes within a fraction of a
+The onboard estimate uses late positions, so its velocity has two errors: one changes within a fraction of a
 second, the other is a fraction of the speed for a whole flight (docs/how_it_works/own_state.md). The
 vehicle's velocity loop controls the reported velocity. Each horizontal axis has the position p, the velocity
 v, the acceleration a of the loop, the error e of the reported velocity, and the acceleration f of gusts and
@@ -11,7 +11,7 @@ With velocity feedback, which needs the same model, the equations are:
 
 p and v + e are measured. A steady Kalman filter estimates all five for the time of the measurement, and the
 same model predicts them over the delay with the set-points u that have no effect yet. Without velocity
-feedback the loop may differ from the declared one, and the model would take its faster response for errors.
+feedback the real loop may be faster than the declared one; the model would take that for an error.
 In this case, and always for z, where thrust saturation makes the model wrong, only p and e are estimated:
 
     q' = v - e + 2 w (p - q),      e' = -w^2 (p - q),      w = 1 / T

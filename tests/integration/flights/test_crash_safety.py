@@ -78,7 +78,7 @@ def _look(folder: Path, victim: str, lockstep: bool, killed_s: float) -> Crash:
     assert replayed.code == 0, replayed.out + replayed.err
     topic = OWN_TOPIC[victim]
     last_s = max(m.log_time_ns for m in messages if topic in (None, m.topic)) / NS
-    if lockstep:  # log times are simulated; use the wall time of the last write
+    if lockstep:  # log times are simulated and say nothing about the wall time of the last write
         missing_s = killed_s - written_s if victim == "record" else 0.0
     else:
         missing_s = max(0.0, killed_s - last_s)

@@ -1,4 +1,4 @@
-"""Tests ``flightstack validate`` with a short flight, with whole flights if installed, and with bad input."""
+"""Tests ``flightstack validate``: a short flight, the recorded flights if their folder exists, bad input."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ class Stage(Bench):
         return len(self.velocities()) - before == count
 
     def follows(self, gap_s):
-        """Whether positions have arrived since the mark without a longer gap, and no state was late."""
+        """Whether positions arrived with gaps below ``gap_s`` since the mark, without dropped states."""
         times_s = [t for t in self.times("LOCAL_POSITION_NED") if t > self.mark_s]
         return self.node.late == 0 and max(b - a for a, b in pairwise(times_s)) < float(gap_s)
 

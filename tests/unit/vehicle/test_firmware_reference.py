@@ -127,7 +127,7 @@ def supervisor_port(rows, accelerations):
         now_ms = 1000 + PERIOD_MS * k
         if action == 1:
             assert port.arm(now_ms) is None
-        elif action in (2, 3):  # disarm; in the model a recovery from a crash is also a disarm
+        elif action in (2, 3):  # 2: disarm; 3: recovery from a crash, which the model does by a disarm
             port.disarm(now_ms)
         supervise(port.record, now_ms, age_ms, bool(motors), *accelerations[accel].tolist())
         states.append(port.state)

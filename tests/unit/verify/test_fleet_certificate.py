@@ -1,4 +1,4 @@
-"""Compares the proof for fleets with random motions and rows, and tests each limit from both sides."""
+"""Compares the proof for fleets with random motions and constraints; tests each limit from both sides."""
 
 import json
 import math
@@ -73,8 +73,10 @@ def test_each_limit_from_both_sides(name, passes, fails, more):
 
 
 def closest_m(rate_1_s, lag_s, seed, root_1_s):
-    """Return the lowest h of two vehicles on collision course, each with half a row, with first-order
-    loops."""
+    """Return the lowest h while two vehicles fly towards each other; inf: the start is not admissible.
+
+    Each vehicle takes half of the pair's constraint, and each velocity loop is of first order.
+    """
     rng = np.random.default_rng(seed)
     p = [rng.uniform(-1.5, 1.5, 3) for _ in range(2)]
     p[1][2] *= 0.3
@@ -117,7 +119,7 @@ def landing_row(slope, bearing, pad):
 
 
 def neighbour_row(away, h_m, speed_m_s):
-    """Return the row of a neighbour opposite to ``away``, which approaches the vehicle directly."""
+    """Return the constraint of a neighbour at -``away`` from the vehicle, which flies towards it."""
     _, g = barrier(away, 0.25, 0.75)
     length = math.hypot(*g)
     return Row(g, speed_m_s * length + CROWD.growth_m_s - CONFIG.fleet.rate_1_s * h_m)

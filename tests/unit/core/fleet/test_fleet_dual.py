@@ -67,7 +67,7 @@ def test_a_program_that_the_active_set_method_does_not_confirm_is_solved_by_all_
     assert solution.nearest(*IN_FLIGHT) == solution.by_all_sets(*IN_FLIGHT)
     found = FleetProgram().solve(nominal, made[:1], made[1:], lower, upper)
     assert found.filter.status.name in ("SOLVED", "CLOSED_FORM")
-    assert found.given_m_s == 0.0  # no row of a neighbour is relaxed
+    assert found.given_m_s == 0.0  # no neighbour's constraint is relaxed
     assert max(row.missing_m_s(found.filter.velocity_enu_m_s) for row in made) <= 1e-6
 
 

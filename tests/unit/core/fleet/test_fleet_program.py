@@ -57,21 +57,21 @@ def least_by_scipy(soft, firm, lower, upper):
 
 
 def met_nowhere(found, lower, upper):
-    """Return whether no point of the box fulfils the rows within the solver's error."""
+    """Return whether no point of the box meets all constraints within the solver's error."""
     more = [row._replace(bound_m_s=row.bound_m_s + AGREES_M_S) for row in found]
     return least_by_scipy(more, [], lower, upper) > 0.0
 
 
-# three rows whose common corner moves by ten million times the shift of one row
+# three constraints; a shift of one moves their common corner by ten million times the shift
 FLAT = [
     Row((-0.9899924966004384, 0.14112000805986621, 1.192092896e-07), 0.0),
     Row((1.0, 0.0, 0.0), 0.0),
     Row((0.5403023058681398, -0.8414709848078965, 0.0), 0.0),
 ]
 UNIT_BOX = ((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
-# a row that the best corner of the box violates by rounding
+# a constraint that the best corner of the box violates by rounding
 ROUNDED, BESIDE = Row((1.0, -2.220446049250313e-16, 0.0), 0.5), ((-0.5, 0.5, -0.5), (0.5, 1.5, 0.5))
-# a row that touches the box only at x = 0; there it requires z >= 0 or, within rounding, nothing
+# a constraint that touches the box only at x = 0; there it requires z >= 0 or, within rounding, nothing
 LEVEL, AGAINST = Row((1.0, 0.0, 4.2e-145), 0.0), ((-0.04, -0.5, -0.5), (0.0, 0.5, 0.5))
 
 
@@ -89,7 +89,7 @@ def test_the_exact_solution_is_that_of_scipy(nominal, found, box):
     assert slack <= 2e-9
     point, multipliers = exact
     assert missing(found, lower, upper, point) <= 1e-8
-    # optimality: active rows and bounds balance the gradient
+    # optimality: the gradients of active constraints and sides balance the objective's gradient
     rest = [n - p for n, p in zip(nominal, point, strict=True)]
     for row, multiplier in zip(found, multipliers, strict=True):
         assert multiplier >= 0.0
@@ -160,7 +160,7 @@ def test_without_a_place_for_all_the_neighbours_share_the_slack_evenly():
 def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
     firm, soft, box = Row((0.0, 0.0, 1.0), 2.0), Row((1.0, 0.0, 0.0), 2.0), ((-1.0,) * 3, (1.0,) * 3)
     assert least_slack([firm], [soft], *box)[0] == math.inf
-    # if rounding violates the row, the corner that raises h fastest is flown
+    # if rounding violates the firm constraint, the corner that raises h fastest is flown
     monkeypatch.setattr(program_module, "least_slack", lambda *_: (math.inf, (0.0, 0.0, 0.0)))
     found = PROGRAM.solve((0.0, 0.0, 0.0), [Row((0.0, 0.0, 1.0), 0.5)], [soft], *box)
     assert found.filter.velocity_enu_m_s[2] == 1.0
@@ -194,7 +194,7 @@ def test_velocity_out_of_the_cone_grows_by_half_of_what_the_rate_allows(d_m, azi
         return sum(g * (t - v) for g, t, v in zip(gradient[:2], target, velocity, strict=False))
 
     row = CONE.outward(h_m, gradient, before, target)
-    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # velocity component that satisfies the row
+    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # velocity component that meets the constraint
     grows_m_s = OUTWARD_PART * CONE.period_s * CONE.rate_1_s * h_m / CONE.lag_s
     assert row.g == (*gradient[:2], 0.0)
     assert math.isclose(most_m_s, max(0.0, lowers_m_s(before)) + grows_m_s, abs_tol=1e-9)

@@ -212,4 +212,4 @@ def test_too_slow_a_line_is_refused_with_the_numbers(age_s, baud, enough):
     assert f"checks.own_age_max_s = {age_s:g} s" in text
     assert f"carries {baud / 10:.0f} B/s" in text
     assert f"set the line to {enough} baud or more" in text
-    plan(enough, 100.0, age_s)  # the named baud rate is accepted
+    plan(enough, 100.0, age_s)  # the baud rate that the message recommends is fast enough

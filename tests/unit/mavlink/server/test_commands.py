@@ -76,7 +76,7 @@ def test_a_command_that_comes_again_changes_nothing_and_is_answered_alike(
                 assert again == [DENIED]  # PX4 terminates only an armed vehicle
             else:
                 assert again == result, params
-            if number != 246:  # a second restart is executed again
+            if number != 246:  # a restart: the second one also changes the vehicle
                 assert later == after, params
 
 
