@@ -33,7 +33,6 @@ from flightstack.core.types import Phase
 from flightstack.onboard.recording import end_recorder, start_recorder
 from flightstack.watch import REFRESH_HZ, LiveView, Watch
 
-NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
 # maximum wall time from the end of the onboard process to the end of the autopilot's landing, s
 LAND_ALONE_MAX_S = COMPANION_SILENT_S + 100.0
@@ -114,7 +113,7 @@ class Launcher:
         self._recorder = start_recorder(self.socket, log)
         self.children.append(self._recorder)
 
-    def view(self, where: str, endpoint: str, config: Path, namespace: str = NAMESPACE) -> None:
+    def view(self, where: str, endpoint: str, config: Path, namespace: str) -> None:
         """Start the 3-D view and wait until it is ready. It only subscribes; the flight never waits for it.
 
         ``where``: value of ``--view``; ``endpoint``, ``config``, ``namespace``: those of the onboard process.

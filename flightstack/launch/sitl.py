@@ -141,7 +141,8 @@ class _Run:
         launcher, options, scenario, vehicles = self._launcher, self._options, self._scenario, self._vehicles
         launcher.record(log)
         if options.view is not None:
-            launcher.view(options.view, vehicles[0].endpoint, vehicles[0].config)
+            first = vehicles[0]
+            launcher.view(options.view, first.endpoint, first.config, first.name)
         self._describe()
         kind = VEHICLES[options.flies]
         flying = kind.start(launcher, options, scenario, self._robots_at)
