@@ -117,7 +117,8 @@ class Room:
         self._pairs = [Pair(i, j) for i, j in combinations(range(1, len(members) + 1), 2)]
         self._team, self._inside = Team(shapes), [False] * len(self._pairs)
         self._before, self._flew = self._states(), self._flying()
-        for one, other in overlapping(shapes, self._before[:, :3]):
+        # a single vehicle has no pair, and needs no compiled code for pairs
+        for one, other in overlapping(shapes, self._before[:, :3]) if self._pairs else ():
             place = ", ".join(f"{each:.2f}" for each in members[one].vehicle.body()[:3])
             raise ValueError(
                 f"{members[one].name} and {members[other].name} begin inside each other, at ({place}) m; "
