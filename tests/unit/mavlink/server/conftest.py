@@ -36,6 +36,18 @@ def prepared(user: str, situation: str) -> Served:
     return made
 
 
+VIEWS = ("due_s", "voltage_v", "throttle")  # fields of the record of the watches that have a view
+
+
+def copied(made: Served) -> Served:
+    """Return a copy of a vehicle; the views of the autopilot's record are views of the copy's record."""
+    memo, watches = {}, getattr(getattr(made.server, "flight", None), "watches", None)
+    if watches is not None:
+        memo[id(watches.cell)] = record = watches.cell.copy()
+        memo |= {id(getattr(watches, f"_{name}")): record[name].data for name in VIEWS}
+    return copy.deepcopy(made, memo)
+
+
 @pytest.fixture(params=USERS)
 def user(request) -> str:
     return request.param
@@ -46,7 +58,7 @@ def fresh(user):
     """Return a vehicle of the server in a situation: ``disarmed``, ``homed``, ``fly`` or ``offboard``."""
 
     def make(situation: str) -> Served:
-        return copy.deepcopy(prepared(user, situation))
+        return copied(prepared(user, situation))
 
     return make
 
