@@ -99,7 +99,7 @@ class ConeFilter(fs.Filter):
         return Projection(self.rate_1_s)
 
     def may_touch(self, at: Relative) -> bool:
-        """Return whether the vehicle is low, over the pad and above the cone."""
+        """Whether the vehicle is low, over the pad and above the cone."""
         touchdown = self._config.touchdown
         low = at.e_m[2] < touchdown.height_m and at.d_m <= touchdown.pad_radius_m
         return low and self._cone.h(at.e_m) >= 0.0

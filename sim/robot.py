@@ -259,7 +259,7 @@ class TargetModel:
         if spec.path is PathKind.FIGURE_OF_EIGHT and self.turn_rate_rad_s:
             m.phase_s, m.period_s = 0.0, 2.0 * math.pi / abs(self.turn_rate_rad_s)
         self._course = course(spec, self.speed_m_s, self.turn_rate_rad_s)
-        if self._course is not None:  # the course commands speed and turn rate directly
+        if self._course is not None:  # a course: it commands speed and turn rate directly
             m.speed = m.turn_rate = 1.0
         m.speed_max, m.turn_rate_max = spec.speed_max_m_s, spec.turn_rate_max_rad_s
         m.accel_max = spec.acceleration_max_m_s2

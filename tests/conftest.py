@@ -129,7 +129,7 @@ def _deal_out(items: list[pytest.Item]) -> None:
 
 
 def _marked(item: pytest.Item, name: str) -> bool:
-    """Return whether a test has this marker; ``keywords`` cannot be used, as it contains parameter values."""
+    """Whether a test has this marker; ``keywords`` cannot be used, as it contains parameter values."""
     return item.get_closest_marker(name) is not None
 
 

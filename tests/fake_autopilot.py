@@ -89,7 +89,7 @@ class FakeAutopilot:
             self.origin = True
             return [dialect.MAVLink_gps_global_origin_message(m.latitude, m.longitude, m.altitude)]
         if kind == "SET_POSITION_TARGET_LOCAL_NED" and self.mode == GUIDED:
-            self._wanted, self._climb_to_m = [m.vx, m.vy, m.vz], None  # ends the take-off
+            self._wanted, self._climb_to_m = [m.vx, m.vy, m.vz], None  # a set-point ends the take-off
             self._until_s = self.now_s + self._parameters["GUID_TIMEOUT"]
         return []
 
@@ -140,7 +140,7 @@ class Served:
         self._thread.start()
 
     def _run(self):
-        begin_s = None  # time of the first message; until then nobody receives the heartbeats
+        begin_s = None  # time of the first message; no client receives earlier heartbeats
         while not self._over.is_set():
             if begin_s is not None:
                 self.endpoint.send(self.step(time.monotonic() - begin_s))

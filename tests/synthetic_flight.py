@@ -1,4 +1,4 @@
-"""Makes rows of a log of a synthetic landing: a point mass with lag, a turning pad, the exact projection.
+"""Makes the log rows of a synthetic landing: a point mass with lag, a turning pad, the exact projection.
 
 Tests change the rows and write them as a real log; this module does not judge the flight.
 """

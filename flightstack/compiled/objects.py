@@ -115,7 +115,7 @@ else:
     def _register(made: Any, cls: type) -> None:
         for name in dir(cls):
             one = getattr(cls, name)
-            if name.startswith("__") or name in fields_of(cls):  # skips properties named like a field
+            if name.startswith("__") or name in fields_of(cls):  # a property may have a field's name
                 continue
             if isinstance(one, property):
                 overload_attribute(made, name, strict=False)(_chooser(one.fget))

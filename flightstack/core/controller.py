@@ -207,7 +207,7 @@ class Controller:
                 if self.track.stepped_s:
                     by = f"{self.track.stepped_s:+.2f} s"
                     events.append(Event(WARN, f"target: its sender's clock was set by {by}, or began anew"))
-            elif not count & (count - 1):  # the event is sent when the count doubles, not for every sample
+            elif not count & (count - 1):  # the count is a power of two: fewer events than samples
                 so_far = f" ({count} refused so far)" if count > 1 else ""
                 events.append(Event(WARN, f"target sample refused: {verdict.text}{so_far}"))
         return events
@@ -317,6 +317,6 @@ class Controller:
         return self._fleet.message(self.memory, own, seen.inputs.status, base, seen.target, now_s)
 
     def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
-        """Return whether the flight is over; a fleet member continues until all other members are down."""
+        """Whether the flight is over; a fleet member continues until all other members are down."""
         over = self._mission.finished(status, now_s)
         return over and self._fleet.over(now_s - self.memory.phase_since_s, now_s)

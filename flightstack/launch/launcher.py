@@ -149,7 +149,7 @@ class Launcher:
         problem = self._watch(flights, title, limit_s, teller)
         wall_s = time.monotonic() - started_s
         self.end_all()
-        if problem is None and self._recorder is not None:  # the recorder may end after the flight
+        if problem is None and self._recorder is not None:  # only now may the recorder end
             problem = end_recorder(self._recorder)
         return problem, wall_s
 

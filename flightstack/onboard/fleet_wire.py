@@ -123,7 +123,7 @@ class OtherClock:
         """
         ahead_ns, before_ns = arrival_ns - stamp_ns, self.ahead_ns(arrival_ns)
         self._ahead = Least(ahead_ns if before_ns is None else min(ahead_ns, before_ns), arrival_ns)
-        if echo_ns is not None:  # the other process already reports its minimum
+        if echo_ns is not None:  # None: the other process has not yet reported a minimum
             self._echo = Least(echo_ns, arrival_ns)
         offset = self.offset(arrival_ns)
         if offset is None or offset.bound_ns >= 0:
@@ -300,7 +300,7 @@ class FleetWire(NoFleet):
             return None
         if not row.claims:
             member.claim_ns, member.claim_s = None, math.nan
-        elif row.claim_ns != member.claim_ns:  # once per claim, so that its bits do not change
+        elif row.claim_ns != member.claim_ns:  # a new claim, converted once, so that its bits do not change
             member.claim_ns = row.claim_ns
             member.claim_s = (row.claim_ns + offset.ns - self._epoch_ns) / 1e9
         stamp_s = (row.stamp_ns + offset.ns - self._epoch_ns) / 1e9

@@ -73,7 +73,7 @@ class VehicleTicks(LinkedVehicle):
                 return self._clock.tick(sim_ns)
             if sim_ns is not None:
                 link.endpoint.repeat(self.reply)
-            if silence is None:  # usually the request has already arrived, and the time-out is not needed
+            if silence is None:  # not needed before: usually the request has already arrived
                 silence = Silence()
             waited_s = silence.look()
             if self._stopped() or waited_s > most_s:
@@ -155,7 +155,7 @@ class LockstepWires(VehicleTicks):
         return released
 
     def _complete(self, tick: int) -> bool:
-        """Return whether the marker of this tick and all samples that it counts have arrived."""
+        """Whether the marker of this tick and all samples that it counts have arrived."""
         for sample in zenoh_link.drain(self._markers):
             number, count = PAIR.unpack(sample.payload.to_bytes())
             self._counts[number] = count

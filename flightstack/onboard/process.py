@@ -218,7 +218,7 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
             say(text)
         say("ready")
         sys.stdout.flush()
-        if not options.lockstep:  # only the simulator uses lockstep, and its parameters are known
+        if not options.lockstep:  # in lockstep the vehicle is simulated, with known parameters
             ended = _preflight(onboard, signals)
             if ended is not None:
                 return ended

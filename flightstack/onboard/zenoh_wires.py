@@ -62,7 +62,7 @@ class ZenohWires:
         self._sessions = [self.session]
         self._shown: LiveRos2 | None = None
         rate_hz, checks = config.loop.rate_hz, config.checks
-        if (ros2 := options.ros2_where) is not None:  # else a ROS 2 target uses the flight's session
+        if (ros2 := options.ros2_where) is not None:  # None: a ROS 2 target uses the flight's session
             self._sessions.append(open_network(ros2, options.ros_domain))
             self._alarms.append(ConnectionAlarm(self._sessions[-1], [ros2], zenoh_link.Role.CLIENT))
             self._shown = LiveRos2(self._sessions[-1], options.ros_domain, namespace, rate_hz)

@@ -139,7 +139,7 @@ def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float
 
 
 def _decays(config: FlightConfig, centre: F64, rate_1_s: float, low: float, high: float) -> bool:
-    """Return whether one quadratic function decays at this rate in the whole rectangle of (W, D)."""
+    """Whether one quadratic function decays at this rate in the whole rectangle of (W, D)."""
     # Lyapunov function: the sum of squares of the modes at the centre
     modes = np.linalg.inv(np.linalg.eig(centre).eigenvectors)
     shape: F64 = (modes.conj().T @ modes).real

@@ -1,12 +1,12 @@
 """Checks of a configuration with a table [fleet], and of all members together (docs/how_it_works/fleet.md).
 
-Landing barrier, box and neighbours' rows (constraints) must have a common feasible velocity. h is the value
-of a neighbour's barrier and g its gradient. The worst row of a neighbour is
+Some velocity must meet the landing barrier, the velocity limits (box) and the neighbours' constraints (rows).
+h is the value of a neighbour's barrier and g its gradient. The worst constraint of a neighbour is
 
     g . u >= |g| w + a t - rate h,
 
 where w is the neighbour's speed and a t the growth of its ellipsoid at the largest latency; this vehicle has
-the whole share, and the neighbour approaches directly. g is a unit vector whose vertical part is multiplied
+the whole share, and the neighbour flies straight to it. g is a unit vector whose vertical part is multiplied
 by k = radius_xy / radius_z. The box is reduced to its horizontal disc, without slew limit.
 """
 
@@ -67,10 +67,10 @@ def errors_m(config: FlightConfig, fleet: Fleet) -> float:
 
 
 def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec3) -> list[Check]:
-    """Return the checks that two vehicles remain apart by their rows.
+    """Return the checks that two vehicles remain apart by their constraints.
 
-    With the distance y = h, velocities that follow the commands by a first-order lag T, and both rows met, T
-    y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
+    If velocities follow the commands with a first-order lag T and both constraints are met, y = h has
+    T y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
     and y remains positive if y' >= -L y, where L is the larger root.
 
     A receiver relies on a message in ticks until ZERO_LATENCIES after it, plus the period of that tick and of
@@ -142,9 +142,9 @@ def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec
 
 
 def _slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, who: str, part: float) -> Check:
-    """Check that within the slew limit a velocity can follow an active row; ``part``: share of the avoidance.
+    """Check that within the slew limit a velocity can follow an active constraint; ``part``: the share taken.
 
-    For an active row g . (u - c) = -rate h: g . u has to grow by rate times the closing speed plus the
+    For an active constraint g . (u - c) = -rate h: g . u has to grow by rate times the closing speed plus the
     acceleration of the other vehicle; the curvature of h reduces this sum. With half of the share only half
     of it is needed. The remaining room is homogeneous in g and concave, so it is smallest along an axis.
     """
@@ -229,7 +229,7 @@ def crowd(config: FlightConfig, fleet: Fleet, shape: Shape, climb_m_s: float) ->
 
 
 def anywhere_m(config: FlightConfig, fleet: Fleet, c: Crowd) -> float:
-    """Return the h above which the rows of any number of neighbours have a common feasible velocity.
+    """Return the h above which the constraints of any number of neighbours have a common feasible velocity.
 
     This velocity is the pad's horizontal velocity with any climb; it meets the landing barrier if h is not
     negative.
@@ -250,7 +250,7 @@ def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
 
 
 def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: float) -> tuple[float, float]:
-    """Return the largest violation of one neighbour's row at h = 0, and the elevation of its g (rad).
+    """Return the largest violation of one neighbour's constraint at h = 0, and the elevation of its g (rad).
 
     ``aside_m_s``: largest horizontal speed of evasion; ``lowest``: smallest elevation of g; -pi / 2 is a
     neighbour directly above a vehicle that has to climb.

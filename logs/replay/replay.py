@@ -186,7 +186,7 @@ class _Run:
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> None: ...
 
     def _begin(self, record: TickRecord, given: TickInputs) -> bool:
-        """Return whether this tick can be replayed; after a snapshot the following tick can be replayed."""
+        """Whether this tick can be replayed; after a snapshot the following tick can be replayed."""
         if given.tick == 0:
             self.result.start = "tick 0"
             self.running = True

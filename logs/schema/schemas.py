@@ -83,7 +83,7 @@ def current_name(name: str) -> str:
 
 
 def same_fields(name: str, text: str) -> bool:
-    """Return whether a type's definition in a log, with all types in it, has the fields of this software."""
+    """Whether a type's definition in a log, with all types in it, has the fields of this software."""
     first, *used = text.split(_SEPARATOR)
     texts = {current_name(name): first}
     for part in used:

@@ -266,7 +266,7 @@ def _vehicle_result(
 
 
 def _any_known(values: Iterable[bool | None]) -> bool | None:
-    """Return whether any value is True; None if no value is True and one is unknown."""
+    """Whether any value is True; None if no value is True and one is unknown."""
     found = set(values)
     return True if True in found else None if None in found else False
 

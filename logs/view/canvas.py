@@ -141,7 +141,7 @@ class Canvas:
         )
 
     def due(self, name: str, period_ns: int, at_ns: int) -> bool:
-        """Return whether this is the first call with this name in the period of ``at_ns``."""
+        """Whether this is the first call with this name in the period of ``at_ns``."""
         slot = at_ns // period_ns
         if self._slots.get(name) == slot:
             return False

@@ -287,7 +287,7 @@ class Flight(Commander):
         self.pilot.stop()
         self._owner = None
         self._was_armed = self._flew = False
-        if self.mode is not FlightMode.OFFBOARD:  # OFFBOARD lasts until its stream ends
+        if self.mode is not FlightMode.OFFBOARD:  # OFFBOARD remains until its stream ends
             self._enter(FlightMode.HOLD, now_s)
         self.failsafe = False
 

@@ -166,7 +166,7 @@ def _values(landing: Landing) -> dict[str, Any]:
 
 
 def _all(values: Iterable[bool | None]) -> bool | None:
-    """Return whether all values are true; None if a value is unknown and no value is false."""
+    """Whether all values are true; None if a value is unknown and no value is false."""
     found = set(values)
     return False if False in found else None if None in found else True
 

@@ -175,7 +175,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
                             break
         except KeyboardInterrupt:
             pass  # the result reports the number of missing rows
-        if todo:  # read the file again: an interrupt may have lost a row of the list
+        if todo:  # landings were flown: an interrupt may have lost a row of the list
             rows.clear()
             rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)
         write_rows(folder / ROWS, rows)

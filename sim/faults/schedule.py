@@ -34,7 +34,7 @@ class Running:
         return bool(self.rng.random() < self.fault.amount)
 
     def paused(self, now_ns: int) -> bool:
-        """Return whether an intermittent fault pauses now; its first period starts with a pause."""
+        """Whether an intermittent fault pauses now; its first period starts with a pause."""
         since_s = (now_ns - self.start_ns) / NS
         return since_s % self.fault.period < self.fault.amount
 
@@ -78,7 +78,7 @@ class Schedule:
         return tuple(self._active)
 
     def waits_for(self, after: After) -> bool:
-        """Return whether a fault waits for this event."""
+        """Whether a fault waits for this event."""
         return any(running.fault.after is after for running in self._waiting)
 
     def refer(self, after: After, now_ns: int) -> None:

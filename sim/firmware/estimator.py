@@ -276,7 +276,7 @@ class Estimator:
         """Start in the steady state in which the corrections balance the accelerometer's bias."""
         sensed, gravity = self.sensed, float(self.record.gravity)
         sensed.position[:], sensed.velocity[:], sensed.quaternion[:] = position, velocity, quaternion
-        if self.record.by_pose:  # this form has no estimate of the bias
+        if self.record.by_pose:  # the filter by poses does not estimate the bias
             return
         a, b, c = accel_bias
         bx, by, bz = (axes[i] * a + axes[3 + i] * b + axes[6 + i] * c for i in range(3))

@@ -50,7 +50,7 @@ class FirmwareRecord(Record):
 
 @jitted
 def running(commands: F64) -> bool:
-    """Return whether any motor has a speed command."""
+    """Whether any motor has a speed command."""
     return bool(commands[0] != 0.0 or commands[1] != 0.0 or commands[2] != 0.0 or commands[3] != 0.0)
 
 

@@ -114,13 +114,13 @@ def enter(s: SupervisorRecord, state: int, now_ms: int) -> None:
 
 @jitted
 def flies(s: SupervisorRecord) -> bool:
-    """Return whether the supervisor considers the vehicle flying (supervisor.c: isFlying)."""
+    """Whether the supervisor considers the vehicle flying (supervisor.c: isFlying)."""
     return s.state == _IN_FLIGHT or s.state == _LEVEL_OUT
 
 
 @jitted
 def tumbled(s: SupervisorRecord, now_ms: int, ax: float, ay: float, az: float) -> bool:
-    """Return whether the vehicle is inverted or tilted for too long (supervisor.c: isTumbledCheck)."""
+    """Whether the vehicle is inverted or tilted for too long (supervisor.c: isTumbledCheck)."""
     if abs(ax) < FREE_FALL_G and abs(ay) < FREE_FALL_G and abs(az) < FREE_FALL_G:
         s.tilted_since_ms = _UPRIGHT
     if az >= TUMBLE_TILTED_G:

@@ -203,7 +203,7 @@ def set_jet(d: DownwashRecord, thrust_n: float, position: F64, axes: Nine, jet: 
 
 @jitted
 def reaches(jets: F64, number: int, x: float, y: float, z: float, radius_m: float) -> bool:
-    """Return whether a jet reaches any point within a radius around a position; inputs as in ``add_jet``."""
+    """Whether a jet reaches any point within a radius around a position; inputs as in ``add_jet``."""
     jet = jets[number]
     x, y, z = x - jet[0], y - jet[1], z - jet[2]
     along = x * jet[3] + y * jet[4] + z * jet[5] + radius_m

@@ -139,14 +139,14 @@ class Losses:
         return self._link.loss > 0.0 or self._drop_start_ns != NEVER_NS
 
     def lost(self, measured_ns: int) -> bool:
-        """Return whether the next sample is lost; call this once for each sample, in order."""
+        """Whether the next sample is lost; call this once for each sample, in order."""
         while measured_ns >= self._drop_end_ns:
             self._draw_dropout(self._drop_end_ns)
         by_chance = self._link.loss > 0.0 and self._chance() < self._link.loss
         return by_chance or measured_ns >= self._drop_start_ns
 
     def _chance(self) -> float:
-        if self._drop_start_ns != NEVER_NS:  # drop-outs use the same random stream in between
+        if self._drop_start_ns != NEVER_NS:  # drop-outs also use this random stream: no block is drawn
             return float(self._rng.random())
         if not self._chances:
             self._chances = self._rng.random(BLOCK)[::-1].tolist()

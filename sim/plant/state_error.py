@@ -77,7 +77,7 @@ def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None
     lead_s = max(0.0, -row[DELAY])
     for i in range(3):
         late[i] += velocity[i] * lead_s + row[POSITION + i]
-        if row[VELOCITY_DELAY] < 0.0:  # extrapolate from the last change; a derivative jumps at an impact
+        if row[VELOCITY_DELAY] < 0.0:  # extrapolation from the last change: a derivative jumps at an impact
             late[3 + i] = 2.0 * velocity[i] - late[3 + i]
     speed = math.sqrt(late[3] * late[3] + late[4] * late[4])
     x, y = 1.0, 0.0

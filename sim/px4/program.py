@@ -116,7 +116,7 @@ class InstanceClaim:
 
 
 def _instance_runs(number: int) -> bool:
-    """Return whether a PX4 with this instance number runs; it has a lock file."""
+    """Whether a PX4 with this instance number runs; it has a lock file."""
     lock = Path(f"/tmp/px4_lock-{number}")  # src: PX4 platforms/posix/src/px4/common/main.cpp
     if not lock.exists():
         return False

@@ -62,7 +62,7 @@ class Lockstep:
         self._before_us = self.newest_us
 
     def take(self, answer: Answer) -> bool:
-        """Return whether this answers the last HIL_SENSOR, so that the simulation may step."""
+        """Whether this answers the last HIL_SENSOR, so that the simulation may step."""
         if not answer.lockstep:
             raise NoLockstepError(
                 "PX4's HIL_ACTUATOR_CONTROLS has no lockstep flag: it was built without lockstep; "

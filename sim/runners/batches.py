@@ -47,12 +47,12 @@ ASKING = (Phase.APPROACH, Phase.LAND)  # phases in which an agent chooses the no
 
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
-    """Return whether a landing can fly in batches: compiled code, no faults, supported configuration."""
+    """Whether a landing can fly in batches: compiled code, no faults, supported configuration."""
     return not is_off() and node.vehicle.faults.quiet and suits(controller.config) and hypot_is_known()
 
 
 def suits(config: FlightConfig) -> bool:
-    """Return whether compiled kernel and simulated link support everything that a configuration uses."""
+    """Whether compiled kernel and simulated link support everything that a configuration uses."""
     return (
         core.suits_but_filter(config)
         and compiled_as(strategy_class(config.filter)) is not None
@@ -176,7 +176,7 @@ class Batches:
         messages = node.autopilot.brief(now_s, self._heeded)
         if messages is None:
             return False
-        if self._reserve.active:  # power reports need the attitude of this tick
+        if self._reserve.active:  # an active reserve needs the attitude of this tick
             roll_rad, pitch_rad, _ = euler_from_quaternion(
                 ned_frd_from_enu_flu(node.vehicle.estimate().quaternion)
             )
@@ -311,7 +311,7 @@ class Batches:
         return True
 
     def _goes_on(self, flies: bool) -> bool:
-        """Return whether mode, arming and ground contact are the same as in the batch."""
+        """Whether mode, arming and ground contact are the same as in the batch."""
         flight, vehicle = self._node.autopilot.flight, self._node.vehicle
         mode = flight.mode is FlightMode.OFFBOARD or not flies
         return mode and vehicle.armed == flies and flight.standing != flies and flight.ground.settled

@@ -140,7 +140,7 @@ class Companion:
         return self._notes.seen()
 
     def _answer(self) -> None:
-        if self._over:  # the vehicle's process records one more true state after the last step
+        if self._over:  # the last step was flown, and one more true state recorded
             self._stop.ask()
             self.outputs = None
         else:

@@ -44,7 +44,7 @@ class FleetEnd(Protocol):
 
     @property
     def left(self) -> bool:
-        """Return whether the companion has ended before this tick."""
+        """Whether the companion has ended before this tick."""
 
     def take(self, silence: Silence, stop: Stop) -> Any:
         """Return the companion's message of this tick, or None."""
@@ -255,7 +255,7 @@ class LockstepVehicle:
             self.node.wire.send(replies, (received.peer,), now_ns)
 
     def _is_answer(self, received: Received, now_ns: int) -> bool:
-        """Return whether a message answers the current tick; an old answer only shows a live companion."""
+        """Whether a message answers the current tick; an old answer only shows a live companion."""
         this_tick: bool = received.message.ts1 == now_ns
         if self._companion is None and this_tick:
             self._companion = received.peer
@@ -321,7 +321,7 @@ class LockstepWorld:
             self._room.write(tick - 1, self._epoch_ns)
 
     def _ended(self) -> bool:
-        """Return whether to end; after a stop request, the answered tick's true state is still logged."""
+        """Whether the run must end; after a stop request, the answered tick's true state is still logged."""
         if self._stop.is_set:
             return all(each.over or not each.answered for each in self._vehicles)
         return self._exchange is not None and all(each.rests for each in self._vehicles)

@@ -189,13 +189,13 @@ class LockstepRobot(PublishedRobot):
         self._drive(until if self._covers(until) else min(until, self._credit + RUN_AHEAD_TICKS))
 
     def _covers(self, tick: int) -> bool:
-        """Return whether the received credit decides if the robot drives at this tick."""
+        """Whether the received credit decides if the robot drives at this tick."""
         for sample in zenoh_link.drain(self._credits):
             data = sample.payload.to_bytes()
             if len(data) == PAIR.size:
                 reached, go_tick = PAIR.unpack(data)
                 self._credit, self._silent = max(self._credit, reached), False
-                if self._go_tick == NO_GO and go_tick >= 0:  # the first reported start applies
+                if self._go_tick == NO_GO and go_tick >= 0:  # the first report of a start
                     self._go_tick = go_tick
         return not self.waits or self._go_tick > NO_GO or tick <= self._credit + RUN_AHEAD_TICKS
 

@@ -85,7 +85,7 @@ class TargetFaults(ScheduledFaults):
         return self._schedule.waits_for(After.LANDING)
 
     def quiet_until(self, until_ns: int) -> bool:
-        """Return whether no fault is active and none starts until ``until_ns``."""
+        """Whether no fault is active and none starts until ``until_ns``."""
         return not self.locked and not self._samples.active and until_ns < self._schedule.next_ns
 
     def landing_began(self, now_ns: int) -> None:

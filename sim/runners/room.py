@@ -193,7 +193,7 @@ class Room:
         return np.array([member.vehicle.body()[:6] for member in self._members])
 
     def _flying(self) -> I64:
-        """Return whether each vehicle flies, (N,): motors running, off the ground and off a pad."""
+        """Whether each vehicle flies, (N,): motors running, off the ground and off a pad."""
         vehicles = [member.vehicle for member in self._members]
         return np.array(
             [each.motors_running and not (each.on_pad or each.on_ground) for each in vehicles], "i8"
@@ -259,7 +259,7 @@ class _Way:
         self._drawn: list[float] = []
 
     def loses(self, tick: int) -> bool:
-        """Return whether the message of a tick is lost.
+        """Whether the message of a tick is lost.
 
         Call it in each tick, so that the random draws do not depend on the messages.
         """

@@ -112,14 +112,14 @@ def _send(p: RulesRecord, inbox: InboxRecord, setpoint: Vec3, now_ms: int) -> No
 
 @jitted
 def _flyable(p: RulesRecord, v: Vec3) -> bool:
-    """Return whether the autopilot forwards this velocity unchanged."""
+    """Whether the autopilot forwards this velocity unchanged."""
     xy, up, down = p.speeds[0], p.speeds[1], p.speeds[2]
     return bool(v[0] * v[0] + v[1] * v[1] <= xy * xy and -down <= v[2] <= up)
 
 
 @jitted
 def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float) -> bool:
-    """Return whether the autopilot has to do more than forward the set-point."""
+    """Whether the autopilot has to do more than forward the set-point."""
     c, f = v.contact, v.firmware
     touches = now_ms - c.pad_ms <= GAP_MS or now_ms - c.ground_ms <= GAP_MS
     return (

@@ -289,11 +289,11 @@ class Physics:
         self._torque_noise.top_up()
 
     def on_pad(self, now_ms: int) -> bool:
-        """Return whether the vehicle touches the pad's top; a gap below 30 ms does not end the contact."""
+        """Whether the vehicle touches the pad's top; a gap below 30 ms does not end the contact."""
         return bool(now_ms - self.pad_ms[0] <= GAP_MS)
 
     def on_ground(self, now_ms: int) -> bool:
-        """Return whether the vehicle touches the floor."""
+        """Whether the vehicle touches the floor."""
         return bool(now_ms - self.ground_ms[0] <= GAP_MS)
 
     def judge_from_here(self) -> None:
@@ -302,7 +302,7 @@ class Physics:
         self._touch_ms[0] = NONE_MS
 
     def airborne(self, now_ms: int) -> bool:
-        """Return whether the vehicle has been without contact for ``AIRBORNE_AFTER_MS``."""
+        """Whether the vehicle has been without contact for ``AIRBORNE_AFTER_MS``."""
         return bool(now_ms - max(self.pad_ms[0], self.ground_ms[0]) > AIRBORNE_AFTER_MS)
 
     def judge_once_airborne(self, now_ms: int) -> None:

@@ -77,7 +77,7 @@ def _change(now: F64, before: F64) -> tuple[float, float]:
 
 @jitted
 def _holds(r: RestRecord, wrench: WrenchRecord, deck: DeckRecord) -> bool:
-    """Return whether friction and weight hold the vehicle with margin; False for NaN."""
+    """Whether friction and weight hold the vehicle with margin; False for NaN."""
     force, torque, down = wrench.force, wrench.torque, -wrench.force[2]
     moved_m, raised_m = _change(deck.position, r.deck_position)
     faster_m_s, rises_m_s = _change(deck.velocity, r.deck_velocity)
@@ -227,7 +227,7 @@ class WorldRecord(Record):
 
 @jitted
 def apart(reach: ReachRecord, body: BodyRecord, deck: DeckRecord) -> bool:
-    """Return whether the vehicle certainly touches neither floor nor robot; False for NaN.
+    """Whether the vehicle certainly touches neither floor nor robot; False for NaN.
 
     ``reach``: bounds of the shapes; ``body``: the vehicle; ``deck``: the pad.
     """
@@ -299,6 +299,6 @@ def physics_step(world: WorldRecord) -> None:
 
 @jitted
 def tumbled(quaternion: Sequence[float] | F64) -> bool:
-    """Return whether the body's z axis is tilted by more than 60 degrees."""
+    """Whether the body's z axis is tilted by more than 60 degrees."""
     x, y = quaternion[1], quaternion[2]
     return bool(x * x + y * y > 0.5 * (1.0 - TUMBLE_COS))  # body z axis: 1 - 2 (x^2 + y^2)

@@ -165,7 +165,7 @@ class Firmware:
             ids = [struct.unpack_from("<H", data, at)[0] for at in range(3, len(data), 3)]
             names = [*self._blocks[number].names, *(self._log_toc.name(i) for i in ids)]
             if sum(struct.calcsize(CODE[LOGS[name]]) for name in names) > 26:
-                return [bytes((command, number, 7))]  # E2BIG, as after a repeated request
+                return [bytes((command, number, 7))]  # errno E2BIG, which a repeated request gets
             self._blocks[number].names = names
         elif command == 3:
             block = self._blocks[number]
@@ -236,7 +236,7 @@ class Firmware:
             self.plant.reset(*(self.params[f"kalman.initial{name}"].value for name in ("X", "Y", "Z", "Yaw")))
         self.plant.know_drag(tuple(param.value if param else 0.0 for param in drag))
 
-    # Set-points
+    # Packets with set-points
 
     def _generic_setpoint(self, data: bytes, now_s: float) -> list[bytes]:
         kind = data[0]

@@ -105,7 +105,7 @@ class Room:
 
 def configured(scenario: Scenario, folder: Path) -> Path:
     """Write a scenario's onboard configuration with a short climb: a lost target never returns here."""
-    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # a short wait for the lost target
+    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # the wait for a lost target is short
     side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     file = folder / "onboard.toml"
     file.write_text(dumps(replace(scenario.onboard, checks=checks, vehicle=side)))

@@ -70,7 +70,7 @@ def faulty(what: What, kind: Kind) -> Scenario:
 
 
 def of_one(landing: Landing) -> dict[str, Any]:
-    """Return the campaign row of a landing, the means of its true states, and its texts."""
+    """Return the campaign row of a landing, the means of its true states, and the texts of its events."""
     row, truth = row_of(landing), landing.seen.truth
     means = {name: rounded(np.abs(np.asarray(getattr(truth, name), float)).mean(axis=0)) for name in COLUMNS}
     found = {name: getattr(row, name) for name in row.__slots__ if name not in OMITTED}

@@ -116,7 +116,7 @@ class Background:
         while more and time.monotonic() < until_s:
             each()
             self._reader.join(0.02)
-            more = self._reader.is_alive()  # checked first: otherwise the last lines could be missed
+            more = self._reader.is_alive()  # read before the lines: otherwise the last lines could be missed
             while self._looked < len(self.lines):
                 self._looked += 1
                 if all(word in self.lines[self._looked - 1] for word in words):

@@ -75,7 +75,7 @@ def killed(child: subprocess.Popen[Any] | Started, within_s: float = PATIENCE_S)
 
 
 def gone(pid: int, within_s: float = PATIENCE_S) -> bool:
-    """Return whether a process has ended, after waiting at most this time."""
+    """Whether a process has ended; the call waits for the end at most this time."""
 
     def ended() -> bool:
         try:

@@ -24,7 +24,7 @@ SERVER.set_forkserver_preload(["tests.processes.loaded"])
 
 
 class Started:
-    """A process with the part of ``subprocess.Popen`` that tests use; its output is read from pipes.
+    """A process with those methods of ``subprocess.Popen`` that tests use; its output is read from pipes.
 
     Args:
         run: function to run, and its arguments.

@@ -146,7 +146,7 @@ def _present(message: MemberStatus | None, now_s: float, fleet: Fleet) -> bool:
 
 
 def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fleet) -> bool:
-    """Return whether a member blocks this vehicle's landing; also update whether this vehicle yields."""
+    """Whether a member blocks this vehicle's landing; the call also updates whether this vehicle yields."""
     message = slot.message
     if message is None:
         return True

@@ -212,7 +212,7 @@ class Mission:
             memory.good_since_s = now_s
         if status is not None and status.armed:
             memory.was_armed = True
-            if status.mode is Mode.EXTERNAL:  # only of an armed vehicle: PX4 keeps this mode after a landing
+            if status.mode is Mode.EXTERNAL:  # a disarmed one is ignored: PX4 keeps this mode after a landing
                 memory.was_external = True
 
     def _stopped(self, at: Relative, now_s: float) -> bool:
@@ -265,7 +265,7 @@ class Mission:
         if after is Phase.TOUCHDOWN:  # the contact timers may have values of an earlier descent
             memory.contact_since_s = memory.stopped_since_s = math.inf
             memory.swings = 0
-        if after is Phase.LEAVE:  # a new flight starts
+        if after is Phase.LEAVE:  # a new take-off follows
             memory.was_armed = memory.was_external = memory.climbed = False
         memory.phase, memory.phase_since_s, memory.reason = after, now_s, why
         if after is Phase.ABORT:

@@ -13,7 +13,7 @@ from typing import Annotated
 from flightstack.common.strict_toml import ConfigError, span
 
 ID_MAX = 250
-OTHERS_MAX = 8  # largest number of other members; each may add a row to the quadratic program
+OTHERS_MAX = 8  # largest number of other members; each may add a constraint to the program
 PART_OF_LAG = 0.25  # largest rate * lag of a first-order loop in which the distance does not overshoot
 # time after its last announcement for which a yielding vehicle takes the whole share, in latencies
 HOLD_LATENCIES = 3.0

@@ -142,7 +142,7 @@ def clipped(point: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3)
 def judged(
     point: Vec3, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3
 ) -> tuple[float, bool]:
-    """Return the slack of the barrier's row at a point, and whether the nominal velocity violates the row."""
+    """Return the slack of the barrier's constraint at a point, and whether the nominal one violates it."""
     (x, y, z), (nx, ny, nz), (gx, gy, gz) = point, nominal, gradient
     (lx, ly, lz), (hx, hy, hz) = lower, upper
     free = gx * min(max(nx, lx), hx) + gy * min(max(ny, ly), hy) + gz * min(max(nz, lz), hz)

@@ -118,14 +118,14 @@ def test_a_companion_that_falls_silent_leaves_a_safe_vehicle(pilot):
 
 
 def safe(pilot) -> bool:
-    """Return whether the vehicle has started its fail-safe and has left the last set-point."""
+    """Whether the vehicle has started its fail-safe and has left the last set-point."""
     if not pilot.status.armed or pilot.status.mode is Mode.LAND:
         return True
     return pilot.limits.lost is Lost.STOPS and speed_m_s(pilot) < pilot.limits.still_m_s
 
 
 def stands(pilot) -> bool:
-    """Return whether the vehicle is on the ground with its motors off."""
+    """Whether the vehicle is on the ground with its motors off."""
     return not pilot.status.armed and pilot.status.landed is Landed.ON_GROUND
 
 

@@ -49,7 +49,7 @@ def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_r
         px4 = room.px4
         assert "Preflight check: OK" in px4.console("commander", "check")
         for name, value in wanted.items():
-            px4.console("param", "compare", name, str(value))  # raises if the value differs
+            px4.console("param", "compare", name, str(value))  # the call fails if the value differs
         said = px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
         place = {words[0]: words[1] for words in map(str.split, said) if len(words) > 1}
         east, north, _ = Px4Plant(scenario, 0).body().position_enu_m
@@ -63,7 +63,7 @@ def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, ins
         wait_for(lambda: "Waiting for simulator" in px4.output.read_text(), "PX4 that waits")
         with pytest.raises(Px4Error, match="Waiting for simulator"):
             px4.wait_ready(1.0)
-        os.killpg(px4.process.pid, signal.SIGSTOP)  # also a stopped process must end within the time-out
+        os.killpg(px4.process.pid, signal.SIGSTOP)  # a stopped process must also end within the time-out
         began_s = time.monotonic()
         px4.end()
         assert time.monotonic() - began_s < AT_ONCE_S

@@ -167,7 +167,7 @@ def test_a_cluster_that_loses_a_worker_ends_complete_and_equal(whole, tmp_path):
         file, told = tmp_path / "scheduler.json", {}
 
         def listens():
-            with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):  # not yet, or not yet whole
+            with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):  # no complete file yet
                 told.update(json.loads(file.read_text()))
             return told
 

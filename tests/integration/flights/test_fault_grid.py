@@ -18,7 +18,7 @@ from tests.fault_grid.run import SEED, equal, fly, scenario, undisturbed
 from tests.fault_grid.table import GRID, End, Moment, Part, Way
 
 MAKE_ANEW = "run: python -m tests.benchmarks fault_grid"
-# For each failure, only the first of the moments with the same requirement is flown: its fault lasts longest.
+# For each failure, of all moments with one required outcome only the first is flown: its fault lasts longest.
 FLOWN = {(part, way, GRID[part, way, m]): m for part in Part for way in Way for m in reversed(Moment)}
 CELLS = {(part, way, moment) for (part, way, _), moment in FLOWN.items()}
 GROUPS = sorted({(part, moment) for part, _, moment in CELLS}, key=str)
@@ -48,7 +48,7 @@ def test_the_grid_is_whole():
 
 
 def written(part: Part) -> dict[tuple[str, str], list[str]]:
-    """Return the table rows of a part, split into cells; key: kind of failure and moment."""
+    """Return the table rows of a section, split into cells; key: kind of failure and moment."""
     text = PAGE.read_text().partition(f"\n## {part[0].upper()}{part[1:]}\n")[2].partition("\n## ")[0]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if "|" in line]
     return {(cells[0], cells[1]): cells for cells in rows[2:]}
@@ -81,7 +81,7 @@ def test_ways_to_fail_end_as_demanded_and_as_the_page_says(part, moment):
 
 
 def same(old: list[str], fresh: list[str]) -> bool:
-    """Return whether two rows are equal; numbers are compared with the tolerance."""
+    """Whether two rows are equal; numbers are compared with the tolerance."""
     numbers = range(_FIRST_NUMBER - 1, _FIRST_NUMBER + 2)
     words = [i for i in range(len(fresh)) if i not in numbers]
     if [old[i] for i in words] != [fresh[i] for i in words]:

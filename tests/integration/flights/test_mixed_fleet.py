@@ -103,7 +103,7 @@ def test_three_kinds_hear_each_other_cross_land_and_replay(second, tmp_path):
         messages = log.messages({f"/cf{number}/controller/neighbours"})
         heard = [word for message in messages for word in unpack_neighbours(message.data)]
         assert {word.id for word in heard} == kinds.keys() - {number}
-        assert np.median([word.clock_bound_s for word in heard]) < 0.02  # s: half a tick plus latency
+        assert np.median([word.clock_bound_s for word in heard]) < 0.02  # half a tick plus latency, s
     told = places(log)
     for one, other in itertools.combinations(kinds, 2):
         assert least_rho(told[one], told[other], team.onboard.fleet) > 1.0

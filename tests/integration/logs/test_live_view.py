@@ -91,7 +91,7 @@ def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching)
         row, timing = next(flight)
         puts["controller/step"].put(row.pack())
         puts["loop/timing"].put(timing.pack())
-        time.sleep(0.02)  # sends at the rate of a flight; a slow viewer drops old data
+        time.sleep(0.02)  # this loop sends at the rate of a flight; a slow viewer drops old data
         sizes.add(out.stat().st_size)
         return len(sizes) > 20
 

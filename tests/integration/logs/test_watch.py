@@ -128,7 +128,7 @@ def test_a_sender_that_repeats_itself_is_stale():
         clock.now_s += STALE_S + 1.0
         sender.puts["controller/step"].put(payload)
         sender.puts["loop/timing"].put(landing().timing[5].pack())
-        until(watch, lambda: watch.timings, "nothing came")  # sent last, so the step has arrived
+        until(watch, lambda: watch.timings, "nothing came")  # it is sent last, so the step has arrived
         assert watch.news is News.STALE
         sender.puts["controller/step"].put(step(1).pack())
         until(watch, lambda: watch.news is News.FRESH, "a new step is news")

@@ -51,7 +51,7 @@ def test_a_crazyflie_that_needs_motion_capture_flies_by_a_topic_of_ros_2():
         assert plant.on_surface
         one.send(one.command(400, 1.0))
         assert one.until(is_a("COMMAND_ACK", command=400)).result == 1
-        settled_s = server.now_s + 1.0  # first the supervisor needs time to change its state
+        settled_s = server.now_s + 1.0  # the supervisor needs time to change its state
         wait_for(lambda: server.now_s > settled_s, "time")
         one.send(one.command(400, 1.0))
         wait_for(lambda: started.said("Arming refused: mocap: no pose for"), "the reason")

@@ -50,7 +50,7 @@ class Node:
             self.messages[key.topic].append(decode(key.type_name, sample.payload.to_bytes()))
 
     def has_all_of_the_flight(self):
-        """Return whether all data of the robot have arrived; on a busy machine they are late."""
+        """Whether all data of the robot have arrived; on a busy machine they are late."""
         self.poll()
         own, target = self.messages["/cf1/odom"], self.messages["/cf1/target/odom"]
         return seconds(target[-1]) >= seconds(own[-1])

@@ -206,7 +206,7 @@ def test_a_router_that_is_killed_and_comes_back(at_home):
             child.wait(PATIENCE_S)
             for session in (robot, companion):
                 wait_for(lambda s=session: zenoh_link.transports(s) == 0, "the end of the connection")
-            zenoh_link.drain(heard)  # discards samples in transit
+            zenoh_link.drain(heard)  # samples in transit are discarded
         assert not flows()
         with router_process(endpoint) as (child, _):
             back_s = time.monotonic()

@@ -152,7 +152,7 @@ def test_appended_rows_survive_and_a_cut_line_is_dropped(tmp_path):
 
 
 class Growing(io.StringIO):
-    """File that a campaign writes: one read finds a part of a line, the next read finds the rest."""
+    """File to which a campaign appends: one read ends within a line, the next read returns the rest of it."""
 
     def __init__(self, text, first):
         super().__init__(text[:first])

@@ -145,7 +145,7 @@ def test_a_result_does_not_depend_on_what_was_solved_before():
             BOX,
         )
     again = used.solve(*asked)
-    assert again.velocity_enu_m_s == fresh.velocity_enu_m_s  # equal to the last bit
+    assert again.velocity_enu_m_s == fresh.velocity_enu_m_s  # both results are equal to the last bit
     assert again.iterations == fresh.iterations
 
 

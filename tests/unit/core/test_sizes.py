@@ -17,13 +17,13 @@ from tests.unit.core.mission.test_guidance import BARRIER, PAD, asked
 
 
 def blind(settings):
-    """Return whether a vehicle state of age 0.7 s counts as lost during the touchdown."""
+    """Whether a vehicle state of age 0.7 s counts as lost during the touchdown."""
     memory = Memory(phase=Phase.TOUCHDOWN, own_ok_s=NOW_S - 0.7)
     return "OWN_LOST" in names(tick(settings, e=(0.0, 0.0, 0.03), own_age_s=0.7, memory=memory))
 
 
 def lags(settings):
-    """Return whether a vehicle that does not move is detected within 5 s."""
+    """Whether a vehicle that does not move is detected within 5 s."""
     watch = Plausibility(settings)
     for _ in range(500):
         watch.follow((settings.limits.velocity_max_m_s[0], 0.0, 0.0), ZERO)
@@ -31,7 +31,7 @@ def lags(settings):
 
 
 def drifted_away(settings):
-    """Return whether a position that moves at 0.1 m/s, against its velocity, is detected."""
+    """Whether a position that moves at 0.1 m/s, against its velocity, is detected."""
     watch = Plausibility(settings)
     for n in range(500):
         watch.take(OwnState(0.01 * n, 0.01 * n, (0.001 * n, 0.0, 0.0), ZERO, 0.0))
@@ -39,7 +39,7 @@ def drifted_away(settings):
 
 
 def parted(settings):
-    """Return whether a target that moves at 0.1 m/s, against its velocity, is detected."""
+    """Whether a target that moves at 0.1 m/s, against its velocity, is detected."""
     track = TargetTrack(settings.checks)
     for n in range(500):
         at = TargetSample(0.01 * n, 0.01 * n, "map", "target", (0.001 * n, 0.0, 0.0), ZERO, 0.0, 0.0)

@@ -20,7 +20,7 @@ def team_of(*members: Scenario) -> Scenario:
 
 
 def same(one, other) -> bool:
-    """Return whether two landings are equal bit for bit, except for wall time."""
+    """Whether two landings are equal bit for bit, except for wall time."""
     parts = ((one.seen.truth, other.seen.truth), (one.seen.steps, other.seen.steps))
     numbers = all(
         np.array_equal(getattr(a, f.name), getattr(b, f.name), equal_nan=True)

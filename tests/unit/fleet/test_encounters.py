@@ -146,7 +146,7 @@ def test_nothing_above_and_nothing_far_beside():
 
 
 def test_it_is_of_the_size_of_measurements():
-    """The downwash force agrees with Neural-Swarm (arXiv 2003.02992), figure 3, a 34 g Crazyflie.
+    """The model's downwash force agrees with the one measured by Neural-Swarm (arXiv 2003.02992, figure 3).
 
     Measured were 10, 8, 6 and 4 gram-force at 0.2, 0.3, 0.4 and 0.5 m below the upper vehicle.
     """

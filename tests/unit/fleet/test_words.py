@@ -1,4 +1,4 @@
-"""Tests that messages between members are late or lost independently, and never arrive in the same tick."""
+"""Tests messages between members: they are late or lost independently, and arrive after their tick."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -32,7 +32,7 @@ ANSWERS = {
 
 
 class Parts:
-    """All parts of a runner, with its controller; records the calls. The landing starts at 0.02 s."""
+    """Replaces controller and links of a runner, and records the calls. The landing starts at 0.02 s."""
 
     def __init__(self):
         self.calls, self.memory = [], Memory()

@@ -74,7 +74,7 @@ def circle(t_s):
 @given(delay_s=st.floats(0.0, 0.2), velocity_delay_s=st.floats(0.0, 0.2))
 def test_a_late_state_is_that_of_the_path(delay_s, velocity_delay_s):
     position, velocity = measured(row_of(delay=delay_s, velocity_delay=velocity_delay_s), circle)
-    assert position == pytest.approx(circle(0.59 - delay_s)[0], abs=2e-5)  # linear interpolation
+    assert position == pytest.approx(circle(0.59 - delay_s)[0], abs=2e-5)  # tolerance: linear interpolation
     assert velocity == pytest.approx(circle(0.59 - velocity_delay_s)[1], abs=2e-5)
 
 

@@ -91,7 +91,7 @@ def test_rates_to_the_right_and_nose_up_are_positive_in_frd():
 def test_barometer_shows_the_height(height):
     slow = [r.slow for r in many(body(position=(0.0, 0.0, height)), 2000) if r.slow is not None]
     assert mean([pressure_altitude_m(s.pressure_hpa)] for s in slow)[0] == pytest.approx(height, abs=0.02)
-    assert np.std([s.pressure_altitude_m for s in slow]) == pytest.approx(0.10, abs=0.02)  # m; 1.2 Pa
+    assert np.std([s.pressure_altitude_m for s in slow]) == pytest.approx(0.10, abs=0.02)  # 0.10 m are 1.2 Pa
 
 
 @examples(15)
@@ -153,7 +153,7 @@ def test_shows_the_pose_of_frd_in_ned(position, raw):
     _, m = poses(SOUND, posed(position, tuple(q)), 1)[0]
     assert (m.x, m.y, m.z) == pytest.approx((position[1], position[0], -position[2]))
     assert rotation(m.q) == pytest.approx(NED_OF_ENU @ rotation(q) @ FRD, abs=1e-6)
-    assert (m.frame_id, m.child_frame_id, m.estimator_type) == (1, 12, 2)  # NED, body FRD, vision
+    assert (m.frame_id, m.child_frame_id, m.estimator_type) == (1, 12, 2)  # NED frame, body frame FRD, vision
     assert math.isnan(m.vx)
     assert math.isnan(m.rollspeed)
 

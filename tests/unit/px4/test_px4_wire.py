@@ -84,7 +84,7 @@ def test_hil_sensor_flags_only_what_is_new():
     assert (m.xgyro, m.ygyro, m.zgyro) == pytest.approx((0.1, 0.2, 0.3))
     slow = Slow((0.2, 0.0, 0.4), 1013.0, 2.08, 15.0)
     m = over_the_wire(hil_sensor(124, Readings((0, 0, 0), (0, 0, 0), slow, None)))
-    assert m.fields_updated == 0b1101111111111  # all except differential pressure
+    assert m.fields_updated == 0b1101111111111  # all sensors except differential pressure
     assert (m.xmag, m.zmag, m.abs_pressure, m.pressure_alt, m.temperature) == pytest.approx(
         (0.2, 0.4, 1013.0, 2.08, 15.0)
     )
@@ -95,7 +95,7 @@ def test_hil_gps_in_the_units_of_the_message():
     assert (m.lat, m.lon, m.alt, m.vel, m.vn, m.ve, m.vd) == (473977420, 85455940, 1234, 50, 30, -40, -12)
     assert m.cog == round(math.degrees(math.atan2(-0.4, 0.3)) % 360.0 * 100.0)
     assert m.fix_type >= 3
-    assert m.satellites_visible >= 6  # default of EKF2_REQ_NSATS
+    assert m.satellites_visible >= 6  # PX4's default of EKF2_REQ_NSATS is 6
     assert over_the_wire(hil_gps(9, Fix(0, 0, 0.0, (0.0, 0.01, 0.0)))).cog == 65535
 
 
@@ -120,10 +120,10 @@ def test_answers_are_told_apart_by_px4_s_clock_whether_it_counts_from_the_first_
     for k in range(5):
         lockstep.sent(FIRST_US + k * 4000)  # PX4 is still starting and sends no answers
     assert not lockstep.started
-    assert not lockstep.take(answer(FIRST_US + 3 * 4000 - zero_us))  # the answer to an earlier message
+    assert not lockstep.take(answer(FIRST_US + 3 * 4000 - zero_us))  # it answers an earlier message
     assert lockstep.started
     assert lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))
-    assert not lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))  # a repeated answer
+    assert not lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))  # an answer is accepted only once
     lockstep.sent(FIRST_US + 5 * 4000)
     assert not lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))
     assert not lockstep.take(answer(0))

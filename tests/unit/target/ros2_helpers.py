@@ -83,7 +83,7 @@ def odometry(
 def on_free_ports(text):
     """Return the commands with each named port, 7447 to 14580, replaced by a free one."""
     found = set(re.findall(r":(74\d\d|14\d\d\d)\b", text))
-    free = {port: free_port(udp=port.startswith("14")) for port in found}  # Zenoh uses TCP
+    free = {port: free_port(udp=port.startswith("14")) for port in found}  # ports 74xx use TCP
     return re.sub(r":(74\d\d|14\d\d\d)\b", lambda match: f":{free[match[1]]}", text)
 
 

@@ -83,7 +83,7 @@ def test_default_session_listens_on_loopback_only():
     session = open_session()
     try:
         assert len(listening_addresses()) == len(before) + 1
-        assert set(listening_addresses()) == {"0100007F"}  # the address 127.0.0.1
+        assert set(listening_addresses()) == {"0100007F"}  # the only address is 127.0.0.1
     finally:
         session.close()
 

@@ -17,7 +17,7 @@ from sim.validation.closed_loop import fly
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import scenario
 
-ROOM = replace(load("crazyflie21_room"), torque_noise=TorqueNoiseShape())  # no random torques
+ROOM = replace(load("crazyflie21_room"), torque_noise=TorqueNoiseShape())  # without random torques
 MARKERS_M = 0.04  # height of motion capture's reference above the centre of mass
 GROUND_TICKS, UP_TICKS, TICKS = 100, 500, 2000
 

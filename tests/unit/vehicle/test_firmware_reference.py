@@ -87,7 +87,7 @@ def test_mellinger_attitude_loop():
         assert got[on, 3] == pytest.approx(expected[on, 3], rel=2e-5, abs=1.0)
         assert not got[~on, 3].any()
     assert worst <= ONE_COUNT
-    assert off < 0.01 * d["out"][..., :3].size  # few counts differ, by rounding
+    assert off < 0.01 * d["out"][..., :3].size  # rounding changes a few counts
 
 
 def pid_port(rows):

@@ -128,7 +128,7 @@ def neighbour_row(away, h_m, speed_m_s):
 ANGLE, UNIT = st.floats(-math.pi, math.pi), st.floats(0.0, 1.0)
 AWAY = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda p: math.hypot(*p) > 0.1)
 SLOPE = st.floats(CONFIG.touchdown.pad_radius_m, 5.0).map(lambda d: X.barrier.slope(d))
-CLIMB = st.floats(-1.0, 1.0)  # smallest climb that the filter requires in addition
+CLIMB = st.floats(-1.0, 1.0)  # lower limit of the vertical velocity, which a filter may raise, m/s
 
 
 def pad_of(share_of_speed, angle):

@@ -57,7 +57,7 @@ def least_by_scipy(soft, firm, lower, upper):
 
 
 def met_nowhere(found, lower, upper):
-    """Return whether no point of the box meets all constraints within the solver's error."""
+    """Whether no point of the box meets all constraints within the solver's error."""
     more = [row._replace(bound_m_s=row.bound_m_s + AGREES_M_S) for row in found]
     return least_by_scipy(more, [], lower, upper) > 0.0
 

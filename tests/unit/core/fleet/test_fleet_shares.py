@@ -26,7 +26,7 @@ AFTER = {
     Phase.LAND: (Phase.LAND, Phase.APPROACH, Phase.TOUCHDOWN),
     Phase.TOUCHDOWN: (Phase.TOUCHDOWN, Phase.APPROACH, Phase.LANDED),
     Phase.HOLD: (Phase.HOLD, Phase.APPROACH),
-    Phase.LANDED: (Phase.LANDED, Phase.APPROACH),  # the flight continues
+    Phase.LANDED: (Phase.LANDED, Phase.APPROACH),  # after a landing the next flight starts
 }
 
 

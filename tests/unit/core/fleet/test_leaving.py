@@ -39,7 +39,7 @@ def member(fleet=FLEET, **told):
         (replace(FLEET, frees_pad=False), Phase.LANDED, WAITS, False),
         (FLEET, Phase.LEAVE, WAITS, False),
         (FLEET, Phase.TOUCHDOWN, WAITS, False),
-        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # without a claim: it gave up or landed
+        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # no claim: the other aborted or landed
         (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": (0.3, 0.0, 0.0)}, False),  # claims another pad
         (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": None}, False),
         (FLEET, Phase.LANDED, {**WAITS, "stamp_s": 0.4}, False),  # the other vehicle is silent

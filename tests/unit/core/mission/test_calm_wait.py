@@ -39,7 +39,7 @@ def test_a_vehicle_that_is_on_the_pad_already_stays_there(height_m, waits):
 
 
 def goes_around(height_m=0.6, speed_m_s=0.1, **memory):
-    """Return whether the descent above the centre of a target is aborted."""
+    """Whether the descent above the centre of a target is aborted."""
     moving = (speed_m_s, 0.0, 0.0)
     at = tick(
         CALM, (0.0, 0.0, height_m), target_velocity=moving, velocity=moving,

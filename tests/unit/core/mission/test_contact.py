@@ -24,7 +24,7 @@ ON_PAD = (0.02, 0.0, 0.0144)
 
 
 def contact_after(settings, memory, seconds, **changes):
-    """Return whether contact is detected, with ticks every 10 ms."""
+    """Whether contact is detected, with ticks every 10 ms."""
     for n in range(round(seconds / 0.01) + 1):
         tick(settings, memory=memory, now_s=NOW_S + 0.01 * n, **changes)
     return memory.contact

@@ -165,7 +165,7 @@ def test_flying_clear_is_up_then_away_then_down():
     there, memory = clearing((0.0, -far - 1e-6, 0.1))
     assert there == Command(Request.LAND)
     assert memory.clear
-    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # lands as before
+    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # still lands
     assert clearing((0.0, -far + 1e-6, top))[0].request is Request.EXTERNAL
 
 

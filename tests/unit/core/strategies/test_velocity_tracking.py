@@ -70,7 +70,7 @@ def test_the_limits_hold_whatever_is_measured(made, ticks, most):
 
 @pytest.mark.parametrize("made", [lead, fed_back])
 def test_all_of_its_state_is_its_memory(made):
-    """A copy with the same memory continues bit for bit."""
+    """A copy with equal memory returns the same set-points as the original, bit for bit."""
     references = [tuple(0.2 * math.sin(0.02 * n + axis) for axis in AXES) for n in range(200)]
     plant = Plant(push=(0.1, 0.0, 0.0))
     tracking, _, _ = flown(references[:100], plant, made(delay_s=0.03))

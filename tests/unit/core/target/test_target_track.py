@@ -107,7 +107,7 @@ def test_a_sample_that_was_long_on_its_way_is_late(track):
 
 def test_the_age_counts_from_the_measurement_less_the_shortest_delay(track):
     assert track.at(10.1).age_s == pytest.approx(0.1)
-    slow = later(0.1)._replace(arrival_s=10.1 + 0.05)  # 50 ms more latency than the first sample
+    slow = later(0.1)._replace(arrival_s=10.1 + 0.05)  # this sample has 50 ms more latency than the first one
     track.accept(slow)
     assert track.at(10.15).age_s == pytest.approx(0.05)
 
@@ -185,7 +185,7 @@ def test_surprise_makes_it_less_sure_up_to_the_bound_and_passes():
     estimator, sigma = TargetEstimator(ROUSED), []
     bound = TargetEstimator(replace(STEADY, jerk_xy_m_s3_sqrthz=0.5))
     for n in range(300):
-        x = 0.02 * n * (1.0 if 100 <= n < 150 else 0.0)  # a jump and a jump back
+        x = 0.02 * n * (1.0 if 100 <= n < 150 else 0.0)  # the position jumps, and jumps back
         estimator.update(0.02 * n, (x, 0.0, 0.0), ZERO)
         bound.update(0.02 * n, (x, 0.0, 0.0), ZERO)
         sigma.append(estimator.at(0.02 * n + 0.2).position_sigma_m)

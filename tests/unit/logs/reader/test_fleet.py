@@ -47,7 +47,7 @@ def test_a_member_is_read_as_a_single_flight(fleet):
 
 
 def test_the_members_together_are_the_fleet(fleet):
-    """Every message of a member is in its part only; one pass finds the same flights."""
+    """A message of a member is in that member's flight only; one pass over the log gives equal flights."""
     parts = {member: LogFile(fleet.log, member) for member in MEMBERS}
     counts = {member: sum(1 for _ in part.messages()) for member, part in parts.items()}
     shared = ("/tf", "/tf_static", "/fleet/pairs")

@@ -76,7 +76,7 @@ def counts(log):
 
 
 def same(a, b):
-    """Return whether two messages have equal fields; their classes may come from different decoders."""
+    """Whether two messages have equal fields; their classes may come from different decoders."""
     fields = getattr(b, "__dataclass_fields__", None)
     if fields is not None:
         return all(
@@ -195,7 +195,7 @@ def test_a_log_of_others_is_shown_and_not_obeyed(tmp_path):
     for text in ("<script>alert", "<b onload", "<i>"):
         assert text not in page.replace("<i></i>", "")
     shown = load_flight(log)
-    assert shown.events[-1].text.endswith("<script>alert(1)")  # text is unchanged
+    assert shown.events[-1].text.endswith("<script>alert(1)")  # the text is unchanged
 
 
 @pytest.mark.parametrize("name", ["../../evil", "a/../b", "/a", "<b>", "a b", "x" * 65])

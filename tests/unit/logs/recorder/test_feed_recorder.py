@@ -115,7 +115,7 @@ def test_nonsense_is_counted_and_harms_nobody_else(tmp_path):
         channel = good.channel("/t", schemas.LOOP_TIMING)
         with socket.socket(socket.AF_UNIX) as raw:
             raw.connect(str(recorder.socket))
-            raw.sendall(HEADER.pack(2**32 - 1, 1, 1, 0, 0, 0) + b"x" * 100)  # an impossible length
+            raw.sendall(HEADER.pack(2**32 - 1, 1, 1, 0, 0, 0) + b"x" * 100)  # no record has this length
         with socket.socket(socket.AF_UNIX) as raw:
             raw.connect(str(recorder.socket))
             raw.sendall(
@@ -172,7 +172,7 @@ def test_slow_recorder_never_blocks_real_time_and_drops_are_counted(tmp_path, ve
         except BlockingIOError:
             continue
     messages = [r for r in records if r.kind == Kind.MESSAGE]
-    assert [m.sequence for m in messages] == list(range(len(messages)))  # the oldest records, complete
+    assert [m.sequence for m in messages] == list(range(len(messages)))  # the oldest records are complete
     assert len(messages) + client.dropped == total
     assert f'"dropped": {client.dropped}'.encode() in records[-1].payload
     client.close()

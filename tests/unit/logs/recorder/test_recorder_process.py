@@ -51,7 +51,7 @@ def test_told_to_stop_it_takes_what_is_in_the_sockets(tmp_path):
     process, path, out = start(tmp_path)
     client = Feed.connect(str(path), "onboard", lossless=True)
     channel = client.channel("/t", schemas.LOOP_TIMING)
-    process.send_signal(signal.SIGSTOP)  # so that the records wait in the socket
+    process.send_signal(signal.SIGSTOP)  # the records must wait in the socket
     for i in range(100):
         client.write(channel, i, i, i, timing(i))
     client.flush()

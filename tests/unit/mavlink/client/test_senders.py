@@ -94,7 +94,7 @@ def test_a_vehicle_behind_a_new_port_is_followed_once_the_old_one_is_silent():
     wire = Wire()
     assert wire.beats(armed=True)
     assert not wire.beats(peer=THERE, now_s=SILENT_S, armed=True)
-    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # refused until a heartbeat arrives
+    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # until a heartbeat arrives
     assert wire.beats(peer=THERE, now_s=SILENT_S + 0.1, armed=True)
     assert wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)
     assert not wire.admits(position(), HERE, SILENT_S + 0.2, armed=True)

@@ -227,7 +227,7 @@ def test_long_texts_are_put_together():
     ]
     assert [texts.add(chunk) for chunk in chunks] == [[], [(3, text.strip())]]
     assert texts.add(dialect.MAVLink_statustext_message(6, b"short\x1b[2J", 0, 0)) == [(6, "short [2J")]
-    assert texts.add(dialect.MAVLink_statustext_message(3, b"a" * 50, 7, 0)) == []  # only a part of the text
+    assert texts.add(dialect.MAVLink_statustext_message(3, b"a" * 50, 7, 0)) == []  # the text is incomplete
     assert texts.add(dialect.MAVLink_statustext_message(6, b"next", 0, 0))[0] == (3, "a" * 50 + " ...")
 
 

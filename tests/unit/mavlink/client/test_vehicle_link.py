@@ -195,7 +195,7 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
     assert auto.state.status.mode is Mode.TAKEOFF
     auto.command(Request.EXTERNAL, 4.0)
     assert auto.send_setpoint(still, 4.0)
-    assert auto.state.status.mode is Mode.EXTERNAL  # immediately, because its messages do not change
+    assert auto.state.status.mode is Mode.EXTERNAL  # at once: this vehicle's messages do not change
     shows(5.0, 1)  # on the pad, where set-points still press the vehicle down
     assert auto.send_setpoint(still, 5.0)
     assert auto.state.status.mode is Mode.EXTERNAL

@@ -54,7 +54,7 @@ def hostile(rng: random.Random, id_: int, commands: list[int]):
         message.custom_mode = rng.choice(list(PX4_CODES.values())).custom_mode
     if hasattr(message, "param_id") and rng.random() < 0.8:
         message.param_id = rng.choice(PARAMETERS)
-        message._param_id_raw = message.param_id.encode()  # packing uses this field
+        message._param_id_raw = message.param_id.encode()  # the packing needs this field
         if hasattr(message, "param_type"):
             message.param_type = rng.choice((6, 9))
     return message
@@ -111,7 +111,7 @@ LAND = PX4_CODES[FlightMode.LAND]
 
 
 def asks_to_land(message) -> bool:
-    """Return whether a message is the only request that every sender may make: to land."""
+    """Whether a message is the only request that every sender may make: to land."""
     kind = message.get_type()
     if kind in ("COMMAND_LONG", "COMMAND_INT"):
         codes = (message.param2, message.param3)
