@@ -34,7 +34,7 @@ _LAST_STREAM = 2  # file descriptor of standard error
 START_TIME_MAX_S, START_WORK_MAX_S = 120.0, 1800.0
 _WORKING_S = 0.2  # processor time above which a process counts as computing, s
 _STAT_TIMES = slice(11, 13)  # fields after the name in /proc/PID/stat (proc(5)): user and system time, ticks
-CLI = "flightstack.cli.main"  # module of the command
+CLI = "flightstack.cli.main"  # module of the command-line program
 _WRONG_INPUT = 2  # exit status of every command after wrong input
 # A function between fork and exec could wait without end for locks of the parent's threads (Zenoh).
 # Therefore a small Python program calls the kernel before it executes the child's program.
@@ -128,7 +128,7 @@ class Child:
 
     def yield_to_others(self, steps: int) -> None:
         """Lower the priority of the process, so that it does not delay the flight."""
-        with contextlib.suppress(OSError):  # a failure is harmless
+        with contextlib.suppress(OSError):  # after a failure the priority is unchanged
             os.setpriority(os.PRIO_PROCESS, self.pid, steps)
 
     def wait_ready(self) -> str:

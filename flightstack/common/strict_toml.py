@@ -172,7 +172,7 @@ def from_table(cls: type[T], table: object, where: str = "") -> T:
     except msgspec.ValidationError as error:
         path = re.search(r" - at `\$\.?(.*)`$", str(error))
         at = ".".join(filter(None, (where, path and path[1])))
-        if error.__cause__ is not None:  # raised by a ``__post_init__``
+        if error.__cause__ is not None:  # a ``__post_init__`` raised the cause
             raise ConfigError(f"{at}: {error.__cause__}" if at else str(error.__cause__)) from None
         kind, found = places[at]
         raise ConfigError(f"{at or cls.__name__}: found {found!r}, allowed: {allowed(kind, at)}") from None

@@ -210,7 +210,7 @@ def load_numba() -> Any:
     scipy.linalg compiled code cannot multiply matrices.
     """
     absent = [name for name in _NEEDLESS if name not in sys.modules]
-    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # None: the import fails
+    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # with None, an import fails
     try:
         import numba
         import numba.np.arraymath  # this import tries to import scipy.linalg

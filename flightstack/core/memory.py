@@ -174,7 +174,7 @@ class LateMemory:
 
 @dataclass(slots=True)
 class FilterMemory:
-    """What the controller stores about a user's filter."""
+    """Result of a user's filter that the controller stores."""
 
     refusal: str = ""  # reason why the filter's newest result is not a valid velocity; empty if valid
 
@@ -195,7 +195,7 @@ class ExchangeMemory:
 
 @dataclass(slots=True)
 class Heard:
-    """What this vehicle knows about one other member from the messages of that member."""
+    """State of one other member, from the messages of that member."""
 
     message: MemberStatus | None = None  # newest message of the neighbour; None before the first
     yields: bool = False  # whether this vehicle has announced that it yields to the neighbour

@@ -79,7 +79,7 @@ def state_text(config: FlightConfig) -> StateText[State]:
 
 
 def _is_required(field: Any) -> bool:
-    return field.default is field.default_factory  # both are MISSING
+    return field.default is field.default_factory  # then both are MISSING
 
 
 def _refuse(word: str) -> None:

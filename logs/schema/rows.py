@@ -1,6 +1,6 @@
 """Rows of the log: a named tuple for each message type, made from its definition.
 
-The ``.msg`` files in ``msg/`` are written by hand; this module makes the rows from them at import. A row has
+The ``.msg`` files in ``msg/`` are the definitions; this module makes the rows from them at import. A row has
 the fields of its file, whose comments state units and frames; the header becomes
 ``stamp_ns``, integer nanoseconds (Unix time, or simulated time from 2020-01-01 on in lockstep).
 ``row.pack()`` makes CDR of the row, ``Row.unpack(data)`` a row of CDR. The columns are the same fields for

@@ -222,6 +222,6 @@ class LinkFaults:
                 due = DUE[kind](running, due)
             elif kind is Kind.STUCK:
                 stall = running
-            elif running.happens():  # kind GARBAGE
+            elif running.happens():  # the other kinds were handled: it is GARBAGE
                 damaged = True
         return Fate(tuple(due), damaged, stall)

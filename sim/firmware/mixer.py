@@ -26,7 +26,7 @@ OFF: Four = (0.0, 0.0, 0.0, 0.0)
 def spread(thrust: float, moments: tuple[int, int, int]) -> Four:
     """Return unlimited counts of M1..M4 from thrust and moment counts about body x, y, z (FLU)."""
     mx, my, mz = moments
-    r, p = int(mx / 2), int(my / 2)  # halves as int16, truncated
+    r, p = int(mx / 2), int(my / 2)  # the firmware truncates the halves to int16
     return (thrust - r - p - mz, thrust - r + p + mz, thrust + r + p - mz, thrust + r - p + mz)
 
 

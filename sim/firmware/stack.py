@@ -26,7 +26,7 @@ from sim.plant.params import CONTROL_STEP_S, Params
 from sim.plant.rotors import Four
 from sim.scenarios.tables import VehicleSpec, VelocityLoop
 
-BATTERY_MIN_V = 3.2  # platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE
+BATTERY_MIN_V = 3.2  # lowest voltage for arming (platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE)
 TILT_MAX_COS = 0.5  # cosine of the largest tilt for arming, 60 degrees
 
 PAPER, PID, MELLINGER = 0, 1, 2

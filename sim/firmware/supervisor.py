@@ -20,7 +20,7 @@ from flightstack.compiled.records import Record, new, scalars
 PERIOD_MS = 40  # period of the supervisor, 25 Hz
 WARNING_MS = 500  # set-point age from which it levels out, ms; supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
 TIMEOUT_MS = 2000  # set-point age from which it locks, ms; supervisor.c: COMMANDER_WDT_TIMEOUT_SHUTDOWN
-FLYING_HYSTERESIS_MS = 2000  # supervisor.c: IS_FLYING_HYSTERESIS_THRESHOLD
+FLYING_HYSTERESIS_MS = 2000  # idle time that ends a flight; supervisor.c: IS_FLYING_HYSTERESIS_THRESHOLD
 READY_TIMEOUT_MS = 30_000  # preflight time-out of platform_defaults.h, ms
 LANDED_TIMEOUT_MS = 3000  # landing time-out of platform_defaults.h, ms
 TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # vertical acceleration below which it is tilted, g; time, ms

@@ -237,7 +237,7 @@ class Screened:
 
     @property
     def seconds(self) -> float:
-        """Total duration of the usable pieces, s."""
+        """Total duration of the usable segments, s."""
         return float(sum(piece.stop - piece.start for piece in self.pieces)) * self.recording.step_s
 
 

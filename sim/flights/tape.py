@@ -23,7 +23,7 @@ DELAY_S = (-0.1, 0.2)  # range of an estimate's delay; outside it the clocks dif
 SPEED_MIN_M_S = 0.3  # rms speed below which a delay has no visible effect
 SLOW_M_S = 0.1  # speed below which the flight's mean delay is used, and the remaining error is an offset
 STILL_M_S = (0.16, 0.54)  # speeds s in: error along / across the velocity = fraction * (speed + s); fitted
-CUT_S = 0.3  # time cut from both ends of a piece, s, because there the delayed truth is outside the piece
+CUT_S = 0.3  # time cut from both ends of a segment, s: there the delayed truth is outside the segment
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Tape:
-    """Errors of one flight, in pieces without a gap."""
+    """Errors of one flight, in segments without a gap."""
 
     name: str
     step_s: float  # time between samples, s
@@ -110,7 +110,7 @@ def _delay_s(truth: Floats, estimate: Floats, pieces: list[slice], step_s: float
 
 
 def _earlier(values: Floats, piece: slice, samples: Floats) -> Floats:
-    """Return the values that are ``samples`` earlier than each sample of a piece, interpolated linearly."""
+    """Return the values that are ``samples`` earlier than each sample of a segment, interpolated linearly."""
     at = np.arange(piece.start, piece.stop) - samples
     return np.stack([np.interp(at, np.arange(len(values)), column) for column in values.T], axis=1)
 

@@ -69,7 +69,7 @@ class CorrelatedNoise:
         self._tape = Tape(seed, purpose, r.tape)
         r.on = any(axis > 0.0 for axis in rms)
         for i, (axis, time) in enumerate(zip(rms, time_s, strict=True)):
-            decay = math.exp(-step_s / time)  # exact discretisation
+            decay = math.exp(-step_s / time)  # the discretisation is exact
             r.decay[i], r.kick[i] = decay, axis * math.sqrt(1.0 - decay**2)
             r.now[i] = axis * take(r.tape)  # first value from the stationary distribution
 

@@ -58,7 +58,7 @@ _YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths of yaw rate and yaw
 _THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # outputs are fractions of the highest thrust
 # parameters that the pre-flight check requires of every PX4 in a simulation without a radio
 SAFE_PARAMETERS: dict[str, float] = {
-    "COM_RC_IN_MODE": 4,  # no stick input
+    "COM_RC_IN_MODE": 4,  # 4: PX4 needs no stick input
     "COM_OBL_RC_ACT": 4,  # land when the set-points stop; the pre-flight check requires this
     "SYS_FAILURE_EN": 0,  # the simulation's default is 1, which the pre-flight check rejects
 }

@@ -73,7 +73,7 @@ class Scenario:
     vehicle: VehicleSpec = field(default_factory=VehicleSpec)
     wind: Wind = field(default_factory=Wind)
     judge: Judge | None = None  # barrier of the verdict; None: the flown barrier
-    fault: tuple[Fault, ...] = ()  # [[fault]], in any order
+    fault: tuple[Fault, ...] = ()  # tables [[fault]], in any order
     exchange: ExchangeLink = field(default_factory=ExchangeLink)
     # `fixed`: each vehicle lands on the robot of its table; `start`: the robots are assigned by the starts
     assignment: Assignment = Assignment.FIXED

@@ -76,7 +76,7 @@ class OpenLoop:
 
 
 class Piece(NamedTuple):
-    """A usable piece of a flight with n samples, resampled to ``SAMPLE_S``."""
+    """A usable segment of a flight with n samples, resampled to ``SAMPLE_S``."""
 
     position: F64  # (n, 3) true position, ENU, m
     velocity: F64  # (n, 3) true velocity, ENU, m/s
@@ -87,7 +87,7 @@ class Piece(NamedTuple):
 
 
 def pieces(flight: Screened) -> Iterator[Piece]:
-    """Yield the usable pieces, resampled because rows of the logs are missing."""
+    """Yield the usable segments, resampled because the logs lack some samples."""
     r = flight.recording
     attitude = _continuous(r.attitude)
     for part in flight.pieces:
@@ -208,7 +208,7 @@ def rotations(quaternion: F64) -> Rotation:
 
 
 class Model:
-    """A plant that flies along recorded pieces."""
+    """A plant that flies along recorded segments."""
 
     def __init__(self, params: Params) -> None:
         self._params, self._gravity = params, params.contact.gravity_m_s2
@@ -278,7 +278,7 @@ def ideal(params: Params) -> Params:
 
 
 def compare(flight: Screened, params: Params, *, shuffle_seed: int | None = None) -> OpenLoop | None:
-    """Compare the plant with the usable pieces of a flight; None if no piece is long enough.
+    """Compare the plant with the usable segments of a flight; None if no segment is long enough.
 
     ``shuffle_seed``: control experiment with the motor commands in random order.
     """
@@ -306,7 +306,7 @@ def compare(flight: Screened, params: Params, *, shuffle_seed: int | None = None
         )
         squares.append(np.stack(errors, axis=-1) ** 2)
         scales.append(scale)
-    rms = np.sqrt(np.mean(np.concatenate(squares), axis=0))  # (h, quantity, Compared)
+    rms = np.sqrt(np.mean(np.concatenate(squares), axis=0))  # axes: horizon, quantity, ``Compared``
     horizons = tuple(
         Horizon(seconds, *(Compared(*values) for values in row))
         for seconds, row in zip(HORIZONS_S, rms.tolist(), strict=True)
@@ -338,7 +338,7 @@ def _constant(piece: Piece, starts: I64, ends: I64) -> F64:
 
 
 def _shuffled(usable: list[Piece], chance: np.random.Generator) -> list[Piece]:
-    """Return the pieces with their motor commands in random order, as a control experiment."""
+    """Return the segments with their motor commands in random order, as a control experiment."""
     duty = np.concatenate([p.duty for p in usable])
     chance.shuffle(duty)
     ends = np.cumsum([len(p.duty) for p in usable])[:-1]

@@ -45,11 +45,11 @@ class Error:
 
 
 def analyse(traces: list[Trace]) -> Error:
-    """Return the error of an estimate in pieces of one flight. Raises ValueError: no trace."""
+    """Return the error of an estimate in segments of one flight. Raises ValueError: no trace."""
     if not traces:
         raise ValueError("found no pieces of flight, one at least is needed")
     step_s = traces[0].step_s
-    # Both ends are cut off, because the delayed truth lies outside the piece at its ends.
+    # Both ends are cut off, because the delayed truth lies outside the segment at its ends.
     inner = slice(math.ceil(DELAY_S[1] / step_s), math.floor(DELAY_S[0] / step_s))
 
     def errors(delay_s: float) -> list[Floats]:
@@ -128,7 +128,7 @@ def compare(flight: Screened, seed: int, error: StateError | None = None) -> Sen
 
 
 def _errors(flight: Screened, pieces: list[slice], estimates: list[Floats]) -> Errors:
-    """Analyse estimates of position and velocity, (n, 6) for each piece."""
+    """Analyse estimates of position and velocity, (n, 6) for each segment."""
     r = flight.recording
 
     def error(truth: Floats, columns: slice) -> Error:

@@ -153,7 +153,7 @@ def vehicle_geoms(params: Params) -> str:
     g, r = params.geometry, params.rotor
     z = g.foot_bottom_m + g.foot_radius_m
     feet, discs = [], []
-    for sx, sy in ((1, -1), (-1, -1), (-1, 1), (1, 1)):  # signs of M1..M4
+    for sx, sy in ((1, -1), (-1, -1), (-1, 1), (1, 1)):  # signs of x and y of M1 to M4
         x, y = sx * g.foot_offset_m, sy * g.foot_offset_m
         feet.append(f'<geom class="vehicle" type="sphere" size="{g.foot_radius_m}" pos="{x} {y} {z}"/>')
         x, y = sx * r.arm_m, sy * r.arm_m

@@ -8,9 +8,9 @@ At the apex, d = 0, the gradient has no direction. The slope is multiplied by th
 sqrt(d^2 + smoothing^2)``, which only shortens the gradient. Within a few ``smoothing`` of the axis the filter
 therefore uses less slope than the cone has; h itself is never smoothed. See docs/how_it_works/method.md.
 
-The geometry gives the shape (eq. 7): the boundary peaks at distance ``d* = 1/alpha``, height ``e* = beta/e``.
+The geometry gives the shape (eq. 7): the boundary peaks at ``d* = 1/alpha``, ``e* = beta/exp(1)`` high.
 
-The robust filter enforces a barrier with a margin, to keep the barrier without it:
+The robust filter enforces a barrier with a margin m for errors, so that the barrier h itself holds:
 
     h_r(e) = h(e) - m (1 - exp(-(d / w)^2))
 
