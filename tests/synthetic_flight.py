@@ -62,7 +62,7 @@ class Rows:
         )  # fmt: skip
 
     def cut(self, after_s):
-        """Remove all rows later than this time since the start of the log."""
+        """Remove all rows that are later than this time, counted from the start of the log."""
         limit = EPOCH_NS + round(after_s * 1e9)
         self.steps = [r for r in self.steps if r.stamp_ns <= limit]
         self.truth = [r for r in self.truth if r.stamp_ns <= limit]

@@ -31,7 +31,7 @@ FLOOR_MAX_S = 0.2  # largest difference of fast and slow minimum, s; a larger on
 GRAIN_S = 1e-6  # tolerance for Unix times as doubles, s; their rounding error is 2.4e-7 s
 AHEAD_S = 0.03  # largest time by which a delay may be shorter than all earlier ones, s, plus one tick
 AGREE_S = 0.1  # largest difference of arrival minus stamp between messages of one clock, s
-GAP_MAX_S = 0.5  # longest pause between two messages that agree, s
+GAP_MAX_S = 0.5  # longest pause between two messages whose times agree, s
 PATIENCE_S = 10.0  # time for which late messages must agree, s; queues of some seconds change meanwhile
 QUEUE_MAX_S = 10.0  # longest delay by a queue after a pause, s; a longer queue needs time to fill
 STAMP_MAX_S = 2.0**32  # largest valid stamp, s: the year 2106; ROS 2 and Unix times end before it
@@ -99,7 +99,7 @@ class SenderClock:
 
     @rare
     def _refused(self, reading: Reading, stamp_s: float, arrival_s: float, patience_s: float) -> Reading:
-        """Return the reading, or ``STEPPED`` if rejected messages have agreed for long enough."""
+        """Return the reading, or ``STEPPED`` if rejected messages have agreed for ``needed_s``."""
         needed_s = self._proof_s if self._noted(reading, stamp_s, arrival_s) else patience_s
         return Reading.STEPPED if arrival_s - self.memory.run_since_s >= needed_s else reading
 

@@ -160,7 +160,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
 
 
 def drift_of_spread_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
-    """Return the largest ``drift_m`` of all vehicles, and the ratio of its vehicle's lag to the declared."""
+    """Return the largest ``drift_m`` of all vehicles, and that vehicle's lag over the declared lag."""
     spread = config.envelope.lag_spread
     slower = [1.0 + share * spread for share in SLOWER]
     return max((drift_m(config, x, time_s, lag, each), lag) for lag in slower for each in RESPONSES)

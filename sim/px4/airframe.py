@@ -1,4 +1,4 @@
-"""PX4's parameters for a simulated vehicle: motor positions, hover thrust, gains. Pure functions.
+"""PX4's parameters for a simulated vehicle: motor positions, hover thrust, gains.
 
 PX4 scales its control allocation so that a roll or pitch command of 1 changes a motor by sqrt(1/2), a yaw
 command of 1 by 1, and a thrust command of 1 sets all motors to 1 (ControlAllocationPseudoInverse.cpp). With n

@@ -278,7 +278,7 @@ def ideal(params: Params) -> Params:
 
 
 def compare(flight: Screened, params: Params, *, shuffle_seed: int | None = None) -> OpenLoop | None:
-    """Compare the plant with the usable segments of a flight; None if no segment is long enough.
+    """Compare the plant with the usable segments of a flight; None if every segment is too short.
 
     ``shuffle_seed``: control experiment with the motor commands in random order.
     """

@@ -168,7 +168,7 @@ def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
-    """Whether, for long enough, all inputs were good and renewed, and a heartbeat arrived meanwhile.
+    """Whether, for ``recovery_time_s``, all inputs were good and renewed, and a heartbeat arrived in it.
 
     An input that arrives rarely, or in bursts, counts as good until it is too old.
     """

@@ -268,7 +268,7 @@ class RobustFilter(Filter):
         return commanded_m_s > COMMANDED_SHARE * descent_m_s and sinking_m_s < STOPPED_SHARE * descent_m_s
 
     def drifts(self, at: Relative) -> bool:
-        """Whether the vehicle will leave the corridor above the pad while it is high enough to climb away."""
+        """Whether the vehicle is about to leave the corridor above the pad with enough h for a climb."""
         corridor_m, retreat, (vx, vy) = self._config.robust.corridor_m, self._config.retreat, at.slip_m_s
         if self._barrier.h(at.e_m) < retreat.h_left_m or at.d_m < DRIFT_SHARE * corridor_m:
             return False

@@ -160,7 +160,7 @@ class TargetEstimator:
             (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
             turn(memory.turn_rate_rad_s, dt_s), fades, lasts,
         )  # fmt: skip
-        if dt_s < 0.0:  # an earlier state is not less certain
+        if dt_s < 0.0:  # for an earlier time the uncertainty is not reduced
             fades = lasts = _NOW
         jerk2_xy = self._jerk2_xy()
         return TargetMotion(

@@ -195,14 +195,14 @@ class TargetTrack:
         return dx * dx + dy * dy + dz * dz <= most_m * most_m
 
     def _proved(self, sample: TargetSample, lost: bool) -> bool:
-        """Whether samples at a new place have agreed with each other for long enough after a loss."""
+        """Whether samples at a new place, after a loss, have agreed with each other for ``proof_s``."""
         memory, before = self.memory, self.memory.elsewhere
         step_s = sample.source_time_s - before.source_time_s if before is not None else 0.0
         if before is None or not self._near(before, sample, sample, step_s):
             memory.elsewhere, memory.elsewhere_since_s = sample, sample.arrival_s
             return False
         memory.elsewhere = sample
-        # time for which new samples must agree; longer than the age limit, so that HOLD starts before
+        # time for which new samples must agree; longer than the age limit, so that HOLD starts earlier
         proof_s = self._checks.target_age_max_s + self._checks.recovery_time_s
         return lost and not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
 

@@ -1,4 +1,4 @@
-"""Tests that a controller with compiled parts makes equal decisions, to the last bit."""
+"""Tests that a controller with compiled functions decides as one without, to the last bit."""
 
 import math
 import subprocess

@@ -180,7 +180,7 @@ def test_a_wrong_stamp_costs_one_word_and_a_clock_that_was_set_is_followed(sides
 
 
 def test_a_word_counts_when_its_teller_hears_this_one(sides, stranger):
-    """Before that, the time of the message on the local clock is unknown."""
+    """Until the sender receives this vehicle's messages, the time of its message here is unknown."""
     a, _ = sides
     a.now_s += 10.0
     sent(stranger, 7, 11.0)

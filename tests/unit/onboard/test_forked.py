@@ -1,4 +1,4 @@
-"""Tests that forked children, which use the modules of their parent, behave like independent programs."""
+"""Tests that a forked child, which uses its parent's modules, behaves like a program started anew."""
 
 import json
 import os

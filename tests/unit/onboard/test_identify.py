@@ -1,4 +1,4 @@
-"""Tests that ``identify`` finds the parameters of a synthetic vehicle, or rejects flights without effect."""
+"""Tests that ``identify`` finds the parameters of a synthetic vehicle, or rejects flights that show none."""
 
 import math
 

@@ -110,7 +110,7 @@ def random_flight(seed, slow, spread_rpm):
 @pytest.mark.parametrize("slow", [False, True])
 @pytest.mark.parametrize("seed", range(2))
 def test_six_degrees_of_freedom_agree_with_the_independent_model(seed, slow):
-    """Rates, attitude, velocity, position and speeds over 1.5 s of random commands.
+    """Compare rates, attitude, velocity, position and rotor speeds over 1.5 s of random commands.
 
     The simulator applies the torque of the end of a step, and the thrust direction of its start. The error is
     half a step times their rate of change. The tolerances are one or two times this error and not fitted.

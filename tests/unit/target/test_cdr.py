@@ -1,4 +1,4 @@
-"""Tests that odometry and poses have the same CDR bytes as in rosbags."""
+"""Tests that odometry and poses have the CDR bytes that the library rosbags writes."""
 
 import math
 import struct

@@ -24,7 +24,7 @@ ERROR = sensing.Error(0.02, (0.002, 0.01, 0.014, 0.025))
 
 
 def horizon(seconds, position=0.35, velocity=0.4):
-    """Return the errors of a model, divided by the errors of a motion with constant velocity."""
+    """Return the errors of a model, divided by those of a prediction with constant velocity."""
     return open_loop.Horizon(
         seconds,
         open_loop.Compared(position * 0.02, 0.02, 0.9 * 0.02),

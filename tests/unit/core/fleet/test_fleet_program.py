@@ -1,4 +1,4 @@
-"""Tests the program with several rows against scipy and OSQP, and when a member sends messages."""
+"""Compares the program with several constraints with scipy; a member without a state sends no message."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Tests the wait above a fast target: higher, and for a limited time, until the target is slower."""
+"""Tests the wait above a fast target: at a larger height, for a limited time, until the target is slower."""
 
 import pytest
 

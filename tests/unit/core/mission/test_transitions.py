@@ -1,4 +1,4 @@
-"""Tests that the text of a phase change is parsed back to the same change."""
+"""Tests that parsing the text of a phase change gives this change, and the reasons in these texts."""
 
 import pytest
 from hypothesis import given

@@ -80,7 +80,7 @@ def steady(until_s, settled):
 
 @given(st.floats(0.01, 0.24), within(0.3), within(2.0), within(0.1))
 def test_a_robot_that_sets_off_in_a_gap_is_believed(gap_s, before_m_s, acceleration_m_s2, off_m):
-    """The robot accelerates in a gap; the next sample agrees with the prediction within bound and noise."""
+    """The robot accelerates in a gap; the next sample is as predicted, within bound and noise."""
     gone = [
         p + v * gap_s + 0.5 * a * gap_s**2 + o
         for p, v, a, o in zip(FIRST.position_enu_m, before_m_s, acceleration_m_s2, off_m, strict=True)
@@ -208,7 +208,7 @@ def test_a_yaw_that_is_no_number_turns_nothing(unknown):
 
 
 def test_numbers_of_a_target_that_is_stuck_are_the_last_also_at_rest(track):
-    """Noise of a velocity at rest is enough to detect that a position is repeated."""
+    """At rest, noise of the velocity suffices to detect a repeated position."""
     rest = {"position_enu_m": FIRST.position_enu_m, "velocity_enu_m_s": (0.004, -0.003, 0.0)}
     assert track.accept(later(0.02, **rest)) is Verdict.FROZEN
     assert track.accept(later(0.04, **(rest | {"velocity_enu_m_s": ZERO}))) is Verdict.ACCEPTED

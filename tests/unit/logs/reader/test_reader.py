@@ -1,4 +1,4 @@
-"""Tests that other programs can read the logs, and the readable part of damaged logs."""
+"""Tests that other programs read our logs, and that texts and names in a foreign log do no harm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests that raw frames are packed as by a generic codec, without losses, and decoded as by pymavlink."""
+"""Tests raw frames: they get the bytes of a generic codec, lose nothing, and are decoded as by pymavlink."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests that rows are packed as by a generic ROS 2 codec, without losses, and reject data of wrong types."""
+"""Tests rows: they get the bytes of a generic ROS 2 codec, lose nothing, and reject data of wrong types."""
 
 from __future__ import annotations
 

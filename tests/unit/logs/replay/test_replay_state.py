@@ -1,4 +1,4 @@
-"""Tests that a controller makes the same decisions after its state is restored from text at any tick."""
+"""Tests that a controller whose state was restored from text at any tick decides as the original one."""
 
 import struct
 from dataclasses import dataclass, fields, is_dataclass, replace
