@@ -71,7 +71,7 @@ def _call_off(number: int, frame: FrameType | None) -> None:
 
 
 class Stop:
-    """Requests to end a process: the first signal in order, a second SIGTERM or SIGINT immediately."""
+    """Requests to end a process: the first signal ends it in order, a second SIGTERM or SIGINT at once."""
 
     __slots__ = ("count",)
 

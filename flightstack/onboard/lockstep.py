@@ -47,7 +47,7 @@ _LENGTH = struct.Struct("<I")
 
 
 class VehicleTicks(LinkedVehicle):
-    """Vehicle that requests the ticks by TIMESYNC; by default, a missing request is not waited for."""
+    """Vehicle that requests the ticks by TIMESYNC; by default, it does not wait for a missing request."""
 
     def __init__(self, link: VehicleLink, rate_hz: int, stopped: Callable[[], bool] = lambda: True) -> None:
         super().__init__(link, lockstep=True)

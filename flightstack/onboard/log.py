@@ -137,7 +137,7 @@ class OnboardLog:
             )
 
     def end(self) -> None:
-        """Write the frames that the process sent after the newest tick, with its time plus 1 ns."""
+        """Write the frames that the process sent after the newest tick, with that tick's time plus 1 ns."""
         self._unix_ns += 1
         self.frames()
 
