@@ -245,6 +245,7 @@ def test_the_folder_of_a_bag_names_its_log(tmp_path):
         )
 
 
+@pytest.mark.slow  # the tests above are quick
 def test_every_byte_offset_of_a_small_log(tmp_path):
     """After a power failure the file may end at any byte."""
     small, cut = (tmp_path / name for name in ("small.mcap", "cut.mcap"))
