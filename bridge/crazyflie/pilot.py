@@ -36,7 +36,7 @@ class _Request:
 
 
 class Arming:
-    """Requests to the supervisor whose effect is not observed yet."""
+    """Requests to arm or to stop the motors: each is repeated until its effect is observed or a time-out."""
 
     def __init__(self) -> None:
         self.armed = False  # whether a client of this bridge armed, and the firmware confirmed it

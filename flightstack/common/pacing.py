@@ -185,9 +185,9 @@ class SimulationClock:
         return self._cells[_ZERO] + self._cells[_NOW]
 
     def advance(self, now_ns: int, stopped: Callable[[], bool]) -> None:
-        """Set the simulated time, then wait until no follower is due; ``stopped`` ends the wait.
+        """Set the simulated time, then wait until each follower sleeps until a later time, or ``stopped``.
 
-        A follower that needs more than half a second of wall time is ignored until it returns.
+        A follower that needs more than 0.5 s of wall time is ignored until it writes its next time.
         """
         cells, until_s = self._cells, time.monotonic() + _FOLLOWER_MAX_S
         cells[_NOW] = now_ns

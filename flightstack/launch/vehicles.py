@@ -238,7 +238,7 @@ def around_the_start(scenario: Scenario) -> Scenario:
 
 
 def to_the_floor_m(scenario: Scenario) -> Vec3:
-    """Return the offset of the landing spot on the floor, from which the height of the vehicle counts."""
+    """Return the target offset that puts the landing spot on the floor, m: no pad carries this vehicle."""
     down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
     return 0.0, 0.0, round(-down_m, 6)
 

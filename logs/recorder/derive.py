@@ -171,7 +171,7 @@ class FrameDecoder:
 
 
 def repacked(kind: Type, payload: bytes) -> bytes:
-    """Return a MAVLink payload as the body of a CDR message, with strings and CDR's alignment."""
+    """Convert a MAVLink payload to the body of a CDR message: aligned numbers, strings with their length."""
     out = bytearray()
     at = 0
     for field in kind.fields:

@@ -150,8 +150,8 @@ def reach_of(run: Mapping[str, str]) -> float:
 def surface(barrier: Barrier, reach: float = REACH) -> bytes:
     """Return the boundary h = 0 around the landing spot as triangles, three doubles per point.
 
-    Its radius is two and a half times the distance of its peak, where its height has fallen to half of the
-    peak; a larger surface would hide the flight. Beside neighbours, it ends at the peak.
+    ``reach``: radius, divided by the distance of the peak from the axis. At ``REACH`` the height is 56 % of
+    the peak; a larger surface would hide the flight. In a fleet the surface ends at the peak.
     """
     reach_m = reach * barrier.peak_distance_m
 

@@ -25,8 +25,8 @@ from logs.recorder.feed import SOCKET_PATH_MAX, Splitter, WireError
 from logs.recorder.recording import McapFile, Recorder, RecorderError, Statistics
 from logs.schema.schemas import typestore
 
-# Wall time, s; `recording` flushes by log time. A killed recorder loses the data of this time, of the sockets
-# and of the clients' buffers (0.1 s in lockstep); a power cut also those of the disk's delay: 0.5 s in all.
+# Wall time, s; `recording` flushes by log time. A killed recorder loses at most 0.5 s: this period, the
+# sockets and the clients' buffers (0.1 s in lockstep). A power cut also loses the data of one `fdatasync`.
 FLUSH_PERIOD_S = 0.25
 READ_PERIOD_S = 0.004  # wall time, s; clients flush every tick, and reading in batches saves processor time
 GRACE_S = 3.0  # wall time for clients to finish after a stop, s

@@ -41,6 +41,6 @@ def member_name(system_id: int) -> str:
 
 
 def split(name: str) -> tuple[str, str]:
-    """Return the member of a metadata record or attachment (empty: none), and its name."""
+    """Split the name of a metadata record or attachment into fleet member (empty: none) and plain name."""
     member, _, rest = name.rpartition("/")
     return member, rest

@@ -1,8 +1,10 @@
 """Rows of the log: a named tuple for each message type, made from its definition.
 
-The ``.msg`` files in ``msg/`` are the definitions; this module makes the rows from them at import. A row has
-the fields of its file, whose comments state units and frames; the header becomes
-``stamp_ns``, integer nanoseconds (Unix time, or simulated time from 2020-01-01 on in lockstep).
+The ``.msg`` files in ``msg/`` are the definitions; this module makes the rows in ``ROWS`` from them at
+import, and ``LogRow`` from a ROS 2 type. ``FleetEcho``, ``ReceivedStatus`` and ``TargetSample`` are elements
+of other rows, and ``Mavlink`` is a raw frame. A row has the fields of its file, whose comments state units
+and frames; the header becomes ``stamp_ns``, integer nanoseconds (Unix time, or simulated time from 2020-01-01
+on in lockstep).
 ``row.pack()`` makes CDR of the row, ``Row.unpack(data)`` a row of CDR. The columns are the same fields for
 numpy: arrays of shape (n,), or (n, 3) for a vector and (n, 4) for a quaternion.
 

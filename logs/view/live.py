@@ -27,7 +27,7 @@ NATIVE, WEB = "native", "web"
 ENDING = ".rrd"
 SIZE_M = 3.0  # extent of the scene until a path is known, m
 VIEWER_TIME_MAX_S = 2.0  # longest wait for the viewer, s; then the flight starts without a viewer
-FLUSH_TIME_MAX_S = 2.0  # longest wait until the viewer has the last rows, s; a blocked one does not get them
+FLUSH_TIME_MAX_S = 2.0  # longest wait for the viewer to take the last rows, s; a blocked viewer misses them
 MEMORY_LIMIT = "512MB"  # memory limit of the viewer, and of the server; the oldest data are dropped first
 
 

@@ -1,4 +1,4 @@
-"""Arming, modes and fail-safes of the simulated vehicle, and what they watch: battery charge and standing.
+"""Arming, modes and fail-safes of the simulated vehicle, and their inputs: charge and ground contact.
 
 The charge is computed as in PX4 battery.cpp. The voltage under load plus the voltage drop at this throttle is
 compared with the voltages of an empty and a full cell. Voltage and throttle are low-pass filtered, because

@@ -210,7 +210,7 @@ class PidLoop:
         cascade_reset(self.record)
 
     def trim(self, force: Vec3, counts_per_n: float, moments: Counts = (0, 0, 0)) -> Vec3:
-        """Load the integrals for hover at yaw 0 with ``force`` (world, N); the set-point is then zero.
+        """Set the integrals for hover at yaw 0 with thrust ``force`` (world, N); return the set-point, zero.
 
         ``counts_per_n``: thrust counts per newton; ``moments``: counts that balance unequal motors.
         """

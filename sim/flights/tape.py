@@ -52,7 +52,7 @@ class Tape:
 
 
 def tape_of(flight: Screened) -> Tape | None:
-    """Return the errors of a flight; None if it has no estimate, is too slow or too short."""
+    """Return the error tape of a flight; None if it has no estimate, is too slow or too short."""
     r = flight.recording
     if r.estimate_position_m is None or r.estimate_velocity_m_s is None:
         return None
@@ -132,7 +132,7 @@ def _turn_rad(r: Recording, pieces: list[slice]) -> Floats:
 
 @cache
 def read_tape(path: Path) -> Tape | None:
-    """Return the tape of a recorded flight, cached in the process; None if the flight gives no tape.
+    """Return the error tape of a recorded flight, cached in the process; None: see ``tape_of``.
 
     Raises RecordingError: the file cannot be read, or has other columns or units.
     """

@@ -65,7 +65,7 @@ def _recall(past: PastRecord, delay_s: float, first: int) -> None:
 
 @jitted
 def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None:
-    """Store the true state (ENU) and write a sample with the errors of ``row`` to ``late``."""
+    """Store the true state (ENU) in ``past``; write the state with the errors of ``row`` to ``past.late``."""
     at = 6 * (past.count % PAST)
     for i in range(3):
         past.states[at + i] = position[i]

@@ -285,10 +285,10 @@ class LockstepVehicle:
 
 
 class LockstepWorld:
-    """Runs the ticks of all vehicles; with a fleet it ends when all flights are over.
+    """Runs the ticks of all vehicles up to a number of ticks or a stop, or until all flights of a fleet end.
 
     ``exchange``: transmits the messages of a fleet; None: no fleet; ``epoch_ns``: Unix time of tick 0;
-    ``batch``: flies many ticks from the given one on in one call, and returns their number (0: none).
+    ``batch``: flies a batch of ticks that starts with the given one, and returns their number (0: none).
     """
 
     def __init__(
@@ -304,9 +304,9 @@ class LockstepWorld:
         self._stop, self._epoch_ns, self._batch = stop, epoch_ns, batch
 
     def run(self, ticks: int | None) -> None:
-        """Run the simulation tick by tick until all flights are over.
+        """Run the simulation until a stop request, or until all flights of a fleet are over.
 
-        ``ticks``: number of ticks; None: no end.
+        ``ticks``: largest number of ticks; None: no limit.
         Raises NoAnswerError: time-out of a companion.
         """
         for vehicle in self._vehicles:

@@ -91,7 +91,7 @@ class TargetSpec:
     # whether speed (in [0, speed_m_s]) and turn rate (in +-turn_rate_rad_s) are drawn from the seed
     random_speed: bool = False
     position_m: tuple[float, float] = (0.0, 0.0)  # position of the axle at time zero
-    heading_rad: float = 0.0  # heading at time zero, from east to north
+    heading_rad: float = 0.0  # heading at time zero, counter-clockwise from east
     random_heading: bool = False  # whether the heading is drawn from the seed
     wait_for_landing: bool = True  # whether the robot does not move until the landing starts
     stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # period of changes in stop_and_go, reversing
@@ -248,7 +248,8 @@ class Wind:
 
     mean_m_s: Annotated[float, span(0.0, 10.0)] = 0.0  # speed of the mean wind
     gust_rms_m_s: Annotated[float, span(0.0, 5.0)] = 0.0  # standard deviation of the gusts on each axis
-    direction_rad: float | None = None  # direction to which the wind blows, from east to north; none: drawn
+    # direction in which the mean wind blows, counter-clockwise from east; None: drawn from the seed
+    direction_rad: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,7 +70,7 @@ class VehicleLink:
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
-        # decoder: newest state, status, power and profile, and counters of rejected telemetry
+        # ``state`` decodes telemetry and keeps the newest values and the profile; ``counters``: rejections
         self.state = VehicleState(profile)
         self.counters, self.senders = LinkCounters(), Senders()
         # lockstep: TIMESYNC requests are passed to ``take_timesync``, and each message gets the simulated

@@ -6,10 +6,10 @@
 most length 1 if r_xy is the smaller semi-axis: a motion never reduces h more than the linear prediction. The
 ellipsoid grows with the uncertainty of the other vehicle's position.
 
-This vehicle takes a share of the avoidance (``part`` in the code): none, half or all. The shares of two
-vehicles always sum to at least 1, also with late or lost messages (docs/how_it_works/fleet.md). The order of
-the rules in ``share`` proves this: first the announcements of this vehicle, then the reasons why the other
-one cannot give way, then the latest announcements of the other one. Two vehicles that meet head-on would
+This vehicle takes a share of the avoidance: none, half or all. The shares of two vehicles always sum to at
+least 1, also with late or lost messages; docs/how_it_works/fleet.md proves this from the order of the rules
+in ``share``: first the announcements of this vehicle, then the reasons why the other one cannot give way,
+then the latest announcements of the other one. Two vehicles that meet head-on would
 block each other, so each steps aside to its right.
 """
 
@@ -195,7 +195,7 @@ def row(
     part: float, h_m: float, gradient: Vec3, own_wanted_m_s: Vec3, message: MemberStatus, now: Estimate,
     fleet: Fleet,
 ) -> Row:  # fmt: skip
-    """Return the constraint on this vehicle's velocity; ``part``: its share of the avoidance (``share``).
+    """Return the constraint on this vehicle's velocity; ``part``: its share (result of ``share``).
 
     With the whole share, the constraint uses the other vehicle's velocity. With half of it, it uses the mean
     of both announced velocity commands: if both vehicles follow them, h falls no faster than the rate

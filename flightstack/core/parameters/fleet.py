@@ -14,7 +14,7 @@ from flightstack.common.strict_toml import ConfigError, span
 
 ID_MAX = 250
 OTHERS_MAX = 8  # largest number of other members; each may add a constraint to the program
-PART_OF_LAG = 0.25  # largest rate * lag of a first-order loop in which the distance does not overshoot
+PART_OF_LAG = 0.25  # largest rate_1_s * lag of the velocity loop for which h of two vehicles cannot overshoot
 # time after its last announcement for which a yielding vehicle takes the whole share, in latencies
 HOLD_LATENCIES = 3.0
 ZERO_LATENCIES = 2.0  # time for which a neighbour relies on it, in latencies; shorter, to cover delays

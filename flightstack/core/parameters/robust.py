@@ -21,7 +21,7 @@ class VelocityLoop:
     """
 
     lag_xy_s: Annotated[float, span(0.0, 2.0)] = 0.27  # group delay of the closed loop at low frequency
-    lag_z_s: Annotated[float, span(0.0, 2.0)] = 0.17  # vertical group delay
+    lag_z_s: Annotated[float, span(0.0, 2.0)] = 0.17  # group delay of the closed vertical loop
     # part of lag_xy_s before a horizontal set-point has an effect: delays of links and attitude
     dead_time_s: Annotated[float, span(0.0, 0.5)] = 0.0
     rate_xy_1_s: Annotated[float, span(0.5, 50.0)] = 5.2  # natural frequency of the second-order model

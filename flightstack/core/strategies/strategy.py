@@ -51,9 +51,11 @@ from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, V
 class Filter:
     """Base class of a safety filter, which changes the nominal velocity of a tick if it is not safe.
 
-    Velocities are ENU, m/s; positions ENU, m. A filter may store data for later ticks only in ``state`` and,
-    as the package's filters do, in ``motion``, ``tracking``, ``own`` and ``late``. A log contains these five
-    attributes, and a replay restores them.
+    Write one method in a subclass: ``filter``, which returns the velocity. All other methods and attributes
+    have defaults. Velocities are ENU, m/s; positions ENU, m.
+
+    A filter may store data for later ticks only in ``state`` and, as the package's filters do, in ``motion``,
+    ``tracking``, ``own`` and ``late``. A log contains these five attributes, and a replay restores them.
 
     Args:
         config: configuration of the flight.
@@ -126,9 +128,11 @@ class Filter:
     def filter(self, nominal: Vector, at: At) -> ArrayLike:
         """Return the velocity for APPROACH and LAND, m/s ENU, (3,).
 
-        The method replaces the program of eq. 11: the gate checks limits and slew of the result, not the
-        barrier. ``at.enforced(velocity)`` is the nearest velocity that keeps the barrier. A result that is
-        not three finite numbers, or an exception, aborts the flight with a text that names the class.
+        The method replaces the program of eq. 11. The result is limited to ``at.lower_m_s`` and
+        ``at.upper_m_s``; the gate does not check it against the barrier. ``at.enforced(velocity)`` is the
+        nearest velocity that keeps the barrier. Beside other vehicles, the fleet's program then also enforces
+        the barrier. A result that is not three finite numbers, or an exception, aborts the flight with a text
+        that names the class.
 
         Args:
             nominal: nominal velocity, m/s ENU, (3,).

@@ -32,7 +32,7 @@ class Reported:
     flying: float = math.nan  # effort in flight from the throttle; without a throttle, from the voltage
     resting: float = math.nan  # effort at rest, from the voltage
     sags: float = math.nan  # loss term of the voltage sag (``Reserve.sags``)
-    most: float = math.nan  # effort at which the thrust command saturates at this voltage
+    most: float = math.nan  # effort at which the thrust command saturates, at the voltage in flight
 
 
 class ReserveEstimate:

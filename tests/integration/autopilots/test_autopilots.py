@@ -1,4 +1,4 @@
-"""Tests the simulated vehicle as PX4, the programs of PX4 and ArduCopter, and the pre-flight check."""
+"""Tests the pre-flight check, and `sitl` with the program PX4 (if found) and an imitation of ArduCopter."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Tests the robot of the world process in lockstep: published data, ticks ahead, start of its drive."""
+"""Tests the robot in lockstep (odometry, ticks ahead of its credit) and the buffer of the set-points."""
 
 from types import SimpleNamespace
 

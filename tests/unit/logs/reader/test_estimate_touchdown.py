@@ -134,7 +134,7 @@ def test_motors_off_without_a_contact_that_shows_gives_no_speeds(flight):
 @pytest.mark.parametrize(("rate_hz", "lag_s"), [(100, 0.06), (50, 0.03), (25, 0.05)])
 @pytest.mark.parametrize("sink_m_s", [0.25, 0.57])
 def test_contact_speed_of_a_state_that_lags_and_comes_seldom(flight, rate_hz, lag_s, sink_m_s):
-    """The estimated speed falls within some steps; none of them may lower the speed of the contact."""
+    """A lagging velocity falls over several steps; the contact speed is still the sink rate before them."""
     steps = descent(flight, sink_m_s=sink_m_s)
     every, own = round(1.0 / (rate_hz * DT_S)), steps.own_velocity_enu_m_s.copy()
     for k in range(1, len(own)):

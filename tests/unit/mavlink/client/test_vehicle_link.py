@@ -157,7 +157,7 @@ def test_a_vehicle_that_restarts_while_it_is_waited_for_is_asked_and_told_anew(v
 
     beat = heartbeat(4, autopilot=3)
     for second in range(1, 30):
-        tick(float(second), beat)  # the first requests are over, and no position arrives
+        tick(float(second), beat)  # the frequent requests are over, and no position arrives
     tick(30.0, beat, dialect.MAVLink_gps_global_origin_message(0, 0, 0, 0))
     tick(30.1, attitude(30_000), position(30_000))
     assert auto.state.own.arrival_s == 30.1
