@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from functools import partial
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar
 
@@ -36,9 +35,11 @@ from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.qp_filter import FilterResult, Program, SafetyFilter
 from flightstack.core.snapshot import Relative
 from flightstack.core.strategies.user_filter import (
+    NEEDED,
     Ask,
     At,
     Vector,
+    checked_velocity,
     chosen,
     compiled_as,
     filtered,
@@ -131,8 +132,8 @@ class Filter:
         The method replaces the program of eq. 11. The result is limited to ``at.lower_m_s`` and
         ``at.upper_m_s``; the gate does not check it against the barrier. ``at.enforced(velocity)`` is the
         nearest velocity that keeps the barrier. Beside other vehicles, the fleet's program then also enforces
-        the barrier. A result that is not three finite numbers, or an exception, aborts the flight with a text
-        that names the class.
+        the barrier. A result or an argument of ``at.enforced`` that is not three finite numbers, or an
+        exception, aborts the flight with a text that names the class.
 
         Args:
             nominal: nominal velocity, m/s ENU, (3,).
@@ -142,19 +143,19 @@ class Filter:
 
     def result(self, nominal: Vec3, at: At) -> FilterResult:
         """Return the result of ``filter``; REJECTED, with a recorded reason, if it is no valid velocity."""
-        velocity, problem = None, ""
+        numbers, problem = None, ""
         try:
             found = self.filter(np.array(nominal), at)
         except Exception as error:
             problem = f"raised {type(error).__name__}: {error}"
         else:
-            velocity = three_finite(found)
-        if velocity is None:
-            problem = problem or f"returned {one_line(repr(found)):.60}"
+            numbers = three_finite(found)
+        if numbers is None:
+            problem = problem or f"returned {one_line(repr(found)):.60}; {NEEDED}"
             name = file_of(f"{type(self).__module__}:{type(self).__name__}")
-            self.memory.refusal = f"{name} {problem}; three finite numbers (m/s ENU) are needed"
+            self.memory.refusal = f"{name} {problem}"
             return FilterResult(ZERO, math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
-        x, y, z = np.clip(velocity, at.lower_m_s, at.upper_m_s).tolist()
+        x, y, z = np.clip(numbers, at.lower_m_s, at.upper_m_s).tolist()
         gx, gy, gz = at.gradient.tolist()
         slack_m_s = gx * x + gy * y + gz * z - at.bound_m_s
         return FilterResult((x, y, z), slack_m_s, (x, y, z) != nominal, FilterStatus.OWN, 0.0, 0, 0.0)
@@ -183,7 +184,7 @@ class Filter:
             self.rate_1_s,
             np.array(lower),
             np.array(upper),
-            partial(self.permitted_m_s, own=nominal, at=at),
+            lambda found: self.permitted_m_s(checked_velocity(found, "at.permitted"), nominal, at),
         )
         return self.result(nominal, seen)
 

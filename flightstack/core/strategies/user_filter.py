@@ -13,12 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from flightstack.common.text import one_line
 from flightstack.core.safety.projection import best_corner, project
 from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import FilterStatus, Vec3
 
 Vector = NDArray[np.float64]
+NEEDED = "three finite numbers (m/s ENU) are needed"
 
 
 class At(NamedTuple):
@@ -38,7 +40,8 @@ class At(NamedTuple):
         rate_1_s: largest relative rate at which h may fall.
         lower_m_s: lowest velocity that may be commanded in this tick, by limits and slew.
         upper_m_s: highest velocity that may be commanded in this tick.
-        permitted: function that limits a velocity to the assumptions of the barrier's margin.
+        permitted: function that limits a velocity to the assumptions of the barrier's margin; it raises
+        ValueError as ``enforced`` does.
     """
 
     t_s: float
@@ -54,7 +57,7 @@ class At(NamedTuple):
     rate_1_s: float
     lower_m_s: Vector
     upper_m_s: Vector
-    permitted: Callable[[Vec3], Vec3]
+    permitted: Callable[[ArrayLike], Vec3]
 
     @property
     def bound_m_s(self) -> float:
@@ -66,9 +69,11 @@ class At(NamedTuple):
 
         Args:
             velocity_m_s: (3,) ENU.
+
+        Raises:
+            ValueError: the velocity is not three finite numbers.
         """
-        x, y, z = np.asarray(velocity_m_s, dtype=np.float64).tolist()
-        permitted = self.permitted((x, y, z))
+        permitted = self.permitted(checked_velocity(velocity_m_s, "at.enforced"))
         gradient, lower, upper = self.gradient.tolist(), self.lower_m_s.tolist(), self.upper_m_s.tolist()
         found = project(permitted, tuple(gradient), self.bound_m_s, tuple(lower), tuple(upper))
         return np.array(found if found is not None else best_corner(gradient, lower, upper))
@@ -77,10 +82,22 @@ class At(NamedTuple):
 def three_finite(found: Any) -> Vector | None:
     """Return the answer of a filter as an array; None if it is not three finite numbers."""
     try:
-        velocity = np.asarray(found, dtype=np.float64)
-    except (TypeError, ValueError):
+        numbers = np.asarray(found, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
         return None
-    return velocity if velocity.shape == (3,) and np.isfinite(velocity).all() else None
+    return numbers if numbers.shape == (3,) and np.isfinite(numbers).all() else None
+
+
+def checked_velocity(found: Any, where: str) -> Vec3:
+    """Return a velocity that a user's filter gave to the function ``where``.
+
+    Raises ValueError: it is not three finite numbers.
+    """
+    numbers = three_finite(found)
+    if numbers is None:
+        raise ValueError(f"{where}: found {one_line(repr(found)):.60}; {NEEDED}")
+    x, y, z = numbers.tolist()
+    return (x, y, z)
 
 
 Ask = Callable[[Relative, Vec3], Vec3]  # agent: vehicle relative to target, nominal velocity -> velocity

@@ -101,6 +101,7 @@ def test_a_filter_that_extends_the_robust_one_keeps_its_margin(seed):
         (lambda nominal, at: "up", r"test_filter.py:Wrong returned 'up'; three finite numbers"),
         (lambda nominal, at: 1 / 0, "test_filter.py:Wrong raised ZeroDivisionError: division by zero"),
         (lambda nominal, at: None, "test_filter.py:Wrong returned None; three finite numbers"),
+        (lambda nominal, at: 10**400, "test_filter.py:Wrong returned 1000.*; three finite numbers"),
     ],
 )
 def test_a_result_that_is_no_velocity_aborts_and_names_the_class(value, text):
@@ -108,6 +109,30 @@ def test_a_result_that_is_no_velocity_aborts_and_names_the_class(value, text):
     assert landing.verdict.outcome == "aborted"
     assert re.search(text, landing.verdict.reason)
     assert not landing.verdict.violation
+
+
+@pytest.mark.parametrize("base", [fs.Filter, fs.RobustFilter])
+@pytest.mark.parametrize("helper", ["enforced", "permitted"])
+@pytest.mark.parametrize(
+    ("value", "found"),
+    [
+        ((np.nan, 0.0, 0.0), r"\(nan, 0.0, 0.0\)"),
+        ((0.0, 0.0, -np.inf), r"\(0.0, 0.0, -inf\)"),
+        (0.5, "0.5"),
+        (np.zeros((3, 1)), r"array\(\[\[0.\],"),
+    ],
+)
+def test_a_helper_that_is_given_no_velocity_aborts_and_names_it(base, helper, value, found):
+    class Wrong(base):
+        def filter(self, nominal, at):
+            return getattr(at, helper)(value if at.h_m < 0.5 else nominal)
+
+    landing = fs.land("lab", 1, filter=Wrong)
+    assert landing.verdict.outcome == "aborted"
+    text = rf"test_filter.py:Wrong raised ValueError: at.{helper}: found {found}.*; three finite numbers"
+    assert re.search(text, landing.verdict.reason)
+    assert not landing.verdict.violation
+    assert np.isfinite(landing.log.command_enu_m_s).all()
 
 
 def test_a_wrong_class_or_state_is_one_clear_line(tmp_path):

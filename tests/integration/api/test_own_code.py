@@ -10,7 +10,7 @@ from flightstack.common.strict_toml import ConfigError
 from tests.integration.runs import flightstack
 
 ROBOT = "the robot's function failing.py:drive {} at t = 2.0"
-FILTER = "the filter returned no velocity: failing.py:Down raised KeyError: 'down'"
+FILTER = "the filter returned no velocity: failing.py:Nominal raised KeyError: 'down'"
 CODE = """
 import flightstack as fs
 
@@ -20,6 +20,10 @@ def drive(t_s, x_m, y_m, yaw_rad):
 class Down(fs.Filter):
     def filter(self, nominal, at):
         return {{}}["down"] if at.h_m < 0.5 else at.enforced(nominal)
+
+class Nan(fs.Filter):
+    def filter(self, nominal, at):
+        return at.enforced(nominal * float("nan") if at.h_m < 0.5 else nominal)
 
 class Nominal(fs.Filter):
     def approach_m_s(self, at, over_pad):
@@ -86,23 +90,32 @@ def test_a_robots_function_that_fails_ends_every_flight_with_a_whole_log(tmp_pat
 
 def test_another_method_of_a_filter_that_fails_ends_every_flight(tmp_path):
     folder, failing = written(tmp_path, "(0.1, 0.0)"), ("--filter", "failing:Nominal")
-    text = FILTER.replace("Down", "Nominal")
-    one_line(
-        flightstack("sitl", "--scenario", "lab", "--lockstep", *failing, "--out", "run", cwd=folder), text
-    )
-    many = flightstack("campaign", "lab", "--runs", "1", *failing, "--out", "many", cwd=folder)
-    one_line(many, text)
-
-
-def test_a_filter_that_fails_aborts_every_flight(tmp_path):
-    folder, failing = written(tmp_path, "(0.1, 0.0)"), ("--filter", "failing:Down")
     flown = flightstack("sitl", "--scenario", "lab", "--lockstep", *failing, "--out", "run", cwd=folder)
     one_line(flown, FILTER)
+    many = flightstack("campaign", "lab", "--runs", "1", *failing, "--out", "many", cwd=folder)
+    one_line(many, FILTER)
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("Down", "raised KeyError: 'down'"),
+        (
+            "Nan",
+            "raised ValueError: at.enforced: found array([nan, nan, nan]); three finite numbers (m/s ENU)",
+        ),
+    ],
+)
+def test_a_filter_that_fails_aborts_every_flight(tmp_path, name, problem):
+    folder, failing = written(tmp_path, "(0.1, 0.0)"), ("--filter", f"failing:{name}")
+    text = f"the filter returned no velocity: failing.py:{name} {problem}"
+    flown = flightstack("sitl", "--scenario", "lab", "--lockstep", *failing, "--out", "run", cwd=folder)
+    one_line(flown, text)
     assert "aborted" in flown.out
     log = folder / "run/flight.mcap"
     unnamed = flightstack("replay", log, "--check", cwd=folder)
     assert unnamed.code == 2
-    assert "to start it, add --filter failing:Down" in unnamed.err
-    assert flightstack("replay", log, "--check", "--filter", "failing:Down", cwd=folder).code == 0
+    assert f"to start it, add --filter failing:{name}" in unnamed.err
+    assert flightstack("replay", log, "--check", *failing, cwd=folder).code == 0
     many = flightstack("campaign", "lab", "--runs", "2", *failing, "--out", "many", cwd=folder)
-    one_line(many, FILTER)
+    one_line(many, text)
