@@ -14,7 +14,7 @@ from urllib.parse import quote
 import numpy as np
 import rerun as rr
 
-from flightstack.common.processes import Port, ended
+from flightstack.common.processes import Port, ended, tied
 from flightstack.core.types import Phase
 from logs.reader.flight import columns, since
 from logs.reader.flight_data import Event, Flight, Floats, Steps, Timing, phase_name
@@ -91,15 +91,16 @@ class LiveRecording:
     def _start(self, *words: str) -> str:
         """Start Rerun and send it the recording; return its address, which only this machine can reach."""
         port = Port()  # a free local port; the default of Rerun is a fixed port on every network
+        program = [
+            viewer_program(), "--bind", "127.0.0.1", "--port", str(port.number), *words,
+            "--memory-limit", MEMORY_LIMIT, "--server-memory-limit", MEMORY_LIMIT, "--expect-data-soon",
+        ]  # fmt: skip
         self._viewer = subprocess.Popen(
-            [
-                viewer_program(), "--bind", "127.0.0.1", "--port", str(port.number), *words,
-                "--memory-limit", MEMORY_LIMIT, "--server-memory-limit", MEMORY_LIMIT, "--expect-data-soon",
-            ],
+            program if self._stays else tied(program),  # a server also ends if this process is killed
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             start_new_session=self._stays,
-        )  # fmt: skip
+        )
         port.close()
         _wait_for(port.number)
         at = f"rerun+http://127.0.0.1:{port.number}/proxy"

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,14 @@ def open_viewer(recording: Path, *, web: bool) -> int:
 
 
 def viewer_program() -> str:
-    """Return the path of Rerun's program."""
+    """Return the path of Rerun's program.
+
+    ``bin/rerun`` is a Python program that starts the one in the package, and leaves it running after SIGTERM.
+    """
+    package = find_spec("rerun_cli")
+    for folder in (package.submodule_search_locations or ()) if package is not None else ():
+        if (inside := Path(folder, "rerun")).exists():
+            return str(inside)
     beside = Path(sys.executable).with_name("rerun")  # path of the program in this Python environment
     program = str(beside) if beside.exists() else shutil.which("rerun")
     if program is None:

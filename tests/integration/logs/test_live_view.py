@@ -1,11 +1,14 @@
 """Tests which data the live 3-D scene draws and rejects; a viewer that hangs must not delay a process."""
 
+import contextlib
 import itertools
 import os
 import signal
 import subprocess
 import time
 from collections import Counter
+from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from rerun.chunk import RrdReader
@@ -107,6 +110,31 @@ def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching)
             batch = chunk.to_record_batch()
             (name,) = [n for n in batch.schema.names if n.startswith("Cylinders3D:radii")]
             assert batch.column(name).to_pylist()[0][0] == pytest.approx(PAD_RADIUS_M)
+
+
+def commands():
+    """Return the command lines of all processes."""
+    lines = []
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):  # the process has ended
+            lines.append(file.read_bytes().split(b"\0"))
+    return lines
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])  # a flight ends its view by SIGTERM
+def test_the_server_of_the_web_page_ends_with_watch(sender, number):
+    child = subprocess.Popen(
+        [*COMMAND, "watch", "--connect", sender[1], "--view", "web"],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+    )  # fmt: skip
+    try:
+        port = str(urlsplit(line_of(child.stdout).removeprefix("ready ").strip()).port).encode()
+        assert any(b"--serve-web" in words and port in words for words in commands())
+        child.send_signal(number)
+        child.wait(60.0)
+        wait_for(lambda: not any(port in words for words in commands()), "the end of the server")
+    finally:
+        killed(child)
 
 
 def test_a_viewer_that_hangs_holds_up_nobody(sender, watching):
