@@ -19,11 +19,13 @@ import numpy as np
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 from mcap.writer import Writer
 
+from flightstack.common.strict_toml import meant
 from flightstack.common.text import one_line, pip_install
 from logs.reader.mcap_records import Records
 from logs.reader.reader import LogFile
 
 _NS = 1e9  # nanoseconds per second
+TOPICS_SHOWN = 10  # maximum number of topics in an error message
 
 
 def summary(log: LogFile) -> dict[str, Any]:
@@ -159,8 +161,12 @@ class Table:
                     known.add(record.topic)
                     found |= {record.id: record} if record.topic == self.topic else {}
         if not found:
-            topics = ", ".join(sorted(known)) or "none"
-            raise ValueError(f"no topic {self.topic!r} in {self.log.path}; it contains {topics}")
+            topics, close = sorted(known), meant(self.topic, known)
+            more = f" and {len(topics) - TOPICS_SHOWN} more (`log info`)" if topics[TOPICS_SHOWN:] else ""
+            raise ValueError(
+                f"no topic {self.topic!r} in {self.log.path}; {close and f'{close} '}"
+                f"it contains {', '.join(topics[:TOPICS_SHOWN]) or 'none'}{more}"
+            )
         used = {schemas[each.schema_id].name: schemas[each.schema_id] for each in found.values()
                 if each.schema_id in schemas}  # fmt: skip
         encodings = {each.message_encoding for each in found.values()}

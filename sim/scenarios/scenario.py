@@ -84,7 +84,7 @@ class Scenario:
         if self.target.speed_m_s > self.target.speed_max_m_s + 1e-9:
             raise ConfigError(
                 f"target.speed_m_s: found {self.target.speed_m_s:g}, above target.speed_max_m_s "
-                f"{self.target.speed_max_m_s:g}"
+                f"{self.target.speed_max_m_s:g}: raise target.speed_max_m_s, or lower target.speed_m_s"
             )
         if abs(self.target.turn_rate_rad_s) > self.target.turn_rate_max_rad_s + 1e-9:
             raise ConfigError(

@@ -148,7 +148,7 @@ def test_a_scenario_that_is_not_as_declared_is_not_proven(part, key, value, chec
         ("[onboard.barrier]\ncone_half_angle_rad = 1.0\npeak_height_m = 0.5", "alpha_1_m = 1.284 and beta_m"),
         ("[onboard.touchdown]\npad_radius_m = 0.2", "there is one pad"),
         ("[target]\nturn_rate_rad_s = 2.9", "above target.turn_rate_max_rad_s"),
-        ("[target]\nspeed_m_s = 2.9", "above target.speed_max_m_s"),
+        ("[target]\nspeed_m_s = 2.9", ": raise target.speed_max_m_s, or lower target.speed_m_s"),
     ],
 )
 def test_two_numbers_that_must_agree_are_refused_over_a_base_too(tmp_path, own, text):

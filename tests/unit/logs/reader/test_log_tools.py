@@ -149,6 +149,28 @@ def test_csv_and_parquet_contain_the_same_rows(whole, tmp_path):
     assert {"log_time_ns", "publish_time_ns", "header.stamp.sec"} <= set(tables[0])
 
 
+@pytest.mark.parametrize(
+    ("asked", "topics", "text"),
+    [
+        ("/a/step", ["/a/steps", "/b"], "did you mean /a/steps? it contains /a/steps, /b\n"),
+        ("/zz", ["/b", "/a"], ".mcap; it contains /a, /b\n"),
+        ("/zz", [f"/t{n:02}" for n in range(12)], "/t08, /t09 and 2 more (`log info`)\n"),
+    ],
+)
+def test_a_wrong_topic_names_the_nearest_one_and_at_most_ten(tmp_path, asked, topics, text):
+    path = tmp_path / "topics.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "test")
+        schema = writer.register_schema("a/msg/A", "ros2msg", b"float64 x\n")
+        for topic in topics:
+            writer.register_channel(topic, "cdr", schema)
+        writer.finish()
+    code, _, err = log("export", path, "--topic", asked, "--format", "csv", "--out", tmp_path / "t.csv")
+    assert code == 2
+    assert err.endswith(text)
+
+
 def test_lists_are_json_text_and_undecodable_messages_are_counted(tmp_path):
     path, out = tmp_path / "lists.mcap", tmp_path / "lists.csv"
     with path.open("wb") as stream:
