@@ -17,6 +17,7 @@ STATE_AGE_MAX_S = 0.3  # maximum age of the state, s: thirty lost packets
 HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s: ten lost packets
 VARIANCE_MAX_M2 = 0.01  # maximum position variance of an axis, m2; settled: 0.001 (cflib reset_estimator)
 TILT_MAX_DEG = 2.0  # maximum tilt, degrees; 1 degree causes 6.8 cm/s of drift and is a usual sensor bias
+REPEAT_MAX_S = 60.0  # longest pause between two reports of one reason against the connection, s
 BATTERY_MIN_V = 3.7  # lowest voltage at rest, V: a sixth of the charge; the firmware does not land by itself
 # Values of stabilizer.controller that follow velocity set-points; 0 is the default, PID (controller.c). For
 # such a set-point Mellinger (2) holds height zero or gives full thrust (controller_mellinger.c).
@@ -157,6 +158,32 @@ _STUCK = {
     Info.TUMBLED: "it lies on its side or back: put it upright",
     Info.CRASHED: "supervisor saw a crash: look for damage, then arm it once: that recovers it",
 }
+
+
+def with_remedy(reason: str) -> str:
+    """Return cflib's reason against a connection; if it is a missing USB device, with what to do."""
+    text = reason.removeprefix("Couldn't load link driver: ")
+    if "Cannot find" not in text and "Could not open usb" not in text and "Access denied" not in text:
+        return reason
+    return (
+        f"{text}: plug it in; on Linux install Bitcraze's udev rules; --uri radio://... needs a Crazyradio, "
+        "--uri usb://0 a Crazyflie on a cable"
+    )
+
+
+class Repeats:
+    """Limits how often an unchanged text is reported: after 1 s, then 2 s, 4 s and so on up to a minute."""
+
+    def __init__(self) -> None:
+        self._text, self._due_s, self._pause_s = "", -math.inf, 0.0
+
+    def due(self, text: str, now_s: float) -> bool:
+        """Whether to report the text now; a new text is due immediately."""
+        if text == self._text and now_s < self._due_s:
+            return False
+        self._pause_s = min(2.0 * self._pause_s, REPEAT_MAX_S) if text == self._text else 1.0
+        self._text, self._due_s = text, now_s + self._pause_s
+        return True
 
 
 def too_old(protocol: int) -> str | None:

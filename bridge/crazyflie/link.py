@@ -25,7 +25,7 @@ from cflib.crazyflie.log import LogConfig
 from cflib.crazyflie.toccache import TocCache
 from cflib.crtp.crtpstack import CRTPPort
 
-from bridge.crazyflie.condition import too_old
+from bridge.crazyflie.condition import too_old, with_remedy
 from bridge.crazyflie.packets import (
     BLOCKS,
     FETCHED_AS,
@@ -335,7 +335,7 @@ class CrazyflieLink:
 
         def broken(_uri: str, reason: str) -> None:
             if self._current is crazyflie:
-                self._broken = reason.strip().partition("\n")[0]
+                self._broken = with_remedy(reason.strip().partition("\n")[0])
                 self._outbox.wake()
 
         def supervisor(packet: Any) -> None:

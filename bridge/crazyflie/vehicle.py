@@ -13,7 +13,7 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.crazyflie import rules as limits
-from bridge.crazyflie.condition import FIT, STUCK, Condition, stuck
+from bridge.crazyflie.condition import FIT, STUCK, Condition, Repeats, stuck
 from bridge.crazyflie.packets import (
     ArmReply,
     Connected,
@@ -59,6 +59,7 @@ class Vehicle(Condition, Commander):
         self._kill_s = -math.inf
         self._silence_said = False
         self._connected_s = 0.0
+        self._unconnected = Repeats()
         self._armed_state: CrazyflieState | None = None  # newest state in which the vehicle is armed
         # time of the newest state with a known position, and the longest landing without a position, s
         self._placed_s, self._sink_s = -math.inf, 0.0
@@ -96,7 +97,7 @@ class Vehicle(Condition, Commander):
         self.link = Link(event.protocol, dict(event.params), "")
         self.state = self.health = None
         self._forget_outside()
-        self._connected_s = now_s
+        self._connected_s, self._unconnected = now_s, Repeats()
         self._arming.forget(armed=self.armed)
         if now_s - self._kill_s <= limits.KILL_KEPT_S:
             self.terminate(now_s)
@@ -119,7 +120,7 @@ class Vehicle(Condition, Commander):
         """Handle the loss of the link; in the bridge's own modes the vehicle lands blindly."""
         if self.link.protocol is not None:
             self.texts.say(CRITICAL, f"Radio lost: {event.reason}")
-        else:
+        elif self._unconnected.due(event.reason, now_s):
             self.texts.refuse(event.reason, now_s, "connecting")
         self.link = Link(reason=event.reason)
         if self.standing or self.mode is FlightMode.OFFBOARD:

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from bridge.crazyflie.condition import Repeats, with_remedy
 from bridge.crazyflie.packets import (
     LATE_MAX_S,
     ORDERS_MAX,
@@ -45,6 +46,20 @@ UNIT = (
     .filter(lambda q: sum(e * e for e in q) > 0.01)
     .map(lambda q: tuple(e / math.sqrt(sum(x * x for x in q)) for e in q))
 )
+
+
+def test_a_reason_against_the_link_is_repeated_with_doubling_pauses_and_a_new_one_at_once():
+    repeats = Repeats()
+    due = [n for n in range(200) if repeats.due("no radio" if n < 190 else "no answer", float(n))]
+    assert due == [0, 1, 3, 7, 15, 31, 63, 123, 183, 190, 191, 193, 197]
+
+
+def test_only_a_missing_usb_device_gets_the_remedy():
+    failed = "Couldn't load link driver: "
+    assert with_remedy(f"{failed}Cannot find a Crazyradio Dongle").startswith(
+        "Cannot find a Crazyradio Dongle: plug it in; on Linux install Bitcraze's udev rules"
+    )
+    assert with_remedy(f"{failed}[Errno 111]") == f"{failed}[Errno 111]"
 
 
 @given(UNIT)
