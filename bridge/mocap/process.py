@@ -22,13 +22,14 @@ from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mocap.checks import Limits, MocapOptions, Passed, PoseChecks, PoseOptions, Sample
 from bridge.ros2.cdr import OdometryError
 from bridge.ros2.ros2_names import parse_topic_key
-from bridge.target.ros2_target import POSE_DECODERS, ROS_TYPES, Dialect, TargetSpec, TargetType
+from bridge.target.ros2_target import POSE_DECODERS, ROS_TYPES, Dialect, KeySearch, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly
 from flightstack.core.parameters.flight import check_origin
 from flightstack.core.types import ZERO, Landed, Mode, Vec3, VehicleStatus
 
+SAY_S = 2.0  # time between two texts on the same topic, s
 CAPACITY = 256  # maximum number of samples between two polls; the oldest are dropped
 
 
@@ -51,20 +52,46 @@ class MocapSource:
         spec: TargetSpec,
         checks: PoseChecks,
         offset_flu_m: Vec3 = ZERO,
+        where: Sequence[str] = (),
     ) -> None:
-        """``offset_flu_m``: vector from the markers' centre to the vehicle's. Raises ValueError: bad key."""
+        """``offset_flu_m``: vector from the markers' centre to the vehicle's; ``where``: Zenoh endpoints.
+
+        Raises ValueError: bad key.
+        """
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)
         self._spec, self._offset_flu_m, self.checks = spec, offset_flu_m, checks
-        self.problem: str | None = "mocap: no pose yet"  # reason why there is no good pose, or None
+        at = f" at {', '.join(where)}" if where else ""
+        self._search, self._waits = KeySearch(session), f"mocap: no pose on {spec.text}{at} yet"
+        self._arrived = False  # whether any sample has arrived
+        self._searched_s: float | None = None  # start of the search for other keys; None: no search runs
+        self.problem: str | None = self._waits  # reason why there is no good pose, or None
         self._unreadable: str | None = None  # reason why the newest sample is unreadable, or None
 
     def poll(self, now_s: float, *, armed: bool) -> tuple[Passed, ...]:
         """Return the good poses since the last call, oldest first; never blocks."""
         samples = [self._sample(sample, now_s) for sample in zenoh_link.drain(self._subscriber)]
         passed, self.problem = self.checks.step(samples, now_s, armed=armed)
+        self._arrived = self._arrived or bool(samples)
+        if not self._arrived:
+            self.problem = f"{self._waits}{self._elsewhere(now_s, armed=armed)}"
+        elif self._searched_s is not None:
+            self._search.stop()
+            self._searched_s = None
         if self.problem is not None and self._unreadable is not None:
             self.problem = f"mocap: {self._unreadable}"
         return passed
+
+    def _elsewhere(self, now_s: float, *, armed: bool) -> str:
+        """Return what else is published, once the search has had time; in flight nothing is searched."""
+        if armed:
+            self._search.stop()
+            self._searched_s = None
+            return ""
+        keys = self._search.keys()
+        self._searched_s = now_s if self._searched_s is None else self._searched_s
+        if keys:
+            return f"; there are {', '.join(keys)}"
+        return "; nor on any key like odometry or pose" if now_s - self._searched_s >= SAY_S else ""
 
     def _sample(self, sample: zenoh_link.Sample, now_s: float) -> Sample:
         key = str(sample.key_expr)
@@ -209,7 +236,6 @@ class MocapVehicle:
 
 TICK_S = 0.002  # longest delay that the loop adds to a pose, s
 _AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
-_SAY_S = 2.0  # time between two texts on the same topic, s
 
 
 class Bridge:
@@ -220,9 +246,10 @@ class Bridge:
         endpoint: Endpoint,
         system_id: int,
         say: Callable[[str], None],
+        url: str,
     ) -> None:
         self._source, self._vehicle, self._endpoint = source, vehicle, endpoint
-        self._system_id, self._say = system_id, say
+        self._system_id, self._say, self._url = system_id, say, url
         self._senders = Senders()
         self._told: dict[str, tuple[str | None, float]] = {}  # last text and its time, s, by topic
         self._start_s = time.monotonic()
@@ -262,7 +289,7 @@ class Bridge:
     def _tell(self, topic: str, text: str | None, now_s: float, *, good: str | None) -> None:
         """Print a problem when it begins and at most every two seconds; print ``good`` when it ends."""
         before, said_s = self._told.get(topic, (None, 0.0))
-        if (text is None) == (before is None) and (text is None or now_s - said_s < _SAY_S):
+        if (text is None) == (before is None) and (text is None or now_s - said_s < SAY_S):
             return
         self._told[topic] = (text, now_s)
         shown = good if text is None else text
@@ -272,7 +299,7 @@ class Bridge:
     def _vehicle_problem(self, now_s: float) -> str | None:
         vehicle = self._vehicle
         if not vehicle.heard(now_s):
-            return "mocap: no message from the vehicle"
+            return f"mocap: no message from the vehicle at {self._url}"
         if vehicle.unknown_autopilot is not None:
             return (
                 f"mocap: autopilot {vehicle.unknown_autopilot} is unsupported: use PX4 (12) or ArduPilot (3)"
@@ -305,9 +332,9 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
         )
         stack.callback(session.close)
         checks = PoseChecks(replace(limits(options), rate_max_hz=RATE_MAX_HZ))
-        source = MocapSource(session, spec, checks, options.offset_flu_m)
+        source = MocapSource(session, spec, checks, options.offset_flu_m, options.connect or options.listen)
         vehicle = MocapVehicle(options.system_id, origin)
-        bridge = Bridge(source, vehicle, endpoint, options.system_id, say)
+        bridge = Bridge(source, vehicle, endpoint, options.system_id, say, options.vehicle_url)
         run_promptly()  # request a high priority: a delayed pose is useless
         stop = Stop().install()
         say("ready")

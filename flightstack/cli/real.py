@@ -139,7 +139,8 @@ def crazyflie(options: CrazyflieOptions) -> None:
         options.listen, options.connect, config_file=options.zenoh_config, prompt=True
     )
     try:
-        poses = MocapSource(session, spec, PoseChecks(limits(options)), options.offset_flu_m)
+        where = options.connect or options.listen
+        poses = MocapSource(session, spec, PoseChecks(limits(options)), options.offset_flu_m, where)
         status = process.run(options, drag_1_s, poses, say)
         say(summary(poses.checks))
     finally:

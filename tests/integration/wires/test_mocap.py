@@ -96,6 +96,15 @@ def test_a_vehicle_gets_poses_in_its_own_way(autopilot, kind):
         assert started.end(signal.SIGTERM) == 0
 
 
+def test_what_is_missing_is_named_with_key_endpoint_and_url():
+    pose = ((1.0, 2.0, 0.5), (1.0, 0.0, 0.0, 0.0))
+    words = ("--key", "lab/cf9/pose", "--vehicle", "udpout:127.0.0.1:9")
+    with Mocap(KEY, lambda: pose) as mocap, verb("mocap", *words, "--connect", mocap.endpoint) as started:
+        started.until("mocap: no message from the vehicle at udpout:127.0.0.1:9")
+        started.until(f"mocap: no pose on lab/cf9/pose at {mocap.endpoint} yet; there are {KEY}")
+        assert started.end(signal.SIGTERM) == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

@@ -14,6 +14,7 @@ from bridge.mavlink.codec.messages import pack
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between
 from bridge.mocap.process import (
     RATE_MAX_HZ,
+    SAY_S,
     MocapSource,
     MocapVehicle,
     odometry,
@@ -22,6 +23,8 @@ from bridge.mocap.process import (
 )
 from bridge.ros2.cdr import Pose
 from bridge.zenoh import zenoh_link
+from tests.processes.bounded import wait_for
+from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import pose_stamped
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -256,6 +259,31 @@ def test_only_an_autopilot_that_needs_one_gets_an_origin_until_it_shows_it():
             told += [m for m in vehicle.step([], i / 10.0) if m.get_type() == "SET_GPS_GLOBAL_ORIGIN"]
         assert len(told) == pytest.approx(wanted, abs=1) if wanted else told == []
         assert {(m.latitude, m.altitude) for m in told} <= {(474_000_000, 430_000)}
+
+
+def test_without_a_pose_the_key_the_endpoint_and_other_keys_are_named():
+    endpoint = free_endpoint()
+    session, other = zenoh_link.open_session([endpoint]), zenoh_link.open_session([], [endpoint])
+    begin = f"mocap: no pose on lab/pose at {endpoint} yet"
+    try:
+        source = MocapSource(session, parse_spec("lab/pose"), PoseChecks(), where=[endpoint])
+        assert source.problem == begin
+        source.poll(0.0, armed=False)
+        assert source.problem == begin  # the search has only begun
+        source.poll(SAY_S, armed=False)
+        assert source.problem == f"{begin}; nor on any key like odometry or pose"
+
+        def found():
+            other.put("lab/cf2/pose", b"")
+            source.poll(SAY_S, armed=False)
+            return source.problem == f"{begin}; there are lab/cf2/pose"
+
+        wait_for(found, "the other key")
+        source.poll(SAY_S, armed=True)
+        assert source.problem == begin  # in flight nothing is searched
+    finally:
+        other.close()
+        session.close()
 
 
 def test_why_poses_cannot_be_read_is_known_until_one_can():
