@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from flightstack.config import load
+from flightstack.verify.certificate import checks
+
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
@@ -42,6 +45,13 @@ def test_the_index_names_every_page():
         (DOCS / link.partition("#")[0]).resolve() for link in LINK.findall((DOCS / "README.md").read_text())
     }
     assert {page for page in PAGES if page.parent != ROOT} - named == {DOCS / "README.md"}
+
+
+def test_the_configuration_for_a_turtlebot_is_proven(tmp_path):
+    file = tmp_path / "turtlebot.toml"
+    (text,) = re.findall(r"^```toml\n(.*?)^```", (DOCS / "how_to/ros2.md").read_text(), re.M | re.S)
+    file.write_text(text)
+    assert [check.name for check in checks(load(file)) if not check.proven] == []
 
 
 @pytest.mark.slow
