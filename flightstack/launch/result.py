@@ -17,7 +17,7 @@ from rich.text import Text
 from flightstack.common.text import failed_code, named, outline
 from flightstack.launch.launcher import Followed
 from logs.reader.flight import load_fleet
-from logs.reader.reader import LogError
+from logs.reader.reader import EmptyLogError, LogError
 from logs.report.report import ReportError, write_report
 from logs.verdict.types import FALL_M_S, FALLS, SOURCES
 from logs.verdict.verdict import Verdict, judge_fleet, result
@@ -145,7 +145,9 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
     try:
         log = load_fleet(flown.log) if flown.log is not None else None
     except LogError as error:  # the log is not usable
-        print(f"flightstack: no result: {flown.problem or said} {error}", file=sys.stderr)
+        unexplained = not said or any(each.child.process.returncode == 0 for each in flown.flights)
+        if unexplained or not isinstance(error, EmptyLogError):  # otherwise the reason is in the table
+            print(f"flightstack: no result: {flown.problem or said} {error}", file=sys.stderr)
         log = None
     if log is None:
         about = {

@@ -35,7 +35,7 @@ from logs.reader.flight_data import (
     read_config,
     shape,
 )
-from logs.reader.reader import LogError, LogFile, Members, Message
+from logs.reader.reader import EmptyLogError, LogError, LogFile, Members, Message
 from logs.schema import NO_PAD
 from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE, codec
@@ -130,7 +130,7 @@ def _flight(log: LogFile, label: str, by_kind: Mapping[str, list[Message]], prob
     if steps is None and truth is None:
         found = ", ".join(sorted(by_kind)) or "nothing this stack writes"
         of = f", {label}" if label else ""
-        raise LogError(
+        raise (LogError if damage else EmptyLogError)(
             f"{log.path}{of}: found {found}; a flight needs controller steps ({CONTROLLER_STEP}) or true "
             f"states ({TRUE_STATE})" + "".join(f"; {each}" for each in damage)
         )

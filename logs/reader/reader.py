@@ -137,6 +137,10 @@ class LogError(ValueError):
     """A file that cannot be used as a flight log."""
 
 
+class EmptyLogError(LogError):
+    """A complete log without controller steps and true states: no flight started."""
+
+
 class Message(NamedTuple):
     topic: str
     schema: str

@@ -89,6 +89,16 @@ def test_wrong_input_is_status_2_with_what_to_do(tmp_path, words, said):
     assert said in done.err
 
 
+def test_without_a_heartbeat_the_result_is_the_reason_alone(tmp_path):
+    done = called(
+        "fly", "--vehicle", "udpout:127.0.0.1:9", "--config", "crazyflie", "--duration", "1", "--out",
+        tmp_path / "flight",
+    )  # fmt: skip
+    assert done.code == 1
+    assert "no heartbeat of system 1" in " ".join(done.out.split())
+    assert done.err == ""
+
+
 def test_onboard_alone_records_unless_declined(tmp_path):
     words = ["onboard", "--vehicle", "udpout:127.0.0.1:9", "--config", "crazyflie", "--duration", "1"]
     done = flightstack(*words, cwd=tmp_path)
