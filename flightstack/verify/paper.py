@@ -79,7 +79,7 @@ def basics(
         sampling(config, *rate),
         Check(
             "barrier's peak", "the boundary rises with distance everywhere over the pad",
-            barrier.peak_distance_m - 0.5 * pad_m, "m",
+            barrier.peak_distance_m - pad_m, "m",
             f"its peak at {barrier.peak_distance_m:.3g} m, the pad's radius {pad_m:g} m",
             "make the barrier wider: lower alpha_1_m or raise peak_distance_m",
         ),

@@ -58,7 +58,7 @@ LIMITS = [
             ("robust.acceleration_max_m_s2[0]", {"limits": BOX, "touchdown": AT_REST}, "robust",
              "acceleration_max_m_s2", [10.0, 5.0, 2.5], [10.01, 5.0, 2.5]),
             ("barrier's peak", {"barrier": {"alpha_1_m": 2.0, "beta_m": 1.0}}, "touchdown", "pad_radius_m",
-             1.0, 1.001),
+             0.5, 0.501),
             ("estimator", {"target": {"jerk_growth_max": 5.0}}, "target", "jerk_xy_m_s3_sqrthz", 0.0501,
              0.0499),
             ("estimator", {"target": {"jerk_z_m_s3_sqrthz": 0.02}}, "envelope", "target_climb_max_m_s", 0.0,
@@ -78,6 +78,14 @@ def test_each_limit_from_both_sides(name, passes, fails):
         assert found.remedy
         if found.need is Need.FLIGHT:
             assert found.text in problems(config(**fails))
+
+
+@pytest.mark.parametrize("alpha_1_m", [0.5, 2.0, 2.5, 3.33, 3.34, 5.0, 9.0])
+def test_barriers_peak_is_proven_if_the_boundary_rises_at_every_distance_over_the_pad(alpha_1_m):
+    sections = {"barrier": {"alpha_1_m": alpha_1_m, "beta_m": 0.5}, "touchdown": {"pad_radius_m": 0.3}}
+    barrier = config(**sections).barrier.build()
+    rises = all(barrier.slope(k * 0.3 / 1000) >= 0.0 for k in range(1001))
+    assert one("barrier's peak", **sections).proven == rises
 
 
 def states(seed, x, count):
