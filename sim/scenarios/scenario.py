@@ -214,9 +214,13 @@ class Scenario:
 
 
 def one_pad(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a scenario's table; a configuration without a pad radius gets the radius of the scenario."""
+    """Return a scenario's table; a configuration without a pad radius gets the radius of the scenario.
+
+    Raises ConfigError: the robot's table is wrong; its message names the key that the user wrote.
+    """
     match table:
         case {"target": {"pad_radius_m": radius_m}, "onboard": dict()}:
+            from_table(TargetSpec, table["target"], "target")
             return over({"onboard": {"touchdown": {"pad_radius_m": radius_m}}}, table)
     return table
 
@@ -302,9 +306,9 @@ def _built(path: Path, table: dict[str, Any]) -> Scenario:
                 raise ConfigError(
                     f"member {number}: {key}: found {own[key]!r}; only the run has it, remove it"
                 )
-        whole = one_pad(over(_configured(path, shared, own, number), own))
+        whole = over(_configured(path, shared, own, number), own)
         try:
-            found.append(from_table(Scenario, whole))
+            found.append(from_table(Scenario, one_pad(whole)))
         except ConfigError as error:
             raise ConfigError(f"{where.format(number)}{error}") from None
     return Scenario.of(found)

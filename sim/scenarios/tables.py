@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Annotated
 
 from flightstack.common.strict_toml import ConfigError, Files, span
+from flightstack.core.parameters.flight import PAD_RADIUS_M
 from flightstack.core.types import Vec3
 
 BELOW_PAD_MIN_M = 0.03  # smallest height of the pad's top above the floor, m: pad plate and robot below it
@@ -101,7 +102,7 @@ class TargetSpec:
     heave_amplitude_m: Annotated[float, span(0.0, 0.5)] = 0.0  # amplitude of the pad's heave
     heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0  # frequency of the heave
     pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # height of the pad's top (LDS: 0.192 m)
-    pad_radius_m: Annotated[float, span(0.05, 2.0)] = 0.10  # radius of the pad
+    pad_radius_m: Annotated[float, PAD_RADIUS_M] = 0.10  # radius of the pad
     pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # distance of pad behind axle; body: 0.032
 
     def __post_init__(self) -> None:

@@ -48,13 +48,16 @@ class Takeoff:
     timeout_s: Annotated[float, span(5.0, 300.0)] = 60.0  # longest take-off with the flight to the start
 
 
+PAD_RADIUS_M = span(0.05, 2.0)  # range of a pad's radius, also in a scenario
+
+
 @dataclass(frozen=True, slots=True)
 class Touchdown:
     """Final descent to the pad."""
 
     rule: TouchdownRule = TouchdownRule.CONTACT  # `contact`: until contact; `paper`: motors off at height_m
     height_m: Annotated[float, span(0.01, 1.0)] = 0.05  # paper filter: height of the touchdown (section V)
-    pad_radius_m: Annotated[float, span(0.03, 2.0)] = 0.10  # radius of the pad
+    pad_radius_m: Annotated[float, PAD_RADIUS_M] = 0.10  # radius of the pad
     feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # height of centre of mass on feet, CAD
     target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # fastest target; TurtleBot3 Burger's limit
     # maximum wait for a slow target after the landing starts; at low speed a delayed vehicle state has

@@ -187,7 +187,7 @@ def test_every_configuration_that_comes_with_the_package_is_found_by_name_and_ma
 
 def test_no_margin_is_blown_up_by_more_than_half():
     """The filter divides the margin by the fraction that remains at the edge of the pad."""
-    for pad_m in (0.03, 0.1, 0.5):
+    for pad_m in (0.05, 0.1, 0.5):
         widest = config(
             robust={"fade_radius_m": pad_m, "tracking_error_m_s": 0.1, "rate_1_s": 1.0, "sigma_factor": 0.0},
             touchdown={"pad_radius_m": pad_m},
