@@ -39,6 +39,7 @@ class _Row(NamedTuple):
     found: float
     room: float  # remaining margin; negative if the scenario exceeds the declared value
     unit: str
+    remedy: str  # change that makes the margin positive; it names the number
 
 
 def declared(scenario: Scenario) -> list[Check]:
@@ -50,7 +51,7 @@ def declared(scenario: Scenario) -> list[Check]:
             row.room + 1e-12,
             row.unit,
             f"onboard.{row.key} is {row.declared:.3g}, {row.there} is {row.found:.3g}",
-            f"make onboard.{row.key} and {row.there} agree",
+            row.remedy,
             Need.PROOF,
         )
         for row in (*_rows(scenario), *(_links(scenario) if scenario.onboard.filter != "paper" else ()))
@@ -85,11 +86,22 @@ def not_proven(scenario: Scenario) -> str:
 
 def _at_most(key: str, declared: float, there: str, found: float, unit: str, share: float = 1.0) -> _Row:
     """Return a comparison with margin >= 0 if the declared value is at least ``share * found``."""
-    return _Row(key, declared, there, found, declared - share * found, unit)
+    needed = share * found
+    remedy = f"set onboard.{key} to {_rounded_up(needed):g} or more, or lower {there.rstrip(',')}"
+    return _Row(key, declared, there, found, declared - needed, unit, remedy)
+
+
+def _rounded_up(value: float) -> float:
+    """Return a positive value, rounded up to three digits."""
+    if value <= 0.0:
+        return value
+    digits = 2 - math.floor(math.log10(value))
+    return math.ceil(value * 10.0**digits - 1e-9) / 10.0**digits
 
 
 def _near(key: str, declared: float, there: str, found: float, most: float, unit: str) -> _Row:
-    return _Row(key, declared, there, found, most - abs(declared - found), unit)
+    remedy = f"set onboard.{key} to {found:.3g}"
+    return _Row(key, declared, there, found, most - abs(declared - found), unit, remedy)
 
 
 def _rows(scenario: Scenario) -> Iterator[_Row]:
@@ -135,6 +147,8 @@ def _links(scenario: Scenario) -> Iterator[_Row]:
         "velocity_loop.lag_xy_s", config.velocity_loop.lag_xy_s,
         f"at most {radio_s:.3g} s of it may be the radio's, vehicle.setpoint_delay_s",
         spec.setpoint_delay_s, radio_s - spec.setpoint_delay_s, "s",
+        f"lower vehicle.setpoint_delay_s to {radio_s:g} or less, or identify the loop with the radio "
+        "(flightstack identify)",
     )  # fmt: skip
     yield _at_most(
         "envelope.target_climb_max_m_s", envelope.target_climb_max_m_s,
@@ -144,6 +158,7 @@ def _links(scenario: Scenario) -> Iterator[_Row]:
     yield _Row(
         "envelope.target_rate_hz", envelope.target_rate_hz, "odometry.rate_hz", link.rate_hz,
         link.rate_hz - envelope.target_rate_hz, "Hz",
+        f"set onboard.envelope.target_rate_hz to {link.rate_hz:g} or less, or raise odometry.rate_hz",
     )  # fmt: skip
     if (error := link.error) is None:
         yield _near("target.delay_s", sent.delay_s, "odometry.delay_s", link.delay_s, DELAY_M_S, "s")
