@@ -106,6 +106,13 @@ def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
     )  # fmt: skip
 
 
+def touch_height(config: FlightConfig) -> tuple[str, float]:
+    """Return the name and the value of the height at which the paper's filter counts as touching down, m."""
+    if config.touchdown.rule is TouchdownRule.CONTACT:
+        return f"{CENTRES:g} times contact.gap_m", CENTRES * config.contact.gap_m
+    return "touchdown.height_m", config.touchdown.height_m
+
+
 def answers(config: FlightConfig) -> list[Check]:
     """Check that position loop, filter, slew limit and tick fit a vehicle with lag, which the paper omits.
 
@@ -126,13 +133,8 @@ def answers(config: FlightConfig) -> list[Check]:
     lag_s, settles_s, omega_1_s = slower * loop.lag_xy_s, slower * loop.lag_z_s, config.barrier.omega_1_s
     quick_s, target_m_s2 = max(loop.lag_xy_s, TICK_S), config.envelope.target_acceleration_max_m_s2
     speed, overtakes_m_s, pad_m = max(vx, vy), min(vx, vy), config.touchdown.pad_radius_m
-    barrier, by_contact = config.barrier.build(), config.touchdown.rule is TouchdownRule.CONTACT
+    barrier, (key, touch_m) = config.barrier.build(), touch_height(config)
     rises_m_s, half_m = barrier.slope_max * target_m_s, barrier.height(0.5 * pad_m)
-    key, touch_m = (
-        (f"{CENTRES:g} times contact.gap_m", CENTRES * config.contact.gap_m)
-        if by_contact
-        else ("touchdown.height_m", config.touchdown.height_m)
-    )
     return [
         Check(
             "lag",

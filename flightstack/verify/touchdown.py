@@ -214,23 +214,31 @@ def _tilts(config: FlightConfig, x: Extremes) -> Check:
     )  # fmt: skip
 
 
-def _drift(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the vehicle touches the pad; the configuration has the gain of the final descent."""
-    touches, moved = "after the commit the vehicle touches the pad, for any motion", " that it followed"
-    remedy = "lower robust.commit_speed_m_s or robust.commit_radius_m"
+def farthest_m(config: FlightConfig, x: Extremes) -> tuple[float, str]:
+    """Return the bound of the touchdown's distance from the centre, m, and a text about the worst point.
+
+    The configuration has the gain of the final descent.
+    """
     if config.velocity_feedback.horizontal:
         farthest, vehicle = follow_m(config, x)
-        how, remedy = (
-            f", a velocity loop {vehicle:.3g} times as fast",
-            "lower envelope.lag_spread or envelope.target_acceleration_max_m_s2",
-        )
-    elif config.velocity_loop.dead_time_s > 0.0:
+        return farthest, f", a velocity loop {vehicle:.3g} times as fast"
+    if config.velocity_loop.dead_time_s > 0.0:
         time_s = min(descent_time_s(config, x), config.touchdown.timeout_s)
         farthest, lags = late.drift_of_spread_m(config, x, time_s)
-        how = f", with {lags:.3g} times the lag"
-    else:
-        farthest, when_s = drift_m(config, x)
-        how, moved = f" after {when_s:.2f} s", ""
+        return farthest, f", with {lags:.3g} times the lag"
+    farthest, when_s = drift_m(config, x)
+    return farthest, f" after {when_s:.2f} s"
+
+
+def _drift(config: FlightConfig, x: Extremes) -> Check:
+    """Check that the vehicle touches the pad; the configuration has the gain of the final descent."""
+    touches = "after the commit the vehicle touches the pad, for any motion"
+    followed = config.velocity_feedback.horizontal or config.velocity_loop.dead_time_s > 0.0
+    moved = " that it followed" if followed else ""
+    remedy = "lower robust.commit_speed_m_s or robust.commit_radius_m"
+    if config.velocity_feedback.horizontal:
+        remedy = "lower envelope.lag_spread or envelope.target_acceleration_max_m_s2"
+    farthest, how = farthest_m(config, x)
     worst = f"{1000.0 * farthest:.3g} mm from the middle{how}"
     if config.velocity_feedback.horizontal and config.own.learns:
         worst = "no bound is known for a vehicle that estimates its own state (own.velocity_error_m_s)"

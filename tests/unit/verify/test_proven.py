@@ -150,6 +150,27 @@ def test_a_scenario_that_is_not_as_declared_is_not_proven(part, key, value, chec
         assert f"declared, {check}" not in changed(from_table(Scenario, table))
 
 
+@pytest.mark.parametrize("kind", ["robust", "paper"])
+@pytest.mark.parametrize(("pad_m", "stands"), [(0.05, False), (0.06, False), (0.07, True), (0.08, True)])
+def test_a_pad_without_room_for_the_feet_is_not_proven(kind, pad_m, stands):
+    table = to_table(load("lab").with_filter(kind))
+    table["target"]["pad_radius_m"] = table["onboard"]["touchdown"]["pad_radius_m"] = pad_m
+    # these values prove each other claim for the small pads
+    table["onboard"]["limits"]["velocity_max_m_s"] = [0.35, 0.35, 0.5]
+    table["onboard"]["robust"] |= {
+        "fade_radius_m": 0.03, "corridor_m": 0.05, "commit_radius_m": 0.009, "commit_speed_m_s": 0.059,
+        "acceleration_max_m_s2": [1.2, 1.2, 2.5],
+    }  # fmt: skip
+    found = from_table(Scenario, table)
+    assert changed(found) == ([] if stands else ["declared, feet"])
+    if kind == "robust":
+        assert all(each.proven for each in checks(found.onboard))
+    (feet,) = (each for each in declared(found) if each.name == "declared, feet")
+    least_m = float(feet.remedy.split(" to ")[1].split(" or ")[0])
+    table["target"]["pad_radius_m"] = table["onboard"]["touchdown"]["pad_radius_m"] = least_m
+    assert changed(from_table(Scenario, table)) == []
+
+
 @pytest.mark.parametrize(
     ("own", "text"),
     [
