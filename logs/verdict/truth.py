@@ -40,7 +40,7 @@ _NAMES = {
     ContactBit.VEHICLE: "another vehicle",
 }
 _HITS = ~int(ContactBit.PAD)  # contacts that are not allowed
-# contacts after touchdown that prove that the vehicle has left the pad
+# contacts after touchdown that make the outcome crashed; one foot beside a small pad is enough
 _FALLS = int(ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED | ContactBit.VEHICLE)
 
 
@@ -125,7 +125,7 @@ def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) ->
         abort = abort_declared(flight)
         if abort and abort.t_s <= truth.t_s[where] and _gentle_landing_away(truth, _contact_at(truth, where)):
             return Outcome.ABORTED, abort.text
-        return Outcome.CRASHED, f"left the pad after touchdown: {_names(int(truth.contacts[where]))}"
+        return Outcome.CRASHED, f"contact after touchdown: {_names(int(truth.contacts[where]))}"
     if off >= len(truth.t_s):
         return Outcome.TIMEOUT, "touched the pad, but the motors never stopped"
     if at >= end:

@@ -198,7 +198,7 @@ NAN, STILL = math.nan, (0.0, 0.0, 0.0)
             [truth(lambda rows, tick: tick > rows.truth[rows.touch].tick + 10, velocity_enu_m_s=STILL)],
             Outcome.TIMEOUT, ANY, "relative speed",
         ),
-        ([truth(since_touch(60), contacts=GROUND)], Outcome.CRASHED, ANY, "left the pad"),
+        ([truth(since_touch(60), contacts=GROUND)], Outcome.CRASHED, ANY, "contact after touchdown"),
         ([truth(ALL, motors_running=True)], Outcome.TIMEOUT, ANY, "motors never stopped"),
         ([*MISSED, lambda rows: abort_at(rows, 6.0)], Outcome.ABORTED, ANY, "target did not come back"),
         (MISSED, Outcome.TIMEOUT, ANY, ""),
@@ -211,7 +211,7 @@ NAN, STILL = math.nan, (0.0, 0.0, 0.0)
         ([losses], Outcome.LANDED, None, "3 records"),
         ([losses, no_truth(GAP)], Outcome.UNKNOWN, None, "lost records (3 of vehicle), so that the log"),
         ([losses, *MISSED], Outcome.UNKNOWN, None, "no contact and no declared abort"),
-        ([losses, truth(since_touch(60), contacts=GROUND)], Outcome.CRASHED, ANY, "left the pad"),
+        ([losses, truth(since_touch(60), contacts=GROUND)], Outcome.CRASHED, ANY, "contact after touchdown"),
         ([truth(since_begin(9, 9), h_min_m=NAN, h_min_outside_pad_m=NAN)], ANY, None, ""),
         ([lambda rows: rows.cut(3.0)], Outcome.TIMEOUT, None, "never began"),
         (
