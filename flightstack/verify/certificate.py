@@ -38,7 +38,7 @@ def checks(config: FlightConfig) -> list[Check]:
     """
     checked_class(config)
     own = certificate_of(config)
-    found: list[Check] = referred(own)(config) if own else [_no_certificate(config.filter)]
+    found: list[Check] = referred(own, "certificate")(config) if own else [_no_certificate(config.filter)]
     return [*found, *fleet_checks(config)]
 
 
