@@ -75,7 +75,7 @@ def _changed(member: Scenario, changes: Changes) -> Scenario:
         table = over(table, part)
     if _PAD not in map(_path, changes):  # the configuration's value follows that of the robot's pad
         del table["onboard"]["touchdown"]["pad_radius_m"]
-    return from_table(Scenario, one_pad(table))
+    return from_table(Scenario, one_pad(table), keys=sorted(_SCENARIO - {"others"}))
 
 
 def whole(what: str, found: object, low: int = 0) -> int:
@@ -109,7 +109,7 @@ def _plain(value: Any) -> Any:
     return [_plain(each) for each in value] if isinstance(value, tuple | list) else value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Landing:
     """A judged flight of one vehicle, simulated by ``land`` or read from a log.
 
@@ -123,6 +123,16 @@ class Landing:
     verdict: Verdict
     flight: Flight
     seed: int | None = None
+
+    def __repr__(self) -> str:
+        found = self.verdict
+        name = f"{self.flight.path}" if self.seed is None else f"{self.flight.path}, seed {self.seed}"
+        lowest = "" if found.h_min_m is None else f", lowest h {found.h_min_m:.3f} m"
+        error = (
+            "" if found.touchdown_error_m is None else f", touchdown error {found.touchdown_error_m:.3f} m"
+        )
+        violation = {True: "violation", False: "no violation", None: "violation unknown"}[found.violation]
+        return f"Landing({name}: {found.outcome.value}, {violation}{lowest}{error})"
 
     @property
     def log(self) -> Steps:

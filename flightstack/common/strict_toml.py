@@ -71,7 +71,8 @@ class Files(Generic[T]):
         path = self.path_of(name_or_file)
         table = self.table(path)
         try:
-            return from_table(self._cls, table)
+            keys = (*(each.name for each in fields(self._cls)), "base")  # type: ignore[arg-type]
+            return from_table(self._cls, table, keys=keys)
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None
 
@@ -164,9 +165,12 @@ _MARKS = (
 )
 
 
-def from_table(cls: type[T], table: object, where: str = "") -> T:
-    """Build the dataclass ``cls`` from a TOML table, with checks of every key, type and range."""
-    places = dict(_places(type_info(cls), table, where))  # type: ignore[arg-type]  # a class is hashable
+def from_table(cls: type[T], table: object, where: str = "", keys: Sequence[str] = ()) -> T:
+    """Build the dataclass ``cls`` from a TOML table, with checks of every key, type and range.
+
+    ``keys``: allowed keys of the file, for the text of an error; empty: the fields of ``cls``.
+    """
+    places = dict(_places(type_info(cls), table, where, keys))  # type: ignore[arg-type]  # a class is hashable
     try:
         return msgspec.convert(table, cls)
     except msgspec.ValidationError as error:
@@ -181,7 +185,9 @@ def from_table(cls: type[T], table: object, where: str = "") -> T:
 type_info = cache(inspect.type_info)
 
 
-def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, tuple[inspect.Type, object]]]:
+def _places(
+    kind: inspect.Type, value: object, at: str, keys: Sequence[str] = ()
+) -> Iterator[tuple[str, tuple[inspect.Type, object]]]:
     """Yield type and value at each place of a table, such as ``fault[0].start_s``."""
     if isinstance(kind, inspect.UnionType):
         kinds = tuple(each for each in kind.types if not isinstance(each, inspect.NoneType))
@@ -195,7 +201,7 @@ def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, t
             if key not in known:
                 tables = {n: f.type for n, f in known.items() if isinstance(f.type, inspect.DataclassType)}
                 inside = [f"{n}.{key}" for n, kind in tables.items() if key in {f.name for f in kind.fields}]
-                raise ConfigError(_unknown(key, list(known), inside, at))
+                raise ConfigError(_unknown(key, keys or list(known), inside, at))
         for name, field in known.items():
             below = f"{at}.{name}" if at else name
             if name in value:

@@ -19,13 +19,12 @@ from typing import Any, NamedTuple
 from msgspec import inspect as types
 
 from flightstack.common.strict_toml import ConfigError, allowed, stem, to_table, type_info
-from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.scenario import IN_FILES, Scenario, load
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "scenario_keys.md"
 _NOT_LISTED = ("name", "description", "fault", "member")  # keys that a new file does not list
 _MEMBERS = "keys of one vehicle, see [teams](../how_to/campaign.md#teams)"
 _TABLES = {"Fault": "see [faults](faults.md)", "Scenario": _MEMBERS}  # arrays of tables on their own pages
-_IN_FILES = {"others": "member"}  # keys of files, by field
 
 
 class Key(NamedTuple):
@@ -51,7 +50,7 @@ def keys(cls: type[Any] = Scenario, table: str = "") -> Iterator[Key]:
         what, unit = stem(each.name)
         if isinstance(kind, types.VarTupleType) and isinstance(kind.item_type, types.DataclassType):
             meaning = _TABLES.get(kind.item_type.cls.__name__, meaning)
-        name = _IN_FILES.get(each.name, each.name)
+        name = IN_FILES.get(each.name, each.name)
         text = _range(kind, name)
         yield Key(table, name, _written(unit), _default(each), text, meaning or what.replace("_", " "))
     for inner, name in below:

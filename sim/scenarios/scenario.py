@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
@@ -213,6 +213,12 @@ class Scenario:
         return chosen[0]
 
 
+IN_FILES = {"others": "member"}  # keys of files, by field
+_FIELDS = tuple(each.name for each in fields(Scenario))
+_FILE_KEYS = (*(IN_FILES.get(name, name) for name in _FIELDS), "base")
+_MEMBER_KEYS = (*(name for name in _FIELDS if name not in (*_OF_THE_RUN, *IN_FILES)), "config")
+
+
 def one_pad(table: dict[str, Any]) -> dict[str, Any]:
     """Return a scenario's table; a configuration without a pad radius gets the radius of the scenario.
 
@@ -307,8 +313,9 @@ def _built(path: Path, table: dict[str, Any]) -> Scenario:
                     f"member {number}: {key}: found {own[key]!r}; only the run has it, remove it"
                 )
         whole = over(_configured(path, shared, own, number), own)
+        keys = _MEMBER_KEYS if own.keys() - {*_FIELDS} else _FILE_KEYS
         try:
-            found.append(from_table(Scenario, one_pad(whole)))
+            found.append(from_table(Scenario, one_pad(whole), keys=keys))
         except ConfigError as error:
             raise ConfigError(f"{where.format(number)}{error}") from None
     return Scenario.of(found)

@@ -4,6 +4,7 @@ import dataclasses
 import math
 import tomllib
 from dataclasses import replace
+from functools import partial
 
 import click
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from flightstack.cli.main import VERBS, main
 from flightstack.common.strict_toml import ConfigError, dumps, from_table, to_table
 from flightstack.config import load, names, path_of
-from flightstack.core.parameters.filters import check_name
+from flightstack.core.parameters.filters import check_name, named, referred
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.verify.certificate import problems
@@ -111,6 +112,13 @@ def test_what_does_not_exist_is_refused_with_the_names(read, known):
         (load, "crazyfly", "; did you mean crazyflie[?]$"),
         (scenario.load, "fleet3", "; did you mean fleet_3[?]$"),
         (scenario.load, "mine.toml", "'mine.toml': there is no file /.*mine.toml$"),
+        (named, "examples.own_filter:Smoth", "no Smoth; its filters: Smooth; did you mean Smooth[?]$"),
+        (named, "sys:Smooth", r"module sys [(]built in[)] has no Smooth; its filters: none$"),
+        (
+            partial(referred, key="target.function"),
+            "examples.own_boundary:certifcate",
+            "ns: certificate; did you mean certificate[?]$",
+        ),
         (check_name, "robst", "; did you mean robust[?]$"),
         (check_name, "a/mine.py:Slower", "; did you mean a.mine:Slower[?]$"),
     ],
@@ -118,6 +126,13 @@ def test_what_does_not_exist_is_refused_with_the_names(read, known):
 def test_a_name_that_is_nearly_right_is_answered_with_the_right_one(read, name, error):
     with pytest.raises(ConfigError, match=error):
         read(name)
+
+
+def test_an_unknown_key_at_the_top_of_a_file_is_answered_with_the_keys_of_files(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "crazyflie"\nfiltr = "robust"\n')
+    with pytest.raises(ConfigError, match=r"did you mean filter[?] allowed: barrier, base, checks, "):
+        load(file)
 
 
 def test_a_table_of_the_configuration_at_the_top_of_a_scenario_is_answered_with_its_place(tmp_path):

@@ -37,6 +37,7 @@ def test_a_member_overrides_the_team_and_the_team_its_base(written):
 
 
 BASED = ABOUT + 'base = "field"\n'
+ANY = "[a-z_, 0-9]*"
 FIRST, SECOND = BASED + "[[member]]\n", BASED + "[[member]]\n[[member]]\n"
 
 
@@ -47,6 +48,10 @@ FIRST, SECOND = BASED + "[[member]]\n", BASED + "[[member]]\n[[member]]\n"
         (ABOUT + "base = 3\n[[member]]\n", "base: found 3, the name of a scenario"),
         (BASED + "member = 3\n", r"member: found 3, allowed: tables \[\[member\]\]"),
         (BASED + "[[others]]\n", r"others: unknown key; give a table \[\[member\]\] for each vehicle"),
+        (BASED + "sped = 1\n", f"sped: unknown key; allowed: assignment, base, {ANY}, member, (?!.*others)"),
+        (BASED + "sped = 1\n[[member]]\n", f"sped: unknown key; allowed: assignment, base, {ANY}, member, "),
+        (BASED + "[[membr]]\n", "membr: unknown key; did you mean member[?] "),
+        (FIRST + "sped = 1\n", f"sped: unknown key; allowed: config, (?!.*(base|member|name)){ANY}, wind$"),
         (FIRST + "others = []\n", r"member 1: others: found \[\]; only the run has it, remove it"),
         (SECOND + "start.hight_m = 1.0\n", "member 2: start.hight_m: unknown key"),
         (FIRST + "target.speed_m_s = 9.0\n", "member 1: target.speed_m_s: found 9.0, allowed: 0 to 3"),
