@@ -258,8 +258,11 @@ class FlightOptions(Signing, Ros2, Zenoh, Piloted, Vehicle):
     no_record: Annotated[bool, Option("--no-record", "Record nothing.")] = False
     duration_s: Duration = None
     unproven: Annotated[
-        bool, Option("--unproven", "Fly a filter whose class has no certificate of its own.")
-    ] = False
+        bool, Option(
+            "--unproven", "Fly a filter whose class has no certificate of its own; the configuration names "
+            'it: filter = "MODULE:NAME".'
+        )
+    ] = False  # fmt: skip
     core: Annotated[str, Option(
         "--core", "Code of the control step: plain Python, or compiled by numba, equal to the last bit; "
         "auto: compiled in real time where it has been compiled before.", choices=CORES

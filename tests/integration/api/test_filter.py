@@ -160,10 +160,16 @@ def test_a_wrong_class_or_state_is_one_clear_line(tmp_path):
     assert fs.land("lab", filter=Untyped).verdict is not None  # only a log needs the source text of the class
 
 
-def test_a_real_vehicle_flies_it_only_if_told_that_nothing_is_proven(tmp_path):
+@pytest.mark.parametrize("verb", ["onboard", "fly"])
+def test_a_real_vehicle_flies_it_only_if_told_that_nothing_is_proven(tmp_path, verb):
     config = tmp_path / "mine.toml"
     config.write_text(f'base = "crazyflie"\nfilter = "{SMOOTH}"\n')
-    words = ("onboard", "--vehicle", "udpin:127.0.0.1:0", "--config", config, "--no-record")
+    words = (verb, "--vehicle", "udpin:127.0.0.1:0", "--config", config, "--no-record", "--duration", "0.5")
     done = flightstack(*words)
     assert done.code == 2
-    assert f"filter {SMOOTH} has no certificate of its own; --unproven flies it" in done.err
+    refused = f"filter {SMOOTH} has no certificate of its own; --unproven flies it"
+    assert refused in " ".join(done.err.split())
+    flown = flightstack(*words, "--unproven")
+    assert flown.code == 1  # the process runs until no vehicle has answered
+    assert "no heartbeat" in flown.out
+    assert verb == "onboard" or f"config mine, filter {SMOOTH}" in flown.out
