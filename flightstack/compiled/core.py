@@ -73,7 +73,7 @@ def compiled(config: FlightConfig) -> Controller:
         return Controller(config)
     from flightstack.compiled.tick import CompiledController
 
-    with telling("the controller, about 10 s"):
+    with telling("the controller, about 10 s, once"):
         made = CompiledController(config)
     keep(_stamp(config))
     return made

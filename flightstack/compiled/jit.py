@@ -158,7 +158,7 @@ def keep(what: str) -> None:
 
 
 @contextlib.contextmanager
-def telling(what: str = "the simulator, about 25 s") -> Iterator[None]:
+def telling(what: str = "the simulator, about 25 s, once") -> Iterator[None]:
     """Print the progress of compilation in this block to standard error.
 
     ``what``: description and processor time of the compiled part; a slow computer takes longer. Each version
@@ -194,7 +194,7 @@ def _tell(begun: int, what: str) -> None:
     """Print the progress when it has reached another tenth."""
     tenth = min(9, 10 * begun // max(1, len(_made)))
     if not begun or tenth > min(9, 10 * (begun - 1) // max(1, len(_made))):
-        _say(f"compiling {what}, once: {10 * tenth} %")
+        _say(f"compiling {what}: {10 * tenth} %")
 
 
 def _say(text: str) -> None:

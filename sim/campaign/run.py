@@ -167,6 +167,9 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
         try:
             if todo:
                 with RowsFile(folder / ROWS) as file, _interrupts() as interrupts:
+                    if cluster is None:
+                        warm_up(wanted.scenario)  # compile once for all workers
+                    began_s = time.monotonic()  # the reported speed does not include compilation
                     for row in _rows(wanted, todo, workers, cluster):
                         file.add([row])
                         flown_s += row.simulated_s or 0.0
@@ -197,7 +200,6 @@ def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> I
         with Cluster(cluster, wanted.scenario_toml) as there:
             yield from there.fly(todo)
         return
-    warm_up(wanted.scenario)  # compile once for all workers
     with Workers(wanted.scenario_toml, workers, wanted.duration_max_s) as here:
         yield from here.fly(todo)
 

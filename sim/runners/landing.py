@@ -254,7 +254,7 @@ def land(
 def warm_up(scenario: Scenario) -> None:
     """Compile all code of a flight, or load it from the cache, before the first flight starts."""
     warm_up_room(scenario)
-    with telling("the loop of a campaign, about 20 s"):
+    with telling("the loop of a campaign with this filter, about 20 s, once for each filter"):
         batches = Flights(scenario, 0).batches
         if batches is not None:
             batches.warm_up()

@@ -4,6 +4,7 @@ import codecs
 import io
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -259,6 +260,7 @@ def interrupted(monkeypatch, *, written):
 @pytest.mark.parametrize("written", [True, False])
 def test_rows_on_the_disk_are_kept(monkeypatch, tmp_path, written):
     monkeypatch.setattr(campaign, "_rows", lambda wanted, todo, workers, cluster: map(landed, todo))
+    monkeypatch.setattr(campaign, "warm_up", lambda scenario: None)
     wanted = campaign.plan("straight", RUNS, 0, None)
     with monkeypatch.context() as patch:
         interrupted(patch, written=written)
@@ -269,3 +271,21 @@ def test_rows_on_the_disk_are_kept(monkeypatch, tmp_path, written):
     flown = campaign.fly(wanted, tmp_path, workers=1, cluster=None, on_row=lambda row: None)
     assert [row.seed for row in flown.rows] == list(range(RUNS))
     assert flown.missing == 0
+
+
+def test_the_wall_time_of_a_campaign_does_not_include_compilation(monkeypatch, tmp_path):
+    clock_s = [0.0]
+
+    def wait(*_, seconds=20.0):
+        clock_s[0] += seconds
+
+    def rows(wanted, todo, workers, cluster):
+        wait(seconds=2.0)
+        yield from (replace(GOOD, seed=seed, simulated_s=8.0) for seed in todo)
+
+    monkeypatch.setattr(campaign, "time", SimpleNamespace(monotonic=lambda: clock_s[0]))
+    monkeypatch.setattr(campaign, "warm_up", wait)
+    monkeypatch.setattr(campaign, "_rows", rows)
+    wanted = campaign.plan("lab", 2, 0, None)
+    flown = campaign.fly(wanted, tmp_path, workers=1, cluster=None, on_row=lambda row: None)
+    assert (flown.summary["wall_s"], flown.summary["realtime_factor"]) == (2.0, 8.0)
