@@ -232,7 +232,7 @@ PAPER_RUNS = 10  # landings with the paper's filter; enough for a median
 
 def rows_of(tier, runs, filter_name):
     """Fly the campaign's scenario with the seeds 0 to ``runs`` - 1 in this process; return the rows."""
-    scenario = plan(tier.value, runs, 0, filter_name).first
+    scenario = plan(tier.value, runs, 0, filter_name).scenario
     return [row_of(land(scenario, seed)) for seed in range(runs)]
 
 
