@@ -43,6 +43,7 @@ TICKS = 20  # maximum number of ticks in one call; the robot is computed for thi
 SPAN_S = 0.25  # maximum simulated time of one call, s; a longer gap would restart the set-point stream
 _SOON_S = 1e-6  # time before a due message in which ticks run in Python, s
 SPEED_MAX_M_S = 2.5  # largest set-point on each axis, m/s, that the autopilot surely does not clip
+_BACK_OFF = 4  # maximum number of ticks in Python after a failed attempt to start a batch
 ASKING = (Phase.APPROACH, Phase.LAND)  # phases in which an agent chooses the nominal velocity
 
 
@@ -98,7 +99,7 @@ class Batches:
         self._ages, self._told = np.zeros(TICKS), np.zeros(11)
         self._off = False  # whether Python runs all ticks from now on
         self._asked = -1  # newest tick for which the agent or the filter was called
-        self._next = 0  # first tick of the next batch at the earliest
+        self._next, self._wait = 0, 1  # first tick of the next attempt; ticks to wait after a failed one
         self._flies, self._yaw_told_rad = False, 0.0
         self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
         self._phase = scalars(self._rules, "flies", "lasting", "armed", "standing", "supervisor")
@@ -151,7 +152,8 @@ class Batches:
                     until_s = self._quiet_until_s(tick + done)
             if done:
                 self._objects.read()
-                self._next = tick + done + 1  # Python runs the tick at which a batch ended
+        self._wait = 1 if done else min(2 * self._wait, _BACK_OFF)
+        self._next = tick + done + self._wait  # Python runs the tick at which a batch ended
         return done
 
     def _quiet_until_s(self, tick: int) -> float | None:
