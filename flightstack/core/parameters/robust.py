@@ -29,9 +29,8 @@ class VelocityLoop:
     damping: Annotated[float, span(0.1, 2.0)] = 0.68  # damping ratio of the model
     gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # fraction of the tracking error added to the set-point
     gain_z: Annotated[float, span(0.0, 2.0)] = 0.5  # fraction of the vertical error that is added
-    error_max_m_s: Annotated[float, span(0.05, 10.0)] = (
-        0.6  # largest difference of horizontal set-point and velocity: it bounds the tilt
-    )
+    # largest difference of horizontal set-point and velocity: it bounds the tilt
+    error_max_m_s: Annotated[float, span(0.05, 10.0)] = 0.6
     slope_time_s: Annotated[float, span(0.01, 1.0)] = 0.05  # time constant of the smoothed acceleration
     disturbance_time_s: Annotated[float, span(0.1, 10.0)] = 0.6  # time constant of wind, drag, weight error
     disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # largest disturbance; 2 m/s of wind is 0.25

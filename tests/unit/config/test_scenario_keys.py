@@ -4,14 +4,15 @@ import re
 
 import pytest
 
-from sim.scenarios.keys import PAGE, commented, keys, page
+from sim.scenarios.keys import commented, keys
 from sim.scenarios.scenario import load
+from tests.scenario_keys import PAGE, page
 
 pytestmark = pytest.mark.slow
 
 
 def test_the_page_is_equal_to_the_declarations():
-    assert PAGE.read_text() == page(), "python -m sim.scenarios.keys"
+    assert PAGE.read_text() == page(), "python -m tests.scenario_keys"
 
 
 def test_each_key_of_a_scenario_has_a_meaning():
