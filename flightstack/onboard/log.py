@@ -88,7 +88,7 @@ class OnboardLog:
         self._state = topic("controller/state", CONTROLLER_STATE)
         self._timing = topic("loop/timing", LOOP_TIMING)
         self._rosout = feed.channel("/rosout", LOG)
-        self._frames: list[tuple[Direction, bytes, bytes]] = []  # direction, frame, name of the peer
+        self._frames: list[tuple[Direction, bytes, str]] = []  # direction, frame, name of the peer
         self._peer_names = PeerNames(feed.metadata, names.record(MAVLINK_PEERS))
         self._packed_step = b""  # packed step of the last tick
         self._asked = b""  # newest TIMESYNC request from the vehicle

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import struct
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
@@ -23,7 +22,7 @@ from logs.reader.flight_data import ATTACHMENT, read_config, shape
 from logs.recorder.markers import Scene
 from logs.schema import Names, split
 from logs.schema.events import pack_string
-from logs.schema.mavlink import PEER_CHARACTERS, Type, of, parts, peer_of, unpack_mavlink
+from logs.schema.mavlink import Record, decoder, unpack_mavlink
 from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import (
     CONTROLLER_STEP,
@@ -43,12 +42,10 @@ STATIC_PERIOD_NS = 5_000_000_000  # period of static transforms; a viewer needs 
 STEP_SUFFIX = "/controller/step"
 
 TOPICS_MAX = 512  # maximum number of derived topics, since a sender can invent system ids
-_STAMP_BYTES = 12  # length of CDR encapsulation and stamp
-_HEADER_BYTES = 20  # length of encapsulation, stamp, frame_id of three characters, and padding
-_NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame with unknown peer
 
 Derived = tuple[str, str, bytes]  # fields: topic, schema, CDR payload
 Derive = Callable[[int, bytes], list[Derived]]  # arguments: log time, ns, and CDR payload
+_Decoder = tuple[str, str, Callable[[Record], bytes]]  # fields: topic, schema, frame to CDR payload
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 # attitude of the NED axes in ENU: a half turn about the horizontal line between east and north
@@ -137,7 +134,7 @@ class FrameDecoder:
         """Set the topic of the raw frames; its first part is the name space until the run sets one."""
         self.topic = topic  # topic of the raw frames
         self._space = "/" + topic.strip("/").partition("/")[0]
-        self._known: dict[tuple[int, int, int], tuple[str, Type] | None] = {}
+        self._known: dict[tuple[int, int, int], _Decoder | None] = {}
 
     def configure(self, onboard: Mapping[str, str]) -> None:
         """Set the name space from the metadata of the onboard process."""
@@ -148,42 +145,24 @@ class FrameDecoder:
     def step(self, log_time_ns: int, payload: bytes) -> list[Derived]:
         """Return (topic, schema, CDR) for one record of :func:`logs.schema.mavlink.pack_mavlink`."""
         del log_time_ns
-        frame = parts(unpack_mavlink(payload)[1])
-        key = (frame.system, frame.component, frame.number)
+        record = unpack_mavlink(payload)
+        key = (*record.sender, record.message_id)
         known = self._known[key] if key in self._known else self._meet(*key)
         if known is None:
             return []
-        topic, kind = known
-        head = payload[:_HEADER_BYTES] if peer_of(payload) else payload[:_STAMP_BYTES] + _NOBODY
-        body = frame.payload[: kind.size].ljust(kind.size, b"\x00")
-        return [(topic, kind.schema, head + (body if kind.verbatim else repacked(kind, body)))]
+        topic, schema, decode = known
+        return [(topic, schema, decode(record))]
 
-    def _meet(self, system: int, component: int, number: int) -> tuple[str, Type] | None:
-        """Return the topic of a new sender or message type; None: the dialect does not have the type."""
-        kind = of(number)
+    def _meet(self, system: int, component: int, message_id: int) -> _Decoder | None:
+        """Return the decoder of a new sender or message type; None: the dialect does not have the type."""
+        known = decoder(message_id)
         found = None
         if len(self._known) < TOPICS_MAX:
-            if kind is not None:
-                topic = f"{self._space}/mavlink/sys{system}/comp{component}/{kind.message}"
-                found = topic, kind
-            self._known[system, component, number] = found
+            if known is not None:
+                name, schema, decode = known
+                found = f"{self._space}/mavlink/sys{system}/comp{component}/{name}", schema, decode
+            self._known[system, component, message_id] = found
         return found
-
-
-def repacked(kind: Type, payload: bytes) -> bytes:
-    """Convert a MAVLink payload to the body of a CDR message: aligned numbers, strings with their length."""
-    out = bytearray()
-    at = 0
-    for field in kind.fields:
-        size = field.size * max(1, field.array)
-        raw = payload[at : at + size]
-        at += size
-        if field.kind == "string":
-            text = raw.partition(b"\x00")[0].decode("utf-8", "replace").encode() + b"\x00"
-            out += bytes(-len(out) % 4) + struct.pack("<I", len(text)) + text
-        else:
-            out += bytes(-len(out) % field.size) + raw  # both encodings are little-endian
-    return bytes(out)
 
 
 class Derivers:

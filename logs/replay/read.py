@@ -18,7 +18,7 @@ from logs.reader.flight_data import ATTACHMENT
 from logs.reader.reader import LogError, LogFile
 from logs.schema.controller_rows import TickInputs, unpack_controller_input, unpack_neighbours, unpack_power
 from logs.schema.events import CONTROLLER, ONBOARD
-from logs.schema.mavlink import peer_of, unpack_mavlink
+from logs.schema.mavlink import unpack_mavlink
 from logs.schema.rows import ControllerStateRow, LogRow
 from logs.schema.schemas import (
     CONTROLLER_INPUT,
@@ -148,11 +148,11 @@ class FlightInputs:
                 elif topic == odometry:
                     tick.odometry.append(data)
                 else:
-                    frame = unpack_mavlink(data)[1]
+                    record = unpack_mavlink(data)
                     if topic == SOURCE:
-                        tick.frames_in.append((frame, peer_of(data)))
+                        tick.frames_in.append((record.frame, record.peer))
                     else:
-                        tick.frames_out.append(frame)
+                        tick.frames_out.append(record.frame)
             except ValueError as error:
                 raise ReplayError(
                     f"{self.log.path}: {topic} at log time {message.log_time_ns}: {error}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from logs.reader.flight import TARGET_TOPIC_END
 from logs.reader.flight_data import Flight, Floats, Steps
 from logs.reader.reader import LogFile
 from logs.schema.events import ContactBit
-from logs.schema.mavlink import FrameError, parts, unpack_mavlink
+from logs.schema.mavlink import unpack_mavlink
 from logs.schema.schemas import MAVLINK, ODOMETRY
 from logs.verdict.types import Verdict
 
@@ -170,7 +169,7 @@ class Stream:
 def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[Stream]:
     """Read the message traffic of a log, up to its first damage; damaged frames are skipped."""
     times: dict[str, list[int]] = defaultdict(list)
-    frames: dict[str, list[tuple[int, int]]] = {side: [] for side in _ALL}
+    frames: dict[str, list[tuple[tuple[int, int], int]]] = {side: [] for side in _ALL}
     target: list[int] = []
     for message in LogFile(path, member).messages():
         if message.schema == ODOMETRY and message.topic.endswith(TARGET_TOPIC_END):
@@ -181,12 +180,11 @@ def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[
             if side is None:
                 continue
             try:
-                _, frame = unpack_mavlink(message.data)
-            except (FrameError, struct.error):
+                record = unpack_mavlink(message.data)
+            except ValueError:
                 continue
-            head = parts(frame)
-            frames[side].append((head.system << 8 | head.component, head.sequence))
-            for name in filter(None, (_ALL[side], _SHOWN.get((side, head.number)))):
+            frames[side].append((record.sender, record.sequence))
+            for name in filter(None, (_ALL[side], _SHOWN.get((side, record.message_id)))):
                 times[name].append(message.log_time_ns)
     lost = {_ALL[side]: frames_lost(seen) for side, seen in frames.items()} | {TARGET: missing(target)}
     order = (*_ALL.values(), *_SHOWN.values(), TARGET)
@@ -197,9 +195,9 @@ def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[
     ]
 
 
-def frames_lost(frames: Iterable[tuple[int, int]]) -> int:
+def frames_lost(frames: Iterable[tuple[tuple[int, int], int]]) -> int:
     """Return the number of missing MAVLink frames, from sender and sequence number of each frame."""
-    last: dict[int, int] = {}
+    last: dict[tuple[int, int], int] = {}
     lost = 0
     for sender, sequence in frames:
         ahead = (sequence - last.get(sender, sequence - 1)) & 0xFF

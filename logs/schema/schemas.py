@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from bridge.ros2.codec import MAP, Field, Pack, Unpack, fields_of_text, standard
 from bridge.ros2.codec import codec as cdr_codec
-from logs.schema import mavlink
 
 if TYPE_CHECKING:  # the import takes 25 ms, and packing rows does not need it
     from rosbags.interfaces import Nodetype
@@ -46,6 +45,8 @@ _OURS = (
     CONTROLLER_STEP, TARGET_SAMPLE, CONTROLLER_INPUT, RECEIVED_STATUS, CONTROLLER_NEIGHBOURS, FLEET_ECHO,
     MEMBER_STATUS, FLEET_PAIR, CONTROLLER_STATE, CONTROLLER_POWER, LOOP_TIMING, TRUE_STATE, HEALTH, MAVLINK,
 )  # fmt: skip
+# decoded MAVLink messages: LOCAL_POSITION_NED is mavlink_msgs/msg/LocalPositionNed
+_MAVLINK_MSGS = "mavlink_msgs/msg/"
 _SEPARATOR = "=" * 80
 # former names of message types, which older logs contain, with their current names
 _FORMER = {"flightstack_msgs/msg/FleetWord": MEMBER_STATUS, "flightstack_msgs/msg/Neighbour": RECEIVED_STATUS}
@@ -69,7 +70,7 @@ def typestore() -> Typestore:
 @cache
 def fields_of(name: str) -> tuple[Field, ...]:
     """Return the fields of a message type, in order."""
-    if name in _OURS:
+    if name in _OURS or name.startswith(_MAVLINK_MSGS):
         return fields_of_text(_own_text(name))
     known = standard(name)
     if known is not None:
@@ -123,11 +124,11 @@ def _field(name: str, node: Nodetype, detail: Any) -> Field:
 def store_for(name: str) -> Typestore:
     """Return the store, with a decoded MAVLink type registered if the name is one."""
     store = typestore()
-    if name not in store.fielddefs and name.startswith(mavlink.PACKAGE):
+    if name not in store.fielddefs and name.startswith(_MAVLINK_MSGS):
         from rosbags.typesys import get_types_from_msg
 
         try:
-            store.register(get_types_from_msg(mavlink.definition(name), name))
+            store.register(get_types_from_msg(_own_text(name), name))
         except KeyError as error:
             raise UnknownSchemaError(f"unknown message type {name!r}: not in the MAVLink dialect") from error
     return store
@@ -140,7 +141,7 @@ def schema_text(name: str) -> str:
     This stack's types keep their comments, since viewers show them.
     """
     generated: str = _known(name).generate_msgdef(name, ros_version=2)[0]
-    if name not in _OURS and not name.startswith(mavlink.PACKAGE):
+    if name not in _OURS and not name.startswith(_MAVLINK_MSGS):
         return generated
     _, separator, used = generated.partition(_SEPARATOR)
     return _own_text(name).rstrip("\n") + "\n" + separator + used
@@ -157,14 +158,54 @@ def _known(name: str) -> Typestore:
     if name not in store.fielddefs:
         raise UnknownSchemaError(
             f"unknown message type {name!r}; allowed are ROS 2 Jazzy standard types, "
-            f"{mavlink.PACKAGE}* and {', '.join(_OURS)}"
+            f"{_MAVLINK_MSGS}* and {', '.join(_OURS)}"
         )
     return store
 
 
 def _own_text(name: str) -> str:
-    if name.startswith(mavlink.PACKAGE):
-        return mavlink.definition(name)
+    if name.startswith(_MAVLINK_MSGS):
+        return _mavlink_text(name)
     file = files("logs.schema") / "msg" / f"{name.rpartition('/')[2]}.msg"
     text: str = file.read_text(encoding="ascii")
     return text
+
+
+def mavlink_class(message_id: int) -> tuple[str, Any] | None:
+    """Return message type and pymavlink's class of a message id; None: not in the dialect."""
+    return _mavlink_classes().get(message_id)
+
+
+@cache
+def _mavlink_classes() -> dict[int, tuple[str, Any]]:
+    from bridge.mavlink.codec.messages import MESSAGES  # a late import, because it is slow
+
+    def schema(message: str) -> str:
+        return _MAVLINK_MSGS + "".join(word.capitalize() for word in message.split("_"))
+
+    return {message_id: (schema(cls.msgname), cls) for message_id, cls in MESSAGES.items()}
+
+
+def _mavlink_text(name: str) -> str:
+    """Return the definition of a decoded MAVLink message: its fields in wire order, in MAVLink's units.
+
+    Names become lower case, as ROS requires; text of fixed length becomes a string.
+    """
+    cls = dict(_mavlink_classes().values())[name]
+    kinds = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
+    lines = [
+        f"# MAVLink {cls.msgname}, fields in the order of the wire.",
+        "",
+        "std_msgs/Header header  # stamp = of the raw frame, frame_id = name of its peer",
+    ]
+    for field, length in zip(cls.ordered_fieldnames, cls.array_lengths, strict=True):
+        kind = _ROS_KINDS.get(kinds[field], kinds[field].removesuffix("_t"))
+        if length:
+            kind = "string" if kinds[field] == "char" else f"{kind}[{length}]"
+        comment = cls.fieldunits_by_name.get(field) or cls.fieldenums_by_name.get(field) or ""
+        comment = comment.encode("ascii", "replace").decode()
+        lines.append(f"{kind} {field.lower()}" + (f"  # {comment}" if comment else ""))
+    return "\n".join(lines) + "\n"
+
+
+_ROS_KINDS = {"char": "uint8", "float": "float32", "double": "float64"}

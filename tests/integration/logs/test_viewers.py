@@ -79,7 +79,7 @@ def test_every_raw_frame_is_also_decoded_and_names_its_peer(log, bag):
     parser, counts = mav.MAVLink(None), Counter()
     with AnyReader([log]) as reader:
         for _, _, data in reader.messages([c for c in reader.connections if c.topic.startswith("/uas1/")]):
-            message = parser.decode(bytearray(unpack_mavlink(bytes(data))[1]))
+            message = parser.decode(bytearray(unpack_mavlink(bytes(data)).frame))
             sender = f"sys{message.get_srcSystem()}/comp{message.get_srcComponent()}"
             counts[f"/cf1/mavlink/{sender}/{message.get_type()}"] += 1
     assert counts == decoded

@@ -167,7 +167,7 @@ def test_surface_lies_on_the_boundary(alpha, beta):
 
 
 def frame(sequence, system=1):
-    return pack_mavlink(1, bytes([0xFD, 1, 0, 0, sequence, system, 1, 0, 0, 0, 7, 1, 2]), b"p00")
+    return pack_mavlink(1, bytes([0xFD, 1, 0, 0, sequence, system, 1, 0, 0, 0, 7, 1, 2]), "p00")
 
 
 @pytest.mark.parametrize(

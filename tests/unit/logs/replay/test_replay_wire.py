@@ -16,7 +16,7 @@ from logs.replay.replay import replay
 from logs.replay.wire import WireReplay
 from logs.schema.controller_rows import TickInputs
 from logs.schema.events import ONBOARD
-from logs.schema.mavlink import pack_mavlink, peer_of, unpack_mavlink
+from logs.schema.mavlink import pack_mavlink, unpack_mavlink
 from logs.schema.rows import LogRow
 from tests.golden.flights import path_of, write_kept
 from tests.point_mass import World
@@ -39,14 +39,14 @@ def frame_changed(target, topic, message_id, byte, *, value=None):
         nonlocal seen
         if message.topic != topic:
             return message.data
-        stamp_ns, frame = unpack_mavlink(message.data)
+        stamp_ns, peer, frame = unpack_mavlink(message.data)
         seen += frame[7] == message_id
         if frame[7] != message_id or seen != SKIPPED:
             return message.data
         changed = bytearray(frame)
         changed[PAYLOAD_AT + byte] = (frame[PAYLOAD_AT + byte] ^ 1) if value is None else value
         seen += 1
-        return pack_mavlink(stamp_ns, bytes(changed), peer_of(message.data).encode())
+        return pack_mavlink(stamp_ns, bytes(changed), peer)
 
     write_kept(GOLDEN, target, change=change)
     assert seen > SKIPPED
@@ -120,11 +120,14 @@ def test_a_changed_frame_to_the_vehicle_is_found(tmp_path):
 
 def test_a_frame_that_came_from_another_address_is_ignored_as_in_the_flight(tmp_path):
     def change(message):
-        if message.topic != SOURCE or unpack_mavlink(message.data)[1][7] != dialect.MAVLINK_MSG_ID_VFR_HUD:
+        if (
+            message.topic != SOURCE
+            or unpack_mavlink(message.data).message_id != dialect.MAVLINK_MSG_ID_VFR_HUD
+        ):
             return message.data
         hello = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
-        stamp_ns, frame = unpack_mavlink(message.data)
-        return pack_mavlink(stamp_ns, packed(hello, frame[4], 1, 1), b"p07")
+        stamp_ns, _, frame = unpack_mavlink(message.data)
+        return pack_mavlink(stamp_ns, packed(hello, frame[4], 1, 1), "p07")
 
     found = misread(write_kept(GOLDEN, tmp_path / "changed.mcap", change=change))
     assert {d.field for d in found} == {"status.ready_to_arm"}  # the heartbeat may come from a second vehicle
