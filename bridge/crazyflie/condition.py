@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from bridge.crazyflie.packets import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Outside, Power
+from bridge.crazyflie.packets import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Power
 from bridge.crazyflie.rules import ESTIMATOR, KALMAN, LOST_S, POSE_AGE_MAX_S, REARM_S
 from bridge.frames import Quat, body_from_world, yaw_from_quaternion
 from bridge.mavlink.server.commander import Battery
 from bridge.mavlink.server.profile import POSITION_SOURCE
-from bridge.mocap.checks import Limits, Passed
 from flightstack.core.types import ZERO, Vec3
 
 STATE_AGE_MAX_S = 0.3  # maximum age of the state, s: thirty lost packets
 HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s: ten lost packets
 VARIANCE_MAX_M2 = 0.01  # maximum position variance of an axis, m2; settled: 0.001 (cflib reset_estimator)
 TILT_MAX_DEG = 2.0  # maximum tilt, degrees; 1 degree causes 6.8 cm/s of drift and is a usual sensor bias
-REPEAT_MAX_S = 60.0  # longest pause between two reports of one reason against the connection, s
 BATTERY_MIN_V = 3.7  # lowest voltage at rest, V: a sixth of the charge; the firmware does not land by itself
 # Values of stabilizer.controller that follow velocity set-points; 0 is the default, PID (controller.c). For
 # such a set-point Mellinger (2) holds height zero or gives full thrust (controller_mellinger.c).
@@ -28,17 +26,12 @@ _POSITION_DECKS = {
     "deck.bcFlow2": "Flow deck: is the floor in sight, with texture and light?",
 }
 _UP: Vec3 = (0.0, 0.0, 1.0)
-_GAP_MAX_S = Limits().gap_max_s  # time without a pose after which a problem is reported, s
 _SHARE = 0.1  # weight of a new value in the mean difference; at 10 Hz the time constant is 1 s
 _AT_REST_G = 0.1  # maximum difference of the measured acceleration from 1 g; a larger one includes motion
 
 
 class Condition:
-    """Newest data of a Crazyflie, and the checks before arming.
-
-    External poses arrive through this bridge or from another program. The firmware logs the time of the
-    newest pose of any sender (``locSrvZ.tick``): once it has changed, poses are expected.
-    """
+    """Newest data of a Crazyflie, and the checks before arming."""
 
     def __init__(self, *, mocap: bool) -> None:
         self.link = Link()
@@ -46,15 +39,10 @@ class Condition:
         self.health: Health | None = None  # newest variance of the estimate, and battery
         # reason why there is no good external pose; None: there is one, or none is needed
         self.mocap_problem: str | None = "mocap: no pose yet" if mocap else None
-        self._mocap, self._posed_s = mocap, -math.inf
+        # whether poses come from an external system; time of the newest one
+        self.needs_poses, self.posed_s = mocap, -math.inf
         self._pose_quaternion: Quat | None = None  # attitude of the newest pose sent through this bridge
         self.fit_s = -math.inf  # time when the supervisor last reported armed or ready to arm
-        self._forget_outside()
-
-    def _forget_outside(self) -> None:
-        """Reset the data about external poses: a new connection may reach another firmware."""
-        self._outside: Outside | None = None
-        self._tick_s: float | None = None  # time of the last change of ``locSrvZ.tick``
         self._leaning: Vec3 | None = None  # mean difference of up in the poses and measured up, body frame
 
     def alive(self, now_s: float) -> bool:
@@ -90,52 +78,14 @@ class Condition:
         voltage_v = self.state.battery_v if self.state is not None else 0.0
         return Battery(voltage_v, self.health.battery_percent if self.health is not None else -1)
 
-    def take_health(self, health: Health) -> None:
-        self.health = health
-        if self._outside is None:
-            self._compare_level(None)
-
-    def take_outside(self, outside: Outside) -> None:
-        before, self._outside = self._outside, outside
-        if before is None:
-            self._leaning = None  # this packet is the first packet with gravity
-        elif before.tick != outside.tick:
-            self._tick_s = outside.at_s
-        self._compare_level(outside.acceleration_flu_g)
-
-    def _note_pose(self, problem: str | None, passed: Passed | None, now_s: float) -> None:
-        if passed is not None:
-            self._posed_s = max(self._posed_s, passed.measured_s)
-            self._pose_quaternion = passed.pose.orientation_wxyz
-        elif problem is None:
-            self._posed_s = max(self._posed_s, now_s - _GAP_MAX_S)  # without a problem this is no gap
-
-    def pose_age_s(self, now_s: float) -> float | None:
-        """Return the age of the newest external pose; None: no poses are expected."""
-        ages_s = [now_s - self._posed_s] if self._mocap else []
-        if self._outside is not None and self._tick_s is not None:
-            heard = now_s - self._outside.at_s <= HEALTH_AGE_MAX_S
-            ages_s.append(self._outside.at_s - self._tick_s if heard else math.inf)
-        return max(ages_s, default=None)
-
-    def _compare_level(self, acceleration_flu_g: Vec3 | None) -> None:
-        """Compare the up direction of the poses with measured gravity while on the ground.
-
-        Without an accelerometer, the direction of gravity follows from the firmware's attitude. An attitude
-        that follows the poses of another program then shows no difference.
-        """
-        if self.state is None or self.state.info & Info.FLYING:
+    def take_gravity(self, acceleration_flu_g: Vec3) -> None:
+        """Compare the up direction of the poses with the measured specific force while on the ground."""
+        attitude, length = self._pose_quaternion, math.hypot(*acceleration_flu_g)
+        flying = self.state is None or self.state.info & Info.FLYING
+        if attitude is None or flying or abs(length - 1.0) > _AT_REST_G:
             return
-        attitude = self._pose_quaternion
-        if attitude is None and self._tick_s is not None:
-            attitude = self.state.quaternion  # this attitude follows the poses of another program
-        if attitude is None:
-            return
-        gravity = acceleration_flu_g or body_from_world(self.state.quaternion, _UP)
-        length = math.hypot(*gravity)
-        if abs(length - 1.0) > _AT_REST_G:
-            return
-        leaning = tuple(a - b / length for a, b in zip(body_from_world(attitude, _UP), gravity, strict=True))
+        up = body_from_world(attitude, _UP)
+        leaning = tuple(a - b / length for a, b in zip(up, acceleration_flu_g, strict=True))
         mean = self._leaning or leaning
         x, y, z = (m + _SHARE * (new - m) for m, new in zip(mean, leaning, strict=True))
         self._leaning = (x, y, z)
@@ -169,21 +119,6 @@ def with_remedy(reason: str) -> str:
         f"{text}: plug it in; on Linux install Bitcraze's udev rules; --uri radio://... needs a Crazyradio, "
         "--uri usb://0 a Crazyflie on a cable"
     )
-
-
-class Repeats:
-    """Limits how often an unchanged text is reported: after 1 s, then 2 s, 4 s and so on up to a minute."""
-
-    def __init__(self) -> None:
-        self._text, self._due_s, self._pause_s = "", -math.inf, 0.0
-
-    def due(self, text: str, now_s: float) -> bool:
-        """Whether to report the text now; a new text is due immediately."""
-        if text == self._text and now_s < self._due_s:
-            return False
-        self._pause_s = min(2.0 * self._pause_s, REPEAT_MAX_S) if text == self._text else 1.0
-        self._text, self._due_s = text, now_s + self._pause_s
-        return True
 
 
 def too_old(protocol: int) -> str | None:
@@ -252,10 +187,9 @@ def _position(c: Condition, now_s: float) -> str | None:
 
 def _poses(c: Condition, now_s: float) -> str | None:
     """Return the problem of missing poses: the variance stays small, but the error is 0.65 m after 2.5 s."""
-    age_s = c.pose_age_s(now_s)
-    if age_s is None or age_s <= POSE_AGE_MAX_S:
+    if not c.needs_poses or now_s - c.posed_s <= POSE_AGE_MAX_S:
         return None
-    return "no pose from outside: has motion capture, or the program that sends its poses, stopped?"
+    return "no pose from outside: has motion capture stopped?"
 
 
 def _level(c: Condition, _now_s: float) -> str | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+import tempfile
 import threading
 import time
 from collections import deque
@@ -22,7 +23,6 @@ from typing import Any
 import cflib.crtp
 from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
-from cflib.crazyflie.toccache import TocCache
 from cflib.crtp.crtpstack import CRTPPort
 
 from bridge.crazyflie.condition import too_old, with_remedy
@@ -64,21 +64,6 @@ LOGS_MAX_S = 10.0  # time-out of the first packet of each log block, s
 _ARM_REPLY = 0x81  # answer to command 1 on channel 1 of the supervisor's port (cflib supervisor.py)
 
 
-class _Tables(TocCache):  # type: ignore[misc]
-    """Tables of contents by checksum, also cached in memory: a second connection is 2 s faster."""
-
-    def __init__(self, **folders: str | None) -> None:
-        super().__init__(**folders)
-        self._read: dict[int, Any] = {}
-
-    def fetch(self, crc: int) -> Any:
-        return self._read.get(crc) or super().fetch(crc)
-
-    def insert(self, crc: int, toc: Any) -> None:
-        self._read[crc] = toc
-        super().insert(crc, toc)
-
-
 class LogBlocks:
     """Requests each log block until it arrives: call ``step`` often. Blocks do not wait for each other.
 
@@ -91,22 +76,17 @@ class LogBlocks:
         """``put``: receives the events; cflib's thread calls it."""
         self._crazyflie, self._put = crazyflie, put
         known = crazyflie.log.toc.get_element_by_complete_name
-        self._blocks: list[Block] = []
-        for block in BLOCKS:
-            there = tuple(name for name in block.variables if known(name) is not None)
-            if block.needed and there != block.variables:
-                missing = next(name for name in block.variables if name not in there)
-                raise ValueError(f"the firmware has no log variable {missing}: update it")
-            if there:
-                self._blocks.append(block._replace(variables=there))
-        self._heard_s = dict.fromkeys((block.name for block in self._blocks), -math.inf)
+        for name in (name for block in BLOCKS for name in block.variables):
+            if known(name) is None:
+                raise ValueError(f"the firmware has no log variable {name}: update it")
+        self._heard_s = dict.fromkeys((block.name for block in BLOCKS), -math.inf)
         self._asked_s = dict(self._heard_s)
         self._configs: dict[str, Any] = {}
 
     def step(self) -> None:
         """Request each block that has sent no packet for a second."""
         since_s = time.monotonic() - BLOCK_SILENT_S
-        for block in self._blocks:
+        for block in BLOCKS:
             if max(self._heard_s[block.name], self._asked_s[block.name]) <= since_s:
                 self._ask(block)
 
@@ -130,8 +110,8 @@ class LogBlocks:
 
     @property
     def waits_for(self) -> str | None:
-        """Return the name of a required block that has not arrived yet; None: all have arrived."""
-        return next((b.name for b in self._blocks if b.needed and self._heard_s[b.name] == -math.inf), None)
+        """Return the name of a block that has not arrived yet; None: all have arrived."""
+        return next((name for name, heard_s in self._heard_s.items() if heard_s == -math.inf), None)
 
 
 class CrazyflieLink:
@@ -140,7 +120,8 @@ class CrazyflieLink:
     def __init__(self, uri: str, cache: Path | None = None) -> None:
         """Start connecting; a ``cache`` folder for tables of contents makes a second connection fast."""
         self.events_lost = 0  # number of events dropped from a full queue, oldest first
-        self._uri, self._tables = uri, _Tables(rw_cache=str(cache) if cache else None)
+        self._uri, self._cache = uri, cache
+        self._temporary = tempfile.TemporaryDirectory()  # tables of contents without a given folder
         self._events: deque[tuple[float, Event]] = deque(maxlen=EVENTS_MAX)
         self._lock = threading.Lock()
         self._outbox = Outbox()
@@ -183,6 +164,7 @@ class CrazyflieLink:
         self._closing.set()
         self._outbox.wake()
         self._thread.join(6.0)
+        self._temporary.cleanup()
         os.close(self._read_fd)
         os.close(self._write_fd)
 
@@ -196,8 +178,7 @@ class CrazyflieLink:
 
     def _run(self) -> None:
         while not self._closing.is_set():
-            crazyflie = Crazyflie()
-            crazyflie._toc_cache = self._tables
+            crazyflie = Crazyflie(rw_cache=str(self._cache or self._temporary.name))
             try:
                 reason = self._connection(crazyflie)
             except Exception as error:  # cflib raises plain Exception

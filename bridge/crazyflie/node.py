@@ -13,6 +13,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.crazyflie.packets import (
+    GRAVITY,
     HEALTH,
     LATE_MAX_S,
     STATE,
@@ -24,7 +25,6 @@ from bridge.crazyflie.packets import (
     Lost,
     ParamValue,
     decode_health,
-    decode_outside,
     decode_state,
 )
 from bridge.crazyflie.rules import Rules
@@ -180,9 +180,9 @@ class Node(Server[Vehicle]):
         if packet.block == STATE.name:
             self._on_state(packet, at_s)
         elif packet.block == HEALTH.name:
-            self.vehicle.take_health(decode_health(packet.values, at_s))
+            self.vehicle.health = decode_health(packet.values, at_s)
         else:
-            self.vehicle.take_outside(decode_outside(packet.values, at_s))
+            self.vehicle.take_gravity(tuple(packet.values[name] for name in GRAVITY.variables))
 
     def _on_state(self, packet: LogPacket, at_s: float) -> None:
         timed = self.clock.take(packet.time_ms, at_s)

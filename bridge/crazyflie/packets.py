@@ -58,8 +58,6 @@ class Outbox:
     """Thread-safe queue of packets; ``put`` never blocks."""
 
     def __init__(self) -> None:
-        self.late = 0  # number of velocities dropped because of their age
-        self.lost = 0  # number of orders dropped from a full queue
         self._ready = threading.Condition()
         self._orders: deque[Order | SetParam] = deque()
         self._velocity: tuple[Velocity, float] | None = None
@@ -82,7 +80,6 @@ class Outbox:
         if urgent:
             self._velocity = None
         if len(self._orders) >= ORDERS_MAX:
-            self.lost += 1
             if not urgent:
                 return
             self._orders.pop()
@@ -104,7 +101,6 @@ class Outbox:
                 (velocity, since_s), self._velocity = self._velocity, None
                 if clock() - since_s <= VELOCITY_AGE_MAX_S:
                     return velocity
-                self.late += 1
             pose, self._pose = self._pose, None
             return pose
 
@@ -204,15 +200,6 @@ class Health:
 
 
 @dataclass(frozen=True, slots=True)
-class Outside:
-    """Measured gravity, and the firmware's time of the newest external pose."""
-
-    at_s: float
-    acceleration_flu_g: Vec3 | None  # specific force measured by the accelerometer
-    tick: int | None  # firmware time of the newest external pose, 16 bits, ms
-
-
-@dataclass(frozen=True, slots=True)
 class Link:
     """The firmware of the present connection; ``protocol`` is None without a connection."""
 
@@ -227,7 +214,6 @@ class Block(NamedTuple):
     name: str
     period_ms: int
     variables: tuple[str, ...]
-    needed: bool = True  # whether the firmware must have all of these variables
 
 
 _MOTORS = tuple(f"motor.m{number}" for number in (1, 2, 3, 4))
@@ -238,8 +224,8 @@ STATE = Block("state", 10, (
 HEALTH = Block(
     "health", 100, (*(f"kalman.varP{axis}" for axis in "XYZ"), "pm.state", "pm.batteryLevel", *_MOTORS)
 )
-OUTSIDE = Block("outside", 100, ("acc.x", "acc.y", "acc.z", "locSrvZ.tick"), needed=False)
-BLOCKS = (STATE, HEALTH, OUTSIDE)
+GRAVITY = Block("gravity", 100, ("acc.x", "acc.y", "acc.z"))  # specific force, body axes, g
+BLOCKS = (STATE, HEALTH, GRAVITY)
 FETCHED_AS: Mapping[str, str] = dict.fromkeys(_MOTORS, "uint16_t")  # older firmware: 32 bits
 _PWM_MAX = 65535.0
 LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later packet is ignored
@@ -335,12 +321,6 @@ def decode_health(v: Mapping[str, Any], at_s: float) -> Health:
     variance = (v["kalman.varPX"], v["kalman.varPY"], v["kalman.varPZ"])
     throttle = sum(v[name] for name in _MOTORS) / (4.0 * _PWM_MAX)
     return Health(at_s, variance, Power(int(v["pm.state"])), int(v["pm.batteryLevel"]), throttle)
-
-
-def decode_outside(v: Mapping[str, Any], at_s: float) -> Outside:
-    """Decode gravity and the time of the newest external pose; variables may be missing."""
-    acceleration = (v["acc.x"], v["acc.y"], v["acc.z"]) if {"acc.x", "acc.y", "acc.z"} <= v.keys() else None
-    return Outside(at_s, acceleration, int(v["locSrvZ.tick"]) if "locSrvZ.tick" in v else None)
 
 
 def decompress_quaternion(packed: int) -> Quat:

@@ -6,6 +6,7 @@ it arrives.
 
 from __future__ import annotations
 
+import math
 import re
 import select
 import sys
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from bridge.crazyflie.node import Node
 from bridge.crazyflie.packets import Pose, SetParam
-from bridge.crazyflie.rules import ESTIMATOR, KALMAN, CrazyflieOptions, Rules
+from bridge.crazyflie.rules import ECHO_MAX_S, ESTIMATOR, KALMAN, CrazyflieOptions, Rules
 from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mavlink.server.server import COMPONENT_ID
@@ -89,7 +90,7 @@ class Loop:
     def _pass_pose(self, poses: MocapSource, now_s: float) -> None:
         vehicle = self._node.vehicle
         passed = next(reversed(poses.poll(now_s, armed=vehicle.armed)), None)
-        vehicle.mocap(poses.problem, passed, now_s)
+        vehicle.mocap(poses.problem, passed)
         if passed is None or vehicle.link.protocol is None:
             return
         pose = Pose(passed.pose.position_m, passed.pose.orientation_wxyz)
@@ -112,6 +113,7 @@ class Loop:
         """
         vehicle, status = self._node.vehicle, 0
         ending_s: float | None = None
+        left_s = math.inf  # time when the parameters are restored
         while stop.count < 2:
             try:
                 self.turn()
@@ -126,9 +128,10 @@ class Loop:
                 vehicle.end(ending_s)
             if ending_s is None or (vehicle.busy and self.now_s - ending_s <= SHUT_DOWN_MAX_S):
                 continue
-            for packet in vehicle.settings.leave(self.now_s):
+            left_s = min(left_s, self.now_s)
+            for packet in vehicle.settings.leave():
                 self._link.send(packet)
-            if not vehicle.settings.busy(self.now_s):
+            if not vehicle.settings.open or self.now_s - left_s > ECHO_MAX_S:
                 break
         return status
 

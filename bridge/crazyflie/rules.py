@@ -91,37 +91,26 @@ _SAME = 1e-6  # relative tolerance of equal parameters; the firmware's floats ha
 
 
 class Settings:
-    """Parameters to write, and their previous values."""
+    """Firmware parameters to write, and their values before; a restart of the firmware resets all."""
 
     def __init__(self, drag_1_s: Vec3 | None, *, restore: bool) -> None:
         """``drag_1_s``: rotor drag, None leaves it unchanged; ``restore``: write old values at the end."""
-        self._wanted = {ESTIMATOR: float(KALMAN)}
-        if drag_1_s is not None:
-            self._wanted.update(zip(DRAG, drag_1_s, strict=True))
-        self._restore = restore
+        self._drag_1_s, self._restore = drag_1_s, restore
         self._found: dict[str, float] = {}  # values before the first write
-        self._open: set[str] = set()  # restored parameters whose echo has not arrived yet
-        self._left_s = math.inf
+        self.open: set[str] = set()  # restored parameters that the firmware has not confirmed yet
 
     def connected(self, params: Mapping[str, str]) -> tuple[list[SetParam], str | None]:
-        """Return the packets to write to a firmware with these parameters, and a warning."""
-        packets: list[SetParam] = []
-        for name, value in self._wanted.items():
+        """Return the packets that set up a firmware with these parameters, and a warning."""
+        drag_1_s, packets = self._drag_1_s, list[SetParam]()
+        wanted = {ESTIMATOR: float(KALMAN), **(dict(zip(DRAG, drag_1_s, strict=True)) if drag_1_s else {})}
+        for name, value in wanted.items():
             if name in params and not math.isclose(float(params[name]), value, rel_tol=_SAME, abs_tol=_SAME):
                 self._found.setdefault(name, float(params[name]))
                 packets.append(SetParam(name, value))
-        known = not self._wanted.keys() & set(DRAG) or DRAG[0] in params
-        return packets, None if known else UNKNOWN_DRAG
+        return packets, None if drag_1_s is None or DRAG[0] in params else UNKNOWN_DRAG
 
-    def leave(self, now_s: float) -> list[SetParam]:
+    def leave(self) -> list[SetParam]:
         """Return the packets that restore the previous values; only the first call returns any."""
-        if not self._restore or self._left_s < math.inf:
-            return []
-        self._left_s, self._open = now_s, set(self._found)
-        return [SetParam(name, value) for name, value in self._found.items()]
-
-    def echoed(self, name: str) -> None:
-        self._open.discard(name)
-
-    def busy(self, now_s: float) -> bool:
-        return self._restore and bool(self._found) and now_s - self._left_s <= ECHO_MAX_S and bool(self._open)
+        found, self._found = self._found if self._restore else {}, {}
+        self.open |= set(found)
+        return [SetParam(name, value) for name, value in found.items()]

@@ -13,7 +13,7 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.crazyflie import rules as limits
-from bridge.crazyflie.condition import FIT, STUCK, Condition, Repeats, stuck
+from bridge.crazyflie.condition import FIT, STUCK, Condition, stuck
 from bridge.crazyflie.packets import (
     ArmReply,
     Connected,
@@ -59,7 +59,6 @@ class Vehicle(Condition, Commander):
         self._kill_s = -math.inf
         self._silence_said = False
         self._connected_s = 0.0
-        self._unconnected = Repeats()
         self._armed_state: CrazyflieState | None = None  # newest state in which the vehicle is armed
         # time of the newest state with a known position, and the longest landing without a position, s
         self._placed_s, self._sink_s = -math.inf, 0.0
@@ -96,8 +95,8 @@ class Vehicle(Condition, Commander):
     def connected(self, event: Connected, now_s: float) -> None:
         self.link = Link(event.protocol, dict(event.params), "")
         self.state = self.health = None
-        self._forget_outside()
-        self._connected_s, self._unconnected = now_s, Repeats()
+        self._leaning = None
+        self._connected_s = now_s
         self._arming.forget(armed=self.armed)
         if now_s - self._kill_s <= limits.KILL_KEPT_S:
             self.terminate(now_s)
@@ -113,15 +112,13 @@ class Vehicle(Condition, Commander):
             self.texts.refuse(f"The firmware has no parameter {event.name}", now_s)
             return
         self.link.params[event.name] = event.value
-        self.settings.echoed(event.name)
+        self.settings.open.discard(event.name)
         self.texts.say(INFO, f"{event.name} is {event.value}")
 
     def lost(self, event: Lost, now_s: float) -> None:
         """Handle the loss of the link; in the bridge's own modes the vehicle lands blindly."""
         if self.link.protocol is not None:
             self.texts.say(CRITICAL, f"Radio lost: {event.reason}")
-        elif self._unconnected.due(event.reason, now_s):
-            self.texts.refuse(event.reason, now_s, "connecting")
         self.link = Link(reason=event.reason)
         if self.standing or self.mode is FlightMode.OFFBOARD:
             self._end("radio lost")
@@ -181,9 +178,11 @@ class Vehicle(Condition, Commander):
         if self._arming.refused_by(reply):
             self.texts.refuse(f"Arming refused: {REFUSED}", now_s)
 
-    def mocap(self, problem: str | None, passed: Passed | None = None, now_s: float = -math.inf) -> None:
+    def mocap(self, problem: str | None, passed: Passed | None = None) -> None:
         """Handle a new external pose and the problem of the external poses (None if they are good)."""
-        self._note_pose(problem, passed, now_s)
+        if passed is not None:
+            self.posed_s = max(self.posed_s, passed.measured_s)
+            self._pose_quaternion = passed.pose.orientation_wxyz
         if self.armed and problem is not None and self.mocap_problem is None:
             self.texts.say(CRITICAL, problem)
         self.mocap_problem = problem
@@ -319,7 +318,6 @@ class Vehicle(Condition, Commander):
 
     def step(self, now_s: float) -> None:
         """Advance the timers and queue the packets that are due; to be called at least every 10 ms."""
-        self._note_pose(self.mocap_problem, None, now_s)
         self._watch_radio(now_s)
         was_armed = self.armed
         packets, text = self._arming.step(self.state, now_s)

@@ -75,7 +75,7 @@ class Bench:
 
     def _ask_logs(self) -> None:
         self._asked_s = self.now_s
-        for number, (_, period_ms, names, _) in enumerate(BLOCKS, 1):
+        for number, (_, period_ms, names) in enumerate(BLOCKS, 1):
             ids = [bytes((0, i & 0xFF, i >> 8)) for i in (list(LOGS).index(n) for n in names)]
             head = bytes((number,))
             self.firmware.packet(b"\x5d\x06" + head + b"".join(ids[:9]), self.now_s)

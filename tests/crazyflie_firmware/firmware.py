@@ -210,7 +210,6 @@ class Firmware:
             "pm.state": self.power_state,
             "pm.batteryLevel": 90,
             **dict(zip(("acc.x", "acc.y", "acc.z"), body_from_world(plant.quaternion, UP), strict=True)),
-            "locSrvZ.tick": int(1000 * self.poses[-1][0]) & 0xFFFF if self.poses else 0,
             **{
                 f"motor.m{number}": (50_000 + 1_000 * number) * self.supervisor.armed
                 for number in range(1, 5)

@@ -20,7 +20,6 @@ LOGS = {
     "pm.state": "i8",
     "pm.batteryLevel": "u8",
     **{f"acc.{axis}": "f" for axis in "xyz"},
-    "locSrvZ.tick": "u16",
     **{f"motor.m{number}": "u16" for number in range(1, 5)},
     **{f"kalman.varP{axis}": "f" for axis in "XYZ"},
 }

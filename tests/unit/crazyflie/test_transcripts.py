@@ -45,10 +45,10 @@ FACTS = {
 class Stage(Bench):
     """Plays the steps of a transcript; a step is a method, with "-" or " " instead of "_"."""
 
-    def __init__(self, *arguments, posed_by="", tilt_deg=0.0):
-        """``posed_by``: sender of external poses, "bridge", "other" or none; ``tilt_deg``: see ``tilt``."""
+    def __init__(self, *arguments, posed=False, tilt_deg=0.0):
+        """``posed``: whether the bridge sends external poses; ``tilt_deg``: see ``tilt``."""
         self.mark_s, self.results = 0.0, []
-        self.posed_by, self.poses = posed_by, bool(posed_by)
+        self.posed = self.poses = posed
         self.tilt(tilt_deg)
         super().__init__(*arguments)
 
@@ -57,11 +57,10 @@ class Stage(Bench):
         position = self.firmware.plant.position
         if self.poses:
             self.firmware.packet(b"\x6d\x08" + struct.pack("<7f", *position, x, y, z, w), self.now_s)
-        if self.poses and self.posed_by == "bridge":
             pose = Pose(0, "map", tuple(position), self.quaternion)
-            self.vehicle.mocap(None, Passed(pose, self.now_s, 0), self.now_s)
-        elif self.posed_by == "bridge":
-            self.vehicle.mocap("mocap: no pose for 0.3 s", None, self.now_s)
+            self.vehicle.mocap(None, Passed(pose, self.now_s, 0))
+        elif self.posed:
+            self.vehicle.mocap("mocap: no pose for 0.3 s")
         super().step()
 
     def tilt(self, degrees):
@@ -217,14 +216,14 @@ def flights():
             yield title, options.replace("{}", word), "; ".join(lines).replace("{}", word)
 
 
-def begin(place=(0.0, 0.0), uptime_s=0.0, posed_by="", tilt_deg=0.0, **options):
-    options |= {"needs_poses": True, "mocap": posed_by == "bridge"} if posed_by else {}
+def begin(place=(0.0, 0.0), uptime_s=0.0, posed=False, tilt_deg=0.0, **options):
+    options |= {"needs_poses": True, "mocap": True} if posed else {}
     firmware = Firmware(
         Point(*place), **{k: v for k, v in options.items() if k in ("auto_arm", "needs_poses")}
     )
     firmware._boot_s = -uptime_s
     rules = Rules(**{k: v for k, v in options.items() if k in Rules.__dataclass_fields__})
-    return Stage(firmware, rules, posed_by=posed_by, tilt_deg=tilt_deg)
+    return Stage(firmware, rules, posed=posed, tilt_deg=tilt_deg)
 
 
 @pytest.mark.parametrize(("options", "steps"), [pytest.param(*rest, id=name) for name, *rest in flights()])
