@@ -14,12 +14,11 @@ import click
 from rich.text import Text
 
 from flightstack.common.options import Option, takes
-from flightstack.common.strict_toml import ConfigError, from_table, read_toml
+from flightstack.common.strict_toml import ConfigError, from_table, read_toml, to_table
 from flightstack.common.terminal import Terminal
 from flightstack.common.text import labels
 from flightstack.config import load, names, path_of
 from flightstack.config import options as shared
-from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import ignored
 
@@ -153,10 +152,11 @@ def _configuration(name_or_file: str) -> FlightConfig | None:
 
 def _alike(configs: Sequence[FlightConfig]) -> list[tuple[FlightConfig, list[int]]]:
     """Return configurations that differ in more than the id, each with the indices of its vehicles."""
-    alike: dict[tuple[FlightConfig, Fleet], tuple[FlightConfig, list[int]]] = {}
+    alike: dict[str, tuple[FlightConfig, list[int]]] = {}
     for n, config in enumerate(configs):
-        fleet = replace(config.fleet_or_alone, id=0)
-        alike.setdefault((replace(config, fleet=None), fleet), (config, []))[1].append(n)
+        table = to_table(config)
+        table.get("fleet", {}).pop("id", None)
+        alike.setdefault(repr(table), (config, []))[1].append(n)
     return list(alike.values())
 
 

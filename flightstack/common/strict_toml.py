@@ -258,10 +258,17 @@ def stem(key: str) -> tuple[str, str]:
 
 
 def to_table(value: Any) -> Any:
-    """Convert a dataclass of ``from_table`` to plain TOML data; ``None`` fields are omitted."""
+    """Convert a dataclass of ``from_table`` to plain TOML data.
+
+    Fields that are ``None`` are omitted, and those whose default is a dataclass, as long as they have it.
+    """
     if is_dataclass(value):
-        items = ((f.name, getattr(value, f.name)) for f in fields(value))
-        return {name: to_table(v) for name, v in items if v is not None}
+        items = ((f.name, f.default, getattr(value, f.name)) for f in fields(value))
+        return {
+            name: to_table(v)
+            for name, default, v in items
+            if v is not None and not (is_dataclass(v) and v == default)
+        }
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, tuple):

@@ -33,7 +33,7 @@ def suits(config: FlightConfig) -> bool:
 def suits_but_filter(config: FlightConfig) -> bool:
     """Whether the compiled landing kernel supports all features except, perhaps, the filter."""
     return (
-        not config.fleet_or_alone.others
+        not config.fleet.others
         and config.velocity_loop.dead_time_s == 0.0  # compiled code has no queue of set-points
         and config.touchdown.rule is TouchdownRule.CONTACT
     )

@@ -110,7 +110,7 @@ class Controller:
             config, self.barrier, self.strategy, self.track, self.plausibility, self.reserve
         )
         self.memory = self._mission.memory
-        self._fleet = FleetMember(config.fleet_or_alone, config.own.position_noise_m)
+        self._fleet = FleetMember(config.fleet, config.own.position_noise_m)
         self.velocity = VelocityCommand(config, self.barrier, self.memory, self.strategy, self._fleet)
         strategy = self.strategy
         self._situation = Situation(config, self.barrier, self.memory, strategy)

@@ -55,7 +55,7 @@ def prepare(options: RunOptions) -> Scenario:
     if VEHICLES[options.flies].own_physics:
         members = tuple(map(around_the_start, members))
     for n, each in enumerate(members, 1):
-        neighbours, known = {*range(1, number + 1)} - {n}, set(each.onboard.fleet_or_alone.others)
+        neighbours, known = {*range(1, number + 1)} - {n}, set(each.onboard.fleet.others)
         if neighbours and not known:
             raise ConfigError(
                 f"{options.scenario}: member {n}: onboard.fleet: missing; vehicles that share a room need "
@@ -92,7 +92,8 @@ def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
     """Return a configuration with the scenario's start point and fleet, unless it sets them itself."""
     start_offset_m = config.takeoff.start_offset_m or scenario.onboard.takeoff.start_offset_m
     takeoff = replace(config.takeoff, start_offset_m=start_offset_m)
-    return replace(config, takeoff=takeoff, fleet=config.fleet or scenario.onboard.fleet)
+    fleet = config.fleet if config.fleet.others else scenario.onboard.fleet
+    return replace(config, takeoff=takeoff, fleet=fleet)
 
 
 @dataclass(frozen=True)

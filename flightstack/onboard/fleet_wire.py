@@ -52,7 +52,7 @@ DRIFT = 1e-3
 
 def namespace_of(config: FlightConfig) -> str:
     """Return the default namespace of a vehicle: each member of a fleet needs its own."""
-    return member_name(config.fleet_or_alone.id)
+    return member_name(config.fleet.id)
 
 
 class NoFleet:

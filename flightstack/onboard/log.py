@@ -82,7 +82,7 @@ class OnboardLog:
         self._step = topic("controller/step", CONTROLLER_STEP)
         self._power = topic("controller/power", CONTROLLER_POWER) if config.reserve is not None else None
         self._neighbours = self._status = None
-        if config.fleet is not None:
+        if config.fleet.others:
             self._neighbours = topic("controller/neighbours", CONTROLLER_NEIGHBOURS)
             self._status = topic("fleet/status", MEMBER_STATUS)
         self._state = topic("controller/state", CONTROLLER_STATE)

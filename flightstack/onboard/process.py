@@ -246,7 +246,7 @@ def _fleet(
 
     Raises ConfigError: the members cannot connect to each other.
     """
-    if config.fleet is None:
+    if not config.fleet.others:
         return NoFleet()
     if not (options.connect or options.listen or options.zenoh_config):
         raise ConfigError(

@@ -33,9 +33,9 @@ LATE_TICKS = 1.0  # number of consecutive late ticks, in addition to the tick of
 
 
 def fleet_checks(config: FlightConfig) -> list[Check]:
-    """Return every check of the table [fleet]; none without this table."""
+    """Return every check of the table [fleet]; none for a fleet of one."""
     fleet = config.fleet
-    if fleet is None:
+    if not fleet.others:
         return []
     robust = issubclass(strategy_class(config.filter), RobustFilter)
     spread, loop = config.envelope.lag_spread, config.velocity_loop
@@ -318,13 +318,13 @@ def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
 def team_checks(
     configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3, pads_apart_m: float
 ) -> list[Check]:
-    """Return the checks that involve all members; none for a single vehicle, or if one has no table [fleet].
+    """Return the checks that involve all members; none for a single vehicle, or if one has no neighbours.
 
     ``configs``: configurations of the members; ``starts_enu_m``: known start places in the air; ``touch_m``:
     largest offset of two vehicles at which they overlap; ``pads_apart_m``: smallest distance of any two pads.
     """
-    fleets = [config.fleet for config in configs if config.fleet is not None]
-    if len(fleets) < max(2, len(configs)):
+    fleets = [config.fleet for config in configs]
+    if len(fleets) < 2 or not all(fleet.others for fleet in fleets):
         return []
     first, config, ids = fleets[0], configs[0], sorted(fleet.id for fleet in fleets)
     keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]

@@ -102,7 +102,7 @@ def load_messages(fleet: Fleet) -> FleetMessages:
 
 def _age_max_s(fleet: Fleet, member: str) -> float:
     config = fleet.flights[member].config
-    return AGE_MAX_S if config is None else config.fleet_or_alone.age_max_s
+    return AGE_MAX_S if config is None else config.fleet.age_max_s
 
 
 def _spans(sent: list[_Sent]) -> tuple[Span, ...]:

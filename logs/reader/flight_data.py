@@ -241,6 +241,6 @@ def shape(config: FlightConfig) -> dict[str, str]:
         "barrier_beta_m": repr(barrier.beta_m),
         "pad_radius_m": repr(config.touchdown.pad_radius_m),
     }
-    if fleet is not None:
+    if fleet.others:
         found |= {"ellipsoid_xy_m": repr(fleet.radius_xy_m), "ellipsoid_z_m": repr(fleet.radius_z_m)}
     return found

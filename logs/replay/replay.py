@@ -96,7 +96,7 @@ class _Run:
         self.given: TickInputs
         self.wire: WireReplay | None = None
         self.wire_found: list[TickDifference] = []
-        self.in_fleet = "fleet" in flight.table
+        self.in_fleet = bool(self.config.fleet.others)
         self.running = False
         self.acted = False
         self.state_refused = ""

@@ -150,7 +150,7 @@ class Scenario:
     @property
     def exchanges(self) -> bool:
         """Whether the vehicles send messages to each other."""
-        return any(each.onboard.fleet_or_alone.others for each in (self, *self.others))
+        return any(each.onboard.fleet.others for each in (self, *self.others))
 
     @property
     def judged_by(self) -> Barrier:

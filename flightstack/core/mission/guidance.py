@@ -107,7 +107,7 @@ def ordinary_velocity(config: FlightConfig, memory: Memory, strategy: Filter, at
 
 def _outside(at: Relative, config: FlightConfig) -> Vec3:
     """Return the velocity to the waiting point outside the cone, on the vehicle's side of the pad."""
-    (x, y, z), d, fleet = at.e_m, at.d_m, config.fleet_or_alone
+    (x, y, z), d, fleet = at.e_m, at.d_m, config.fleet
     side = (x / d, y / d) if d > 1e-6 else (1.0, 0.0)
     e = (x - side[0] * fleet.wait_distance_m, y - side[1] * fleet.wait_distance_m, z - fleet.wait_height_m)
     return nominal_velocity(e, config.position_loop.gain_1_s, at.target.velocity_enu_m_s)

@@ -6,7 +6,6 @@ Crazyswarm sets them for the firmware's collision avoidance. Downwash makes it h
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -26,7 +25,7 @@ CIRCLE_LATENCIES = 8.0  # time until a cycle is broken, in latencies times (1 + 
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """This vehicle and the other members; without this table the vehicle flies alone."""
+    """This vehicle and the other members; a fleet of one without this table."""
 
     id: Annotated[int, span(1, ID_MAX)]  # id of this member
     members: tuple[Annotated[int, span(1, ID_MAX)], ...]  # ids of all members, including this one
@@ -60,14 +59,16 @@ class Fleet:
         """Ids of the other members, in ascending order."""
         return tuple(sorted(set(self.members) - {self.id}))
 
-    def check(self, lag_s: float, period_s: float) -> None:
-        """Reject members or limits that contradict each other, the velocity loop or the period of a tick."""
+    def check(self, lag_s: float, period_s: float, clearance_m: float) -> None:
+        """Reject members or limits that contradict each other, the velocity loop, the tick or the retreat."""
         members = f"fleet.members: found {list(self.members)}"
         if len(set(self.members)) != len(self.members) or self.id not in self.members:
             raise ConfigError(f"{members}; each once is needed, and id {self.id}")
-        if not 1 <= len(self.others) <= OTHERS_MAX:
+        if not self.others:
+            return
+        if len(self.others) > OTHERS_MAX:
             raise ConfigError(
-                f"fleet.members: found {len(self.members)}, allowed are 2 to {OTHERS_MAX + 1}: as many "
+                f"fleet.members: found {len(self.members)}, allowed are 1 to {OTHERS_MAX + 1}: as many "
                 "others as the program has rows"
             )
         least_m = self.radius_xy_m + self.margin_m + 2.0 * self.speed_max_m_s / self.rate_1_s
@@ -92,6 +93,12 @@ class Fleet:
                 f"fleet.wait_distance_m: found {self.wait_distance_m:g}; a wait leaves pad_distance_m free, "
                 f"{self.pad_distance_m:g} m"
             )
+        if self.frees_pad and self.wait_distance_m < clearance_m:
+            raise ConfigError(
+                f"fleet.wait_distance_m: found {self.wait_distance_m:g}; with fleet.frees_pad a vehicle "
+                "lands this far beside the target's path; at least checks.clearance_m is needed, "
+                f"{clearance_m:g} m"
+            )
         if self.rate_1_s * lag_s > PART_OF_LAG:
             raise ConfigError(
                 f"fleet.rate_1_s: found {self.rate_1_s:g}; with a lag of {lag_s:g} s at most "
@@ -104,4 +111,4 @@ class Fleet:
             )
 
 
-ALONE = Fleet(id=1, members=(1,), slew_xy_max_m_s2=math.inf)  # a vehicle without neighbours
+ALONE = Fleet(id=1, members=(1,))  # a vehicle without neighbours

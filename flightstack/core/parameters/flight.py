@@ -271,12 +271,7 @@ class FlightConfig:
     envelope: Envelope = field(default_factory=Envelope)  # range that the certificate of `check` covers
     vehicle: VehicleSide = field(default_factory=VehicleSide)
     reserve: Reserve | None = None  # None: the battery sets no limits, and its state is not requested
-    fleet: Fleet | None = None  # None: no other members
-
-    @property
-    def fleet_or_alone(self) -> Fleet:
-        """Table [fleet]; without it, a fleet of one vehicle."""
-        return self.fleet or ALONE
+    fleet: Fleet = ALONE  # a fleet of one without the table
 
     @property
     def slew_max_m_s2(self) -> Vec3:
@@ -286,7 +281,7 @@ class FlightConfig:
         divided by sqrt(2), since delayed motion reduces the distance to near neighbours.
         """
         x, y, z = self.robust.acceleration_max_m_s2
-        side = self.fleet_or_alone.slew_xy_max_m_s2 / math.sqrt(2.0)
+        side = self.fleet.slew_xy_max_m_s2 / math.sqrt(2.0) if self.fleet.others else math.inf
         return min(x, side), min(y, side), z
 
     @property
@@ -310,14 +305,7 @@ class FlightConfig:
                 f"limits.altitude_max_m: found {self.limits.altitude_max_m:g}, the barrier's peak is "
                 f"{peak:.3g} m above the pad; allow at least {least_m:.3g}"
             )
-        if self.fleet is not None:
-            self.fleet.check(self.velocity_loop.lag_xy_s, 1.0 / self.loop.rate_hz)
-            if self.fleet.frees_pad and self.fleet.wait_distance_m < self.checks.clearance_m:
-                raise ConfigError(
-                    f"fleet.wait_distance_m: found {self.fleet.wait_distance_m:g}; with fleet.frees_pad a "
-                    "vehicle lands this far beside the target's path: at least checks.clearance_m is needed, "
-                    f"{self.checks.clearance_m:g} m"
-                )
+        self.fleet.check(self.velocity_loop.lag_xy_s, 1.0 / self.loop.rate_hz, self.checks.clearance_m)
         check_name(self.filter)
         # an external filter checks its configuration when it flies: reading a log must not run its code
         if self.filter in FILTERS:

@@ -339,7 +339,7 @@ def _refuse_loop(config: FlightConfig) -> None:
     without = {
         "velocity_feedback.horizontal": config.velocity_feedback.horizontal,
         "own.velocity_error_m_s": config.own.learns,
-        "fleet": bool(config.fleet_or_alone.others),
+        "fleet": bool(config.fleet.others),
     }
     if any(without.values()):
         names = ", ".join(name for name, given in without.items() if given)
