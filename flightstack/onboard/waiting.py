@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from operator import attrgetter
-from typing import NamedTuple
 
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.client.senders import Arrivals, why_silent
@@ -15,8 +14,9 @@ from flightstack.core.controller import WARN, Outputs
 from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import target_below
 from flightstack.core.mission.machine import DRIFT_CAUSES
-from flightstack.core.parameters.flight import Checks, FlightConfig
-from flightstack.core.types import Landed, Mode, Phase, VehicleStatus
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.snapshot import Snapshot
+from flightstack.core.types import Landed, Mode, Phase
 from flightstack.onboard.zenoh_wires import ZenohWires
 
 PERIOD_S = 2.0  # time between two reports, s
@@ -26,113 +26,6 @@ _REASONS = 3  # maximum number of vehicle texts in one report
 _REASON_AGE_MAX_S = 15.0  # maximum age of a reason, s; PX4 and ArduPilot repeat their reasons sooner
 _CAUSE_AGE_MAX_S = 5.0  # maximum age of a text that explains a disarm, s; two heartbeats (1 Hz) may be lost
 _PROBLEMS = 2  # maximum number of sample errors in one report
-
-
-class VehicleSeen(NamedTuple):
-    """Data that the vehicle link has received so far."""
-
-    heartbeat_age_s: float | None  # age of the newest heartbeat; None: no heartbeat received
-    silence: str  # reason for a missing heartbeat (``senders.why_silent``)
-    own_age_s: float | None  # age of the newest vehicle state; None: no state received
-    own_believed: bool  # whether position and velocity agree
-    # positions rejected since the last report, by cause (fields of ``StateCounters``)
-    refused: Mapping[str, int]
-    status: VehicleStatus | None  # newest status of the vehicle
-    readiness_told: bool  # whether SYS_STATUS, which reports readiness to arm, was received
-    says: tuple[str, ...]  # newest texts of the vehicle that may be reasons
-    heartbeat_every_s: float = 0.0  # longest interval between two heartbeats since the last report
-    own_every_s: float = 0.0  # longest interval between two vehicle states since the last report
-
-
-class TargetSeen(NamedTuple):
-    """Data that the target's link has received so far."""
-
-    name: str  # key or topic that the user gave
-    age_s: float | None  # age of the newest accepted sample; None: no sample
-    arrived: int  # samples since the last report, including rejected ones
-    problems: tuple[str, ...]  # why samples could not be decoded
-    keys: tuple[str, ...]  # other keys that might be a target
-    contradicts: bool = False  # whether positions contradict the velocity
-    every_s: float = 0.0  # longest interval between two accepted samples since the last report
-    below: str = ""  # why the landing spot is implausible; empty: plausible
-
-
-def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[str, ...]:
-    """Return the known causes that delay the start of the flight, one sentence each."""
-    return (*_of_vehicle(vehicle, checks), *_of_target(target, checks))
-
-
-def _seldom(what: str, every_s: float, age_s: float | None, key: str, most_s: float) -> tuple[str, ...]:
-    """Return a text if inputs arrive too rarely for their age limit."""
-    if every_s <= most_s or age_s is None or age_s > every_s:
-        return ()
-    return (f"{what}: one every {every_s:.2f} s ({1.0 / every_s:.1f} Hz); checks.{key} allows {most_s:g} s",)
-
-
-def _of_vehicle(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
-    age_s, most_s, status = seen.heartbeat_age_s, checks.status_age_max_s, seen.status
-    if seldom := _seldom("heartbeats", seen.heartbeat_every_s, age_s, "status_age_max_s", most_s):
-        return seldom
-    if age_s is None or age_s > most_s or status is None:
-        return (seen.silence,)
-    return (*_of_position(seen, checks), *_of_status(seen, status))
-
-
-def _of_position(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
-    age_s, most_s = seen.own_age_s, checks.own_age_max_s
-    if seldom := _seldom("positions", seen.own_every_s, age_s, "own_age_max_s", most_s):
-        return seldom
-    if age_s is None or age_s > most_s:
-        old = "no position: the vehicle sends no LOCAL_POSITION_NED, as long as it has no estimate of it"
-        if age_s is not None:
-            old = f"position is {age_s:.1f} s old; checks.own_age_max_s allows {most_s:g}"
-        return (next((text for name, text in _REFUSED.items() if seen.refused.get(name)), old),)
-    if not seen.own_believed:
-        return ("position and velocity of the vehicle do not agree (checks.own_drift_max_m)",)
-    return ()
-
-
-_REFUSED = {
-    "not_finite": "positions contain numbers that are not finite or out of range",
-    "without_yaw": "positions arrive without ATTITUDE, which contains the heading",
-    "out_of_order": "positions have a time that does not advance",
-    "ahead": "positions have a time in the future",
-}
-
-
-def _of_status(seen: VehicleSeen, status: VehicleStatus) -> tuple[str, ...]:
-    texts: list[str] = []
-    if status.landed is Landed.UNKNOWN:
-        texts.append("the vehicle does not report whether it stands (EXTENDED_SYS_STATE)")
-    if status.landed in _FLYING and status.mode is not Mode.EXTERNAL:
-        texts.append(f"the vehicle is in the air and in mode {status.mode.name}: another client controls it")
-    if not (status.armed or status.ready_to_arm):
-        says = f"; it reports: {' | '.join(seen.says)}" if seen.says else ""
-        fails = "the vehicle's own pre-arm checks fail (SYS_STATUS)"
-        unknown = "the vehicle does not report whether it may be armed (SYS_STATUS)"
-        texts.append((fails if seen.readiness_told else unknown) + says)
-    return tuple(texts)
-
-
-def _of_target(seen: TargetSeen, checks: Checks) -> tuple[str, ...]:
-    if seen.contradicts:
-        causes = f"checks.target_drift_max_m is {checks.target_drift_max_m:g}; {DRIFT_CAUSES}"
-        return (f"position and velocity of the target do not agree; {causes}",)
-    name, most_s = f"samples on {seen.name}", checks.target_age_max_s
-    if seldom := _seldom(name, seen.every_s, seen.age_s, "target_age_max_s", most_s):
-        return seldom
-    if seen.age_s is not None and seen.age_s <= most_s:
-        return (seen.below,) if seen.below else ()
-    problems = f": {' | '.join(seen.problems)}" if seen.problems else ""
-    if seen.arrived:
-        return (f"{seen.arrived} samples on {seen.name}, none accepted{problems}",)
-    if seen.age_s is not None:
-        age, most = f"{seen.age_s:.1f} s old", f"{checks.target_age_max_s:g}"
-        return (f"the newest sample on {seen.name} is {age}; checks.target_age_max_s allows {most}",)
-    if problems:
-        return (f"no sample on {seen.name} any more; of earlier ones{problems}",)
-    there = f"there are {', '.join(seen.keys)}" if seen.keys else "nor on any key like odometry or pose"
-    return (f"no sample on {seen.name}; {there}",)
 
 
 class _Pace:
@@ -148,12 +41,20 @@ class _Pace:
             self._longest_s = interval_s if self._reported else max(interval_s, self._longest_s)
             self._reported = False
 
-    def report(self) -> float:
-        """Return the longest interval, s; 0 before the second arrival."""
-        self._reported = True
-        return self._longest_s
+    def seldom(self, what: str, age_s: float | None, key: str, most_s: float) -> str:
+        """Return a text if inputs arrive too rarely for their age limit; the next report starts anew."""
+        every_s, self._reported = self._longest_s, True
+        if every_s <= most_s or age_s is None or age_s > every_s:
+            return ""
+        return f"{what}: one every {every_s:.2f} s ({1.0 / every_s:.1f} Hz); checks.{key} allows {most_s:g} s"
 
 
+_REFUSED = {  # by the fields of ``StateCounters``
+    "not_finite": "positions contain numbers that are not finite or out of range",
+    "without_yaw": "positions arrive without ATTITUDE, which contains the heading",
+    "out_of_order": "positions have a time that does not advance",
+    "ahead": "positions have a time in the future",
+}
 # Phases that continue without messages of the vehicle: setting that limits the phase, effect of this limit.
 # Without these messages any other phase ends immediately.
 _BOUNDS: Mapping[Phase, tuple[str, str]] = {
@@ -234,7 +135,8 @@ class WaitReport:
         self._due_s = now_s + PERIOD_S
         left = countdown(self._config, phase, now_s - memory.phase_since_s)
         if phase is Phase.WAIT:
-            self.lacking = missing(self._vehicle(out, now_s), self._target(out), self._config.checks)
+            snapshot = out.snapshot
+            self.lacking = (*self.of_vehicle(snapshot, now_s), *self.of_target(snapshot))
             self._refusals.clear()
             return f"waiting: {'; '.join(self.lacking)}; {left}" if self.lacking else None
         status = out.snapshot.inputs.status
@@ -259,44 +161,70 @@ class WaitReport:
         time = f" for {heard_s:.0f} s" if heard_s is not None else ""
         return why_silent(self._system_id, grown, self._link.counters.senders, time=time)
 
-    def _vehicle(self, out: Outputs, now_s: float) -> VehicleSeen:
-        link, own, status = self._link, out.snapshot.inputs.own, out.snapshot.inputs.status
+    def of_vehicle(self, at: Snapshot, now_s: float) -> Sequence[str]:
+        """Return what is missing of the vehicle, one sentence each; the counters start anew."""
+        checks, own, status = self._config.checks, at.inputs.own, at.inputs.status
         heard_s = now_s - status.arrival_s if status is not None else None
         own_age_s = now_s - own.arrival_s if own is not None else None
-        before, self._refused = self._refused, asdict(link.state.counters)
-        return VehicleSeen(
-            heartbeat_age_s=heard_s,
-            silence=self._silence(heard_s),
-            own_age_s=own_age_s,
-            own_believed=out.snapshot.own_ok
-            or own_age_s is None
-            or own_age_s > self._config.checks.own_age_max_s,
-            refused={name: n - before.get(name, 0) for name, n in self._refused.items()},
-            status=status,
-            readiness_told=link.state.battery is not None,
-            says=tuple(text for text, at_s in self._reasons.items() if now_s - at_s <= _REASON_AGE_MAX_S),
-            heartbeat_every_s=self._heartbeats.report(),
-            own_every_s=self._states.report(),
-        )
+        before, self._refused = self._refused, asdict(self._link.state.counters)
+        silence = self._silence(heard_s)
+        beats = self._heartbeats.seldom("heartbeats", heard_s, "status_age_max_s", checks.status_age_max_s)
+        rare = self._states.seldom("positions", own_age_s, "own_age_max_s", checks.own_age_max_s)
+        if beats or status is None or heard_s is None or heard_s > checks.status_age_max_s:
+            return (beats or silence,)
+        texts = [rare] if rare else []
+        if not rare and (own_age_s is None or own_age_s > checks.own_age_max_s):
+            old = "no position: the vehicle sends no LOCAL_POSITION_NED, as long as it has no estimate of it"
+            if own_age_s is not None:
+                old = (
+                    f"position is {own_age_s:.1f} s old; checks.own_age_max_s allows {checks.own_age_max_s:g}"
+                )
+            refused = (text for name, text in _REFUSED.items() if self._refused[name] > before.get(name, 0))
+            texts = [next(refused, old)]
+        elif not rare and not at.own_ok:
+            texts = ["position and velocity of the vehicle do not agree (checks.own_drift_max_m)"]
+        if status.landed is Landed.UNKNOWN:
+            texts.append("the vehicle does not report whether it stands (EXTENDED_SYS_STATE)")
+        if status.landed in _FLYING and status.mode is not Mode.EXTERNAL:
+            mode = f"the vehicle is in the air and in mode {status.mode.name}"
+            texts.append(f"{mode}: another client controls it")
+        if not (status.armed or status.ready_to_arm):
+            says = [text for text, at_s in self._reasons.items() if now_s - at_s <= _REASON_AGE_MAX_S]
+            fails = "the vehicle's own pre-arm checks fail (SYS_STATUS)"
+            unknown = "the vehicle does not report whether it may be armed (SYS_STATUS)"
+            reports = f"; it reports: {' | '.join(says)}" if says else ""
+            texts.append((fails if self._link.state.battery is not None else unknown) + reports)
+        return texts
 
-    def _target(self, out: Outputs) -> TargetSeen:
-        target, wires = out.snapshot.target, self._wires
+    def of_target(self, at: Snapshot) -> Sequence[str]:
+        """Return what is missing of the target, in one sentence; the counters start anew."""
+        wires, checks = self._wires, self._config.checks
+        most_s, name = checks.target_age_max_s, f"samples on {wires.target.text}"
         refused, self._refused_before = wires.odometry.refused - self._refused_before, wires.odometry.refused
         arrived, self._arrived = self._arrived + refused, 0
-        age_s = target.age_s if target is not None else None
-        lost = age_s is None or age_s > self._config.checks.target_age_max_s
+        age_s = at.target.age_s if at.target is not None and math.isfinite(at.target.age_s) else None
+        lost = age_s is None or age_s > most_s
         search = self._searches and lost and not arrived
+        keys = wires.search.keys() if search else ()
         if not search:
             wires.search.stop()
         found = dict.fromkeys((*wires.odometry.told[-_PROBLEMS:], *self._refusals))
-        problems = tuple(text.removeprefix(f"{wires.target.text}: ") for text in found)[:_PROBLEMS]
-        return TargetSeen(
-            name=wires.target.text,
-            age_s=age_s if age_s is None or math.isfinite(age_s) else None,
-            arrived=arrived,
-            problems=problems,
-            keys=wires.search.keys() if search else (),
-            contradicts=out.snapshot.target_placed,
-            every_s=self._samples.report(),
-            below=target_below(self._config, out.snapshot),
-        )
+        texts = [text.removeprefix(f"{wires.target.text}: ") for text in found][:_PROBLEMS]
+        problems = f": {' | '.join(texts)}" if texts else ""
+        rare = self._samples.seldom(name, age_s, "target_age_max_s", most_s)
+        if at.target_placed:
+            causes = f"checks.target_drift_max_m is {checks.target_drift_max_m:g}; {DRIFT_CAUSES}"
+            return (f"position and velocity of the target do not agree; {causes}",)
+        if rare:
+            return (rare,)
+        if not lost:
+            return tuple(filter(None, (target_below(self._config, at),)))
+        if arrived:
+            return (f"{arrived} {name}, none accepted{problems}",)
+        if age_s is not None:
+            allowed = f"checks.target_age_max_s allows {most_s:g}"
+            return (f"the newest sample on {wires.target.text} is {age_s:.1f} s old; {allowed}",)
+        if problems:
+            return (f"no sample on {wires.target.text} any more; of earlier ones{problems}",)
+        there = f"there are {', '.join(keys)}" if keys else "nor on any key like odometry or pose"
+        return (f"no sample on {wires.target.text}; {there}",)

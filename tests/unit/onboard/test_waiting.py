@@ -3,81 +3,125 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
 
+from bridge.mavlink.client.vehicle_state import StateCounters
+from bridge.mavlink.transport.transport import EndpointCounters
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import Role
 from flightstack.common.pacing import Tick
 from flightstack.config import load
 from flightstack.config.options import OnboardOptions
-from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig, Retreat
+from flightstack.core.memory import Memory
+from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Retreat
 from flightstack.core.snapshot import Snapshot
+from flightstack.core.target.track import TargetState
 from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
 from flightstack.onboard.log import health_row
-from flightstack.onboard.waiting import TargetSeen, VehicleSeen, WaitReport, countdown, missing
+from flightstack.onboard.waiting import WaitReport, countdown
 from flightstack.onboard.zenoh_wires import ZenohWires
 from tests.integration.runs import called
 from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target import ros2_helpers as ros
 
-CHECKS = Checks()
-STANDS = VehicleStatus(0.0, False, Mode.HOLD, Landed.ON_GROUND, True)
-VEHICLE = VehicleSeen(0.5, "no heartbeat of system 1", 0.01, True, {}, STANDS, True, ())
-TARGET = TargetSeen("cf1/target/odom", 0.02, 100, (), ())
+NOW_S = 20.0
+STANDS = VehicleStatus(NOW_S - 0.5, False, Mode.HOLD, Landed.ON_GROUND, True)
+NOT_READY = replace(STANDS, ready_to_arm=False)
+OWN = OwnState(NOW_S - 0.01, 1.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0.0)
+TARGET = TargetState(0.02, (1.0, 0.0, 0.2), (0.0, 0.0, 0.0), 0.0)
+
+
+def waiting(counts=(), battery=1, refused=0, told=(), keys=()):
+    """Return the reporter of a vehicle and a target that have sent this."""
+    state = SimpleNamespace(counters=StateCounters(), battery=battery)
+    for name in counts:
+        setattr(state.counters, name, 9)
+    endpoint = SimpleNamespace(counters=EndpointCounters())
+    link = SimpleNamespace(state=state, endpoint=endpoint, counters=SimpleNamespace(senders={}))
+    wires = SimpleNamespace(
+        target=SimpleNamespace(text="cf1/target/odom"),
+        odometry=SimpleNamespace(refused=refused, told=list(told)),
+        search=SimpleNamespace(keys=lambda: keys, stop=lambda: None),
+    )
+    return WaitReport(FlightConfig(BarrierShape(1.0, 1.5)), 1, link, wires, searches=True)
+
+
+def at(own=OWN, status=STANDS, target=TARGET, own_ok=True, placed=False):
+    return Snapshot(
+        Inputs(own, status), target, own_ok=own_ok, target_ok=True, link_ok=True, relative=None,
+        target_placed=placed,
+    )  # fmt: skip
 
 
 def test_nothing_is_missing_when_all_is_there():
-    assert missing(VEHICLE, TARGET, CHECKS) == ()
-
-
-NOT_READY = replace(STANDS, ready_to_arm=False)
+    assert not [*waiting().of_vehicle(at(), NOW_S), *waiting().of_target(at())]
 
 
 @pytest.mark.parametrize(
-    ("changed", "words"),
+    ("given", "seen", "words"),
     [
-        ({"heartbeat_age_s": None, "status": None}, "no heartbeat of system 1"),
-        ({"heartbeat_age_s": 3.1}, "no heartbeat of system 1"),
-        ({"own_age_s": None}, "no position: the vehicle sends no LOCAL_POSITION_NED"),
-        ({"own_age_s": None, "refused": {"without_yaw": 9}}, "without ATTITUDE"),
-        ({"own_age_s": 5.0, "refused": {"not_finite": 9}}, "not finite"),
-        ({"own_age_s": 5.0, "refused": {"out_of_order": 9}}, "a time that does not advance"),
-        ({"own_age_s": 0.31}, "position is 0.3 s old; checks.own_age_max_s allows 0.2"),
-        ({"heartbeat_every_s": 5.0}, "heartbeats: one every 5.00 s (0.2 Hz); checks.status_age_max_s"),
-        ({"own_every_s": 0.25}, "positions: one every 0.25 s (4.0 Hz); checks.own_age_max_s allows 0.2"),
-        ({"own_believed": False}, "do not agree (checks.own_drift_max_m)"),
-        ({"status": replace(STANDS, landed=Landed.UNKNOWN)}, "EXTENDED_SYS_STATE"),
-        ({"status": replace(STANDS, landed=Landed.IN_AIR, armed=True)}, "in the air and in mode HOLD"),
-        ({"status": NOT_READY, "readiness_told": False}, "whether it may be armed (SYS_STATUS)"),
-        ({"status": NOT_READY, "says": ("GPS", "Compass")}, "fail (SYS_STATUS); it reports: GPS | Compass"),
+        ({}, {"status": None}, "no heartbeat of system 1"),
+        ({}, {"status": replace(STANDS, arrival_s=NOW_S - 3.1)}, "no heartbeat of system 1, "),
+        ({}, {"own": None}, "no position: the vehicle sends no LOCAL_POSITION_NED"),
+        ({"counts": ["without_yaw"]}, {"own": None}, "without ATTITUDE"),
+        ({"counts": ["not_finite"]}, {"own": OWN._replace(arrival_s=NOW_S - 5.0)}, "not finite"),
+        ({"counts": ["out_of_order"]}, {"own": None}, "a time that does not advance"),
+        (
+            {}, {"own": OWN._replace(arrival_s=NOW_S - 0.31)},
+            "position is 0.3 s old; checks.own_age_max_s allows 0.2",
+        ),
+        ({}, {"own_ok": False}, "do not agree (checks.own_drift_max_m)"),
+        ({}, {"status": replace(STANDS, landed=Landed.UNKNOWN)}, "EXTENDED_SYS_STATE"),
+        ({}, {"status": replace(STANDS, landed=Landed.IN_AIR, armed=True)}, "in the air and in mode HOLD"),
+        ({"battery": None}, {"status": NOT_READY}, "whether it may be armed (SYS_STATUS)"),
     ],
-)
-def test_each_lack_of_the_vehicle_has_its_sentence(changed, words):
-    (text,) = missing(VEHICLE._replace(**changed), TARGET, CHECKS)
+)  # fmt: skip
+def test_each_lack_of_the_vehicle_has_its_sentence(given, seen, words):
+    (text,) = waiting(**given).of_vehicle(at(**seen), NOW_S)
     assert words in text
+
+
+def test_a_vehicle_that_is_not_ready_is_named_with_its_reasons():
+    report = waiting()
+    for text in ("GPS", "Compass"):
+        report.note_text(NOW_S, 4, text)
+    (text,) = report.of_vehicle(at(status=NOT_READY), NOW_S)
+    assert text.endswith("fail (SYS_STATUS); it reports: GPS | Compass")
 
 
 @pytest.mark.parametrize(
-    ("changed", "words"),
+    ("given", "seen", "words"),
     [
-        ({"age_s": None, "arrived": 0}, "no sample on cf1/target/odom; nor on any key like odometry"),
-        ({"age_s": None, "arrived": 0, "keys": ("a/odom", "b/odom")}, "there are a/odom, b/odom"),
-        ({"age_s": None, "arrived": 0, "problems": ("a hash",)}, "odom any more; of earlier ones: a hash"),
-        ({"age_s": None, "arrived": 7, "problems": ("a frame",)}, "odom, none accepted: a frame"),
-        ({"every_s": 0.33}, "odom: one every 0.33 s (3.0 Hz); checks.target_age_max_s allows 0.25"),
-        ({"contradicts": True}, "do not agree; checks.target_drift_max_m is 0.1; usual causes: a twist in"),
-        ({"below": "the landing spot is 0.40 m below the ground"}, "0.40 m below the ground"),
-        ({"age_s": 1.04, "arrived": 0}, "is 1.0 s old; checks.target_age_max_s allows 0.25"),
+        ({}, {"target": None}, "no sample on cf1/target/odom; nor on any key like odometry"),
+        ({"keys": ("a/odom", "b/odom")}, {"target": None}, "there are a/odom, b/odom"),
+        ({"told": ["a hash"]}, {"target": None}, "odom any more; of earlier ones: a hash"),
+        (
+            {"refused": 7, "told": ["cf1/target/odom: a frame"]}, {"target": None},
+            "7 samples on cf1/target/odom, none accepted: a frame",
+        ),
+        ({}, {"placed": True}, "do not agree; checks.target_drift_max_m is 0.1; usual causes: a twist in"),
+        ({}, {"target": TARGET._replace(age_s=1.04)}, "is 1.0 s old; checks.target_age_max_s allows 0.25"),
     ],
-)
-def test_each_lack_of_the_target_has_its_sentence(changed, words):
-    (text,) = missing(VEHICLE, TARGET._replace(**changed), CHECKS)
+)  # fmt: skip
+def test_each_lack_of_the_target_has_its_sentence(given, seen, words):
+    (text,) = waiting(**given).of_target(at(**seen))
     assert words in text
 
 
-NOW_S = 20.0
+def test_inputs_that_arrive_too_rarely_are_named_with_their_rate():
+    report = waiting()
+    for n in range(3):
+        now_s = NOW_S + 5.0 * n
+        own, status = OWN._replace(arrival_s=now_s), replace(STANDS, arrival_s=now_s)
+        text = report.step(Out(at(own, status), target_accepted=n, phase=Phase.WAIT), Memory(), 1, (), now_s)
+    assert "heartbeats: one every 5.00 s (0.2 Hz); checks.status_age_max_s allows 3 s" in text
+    assert "samples on cf1/target/odom: one every 5.00 s (0.2 Hz); checks.target_age_max_s" in text
+    assert text.endswith("gives up within 30 s (checks.wait_time_max_s)")
+
+
 TICK = Tick(2000, NOW_S, 1_700_000_000_000_000_000, 0.01, 0.0, overruns=3)
 
 
@@ -88,6 +132,8 @@ class Out(NamedTuple):
     finished: bool = False
     target_accepted: int = 5
     target_rejected: int = 6
+    phase: Phase = Phase.WAIT
+    events: tuple = ()
 
 
 def view(**inputs):
