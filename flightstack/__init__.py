@@ -43,33 +43,15 @@ _HOME = {
 }
 __all__ = sorted(_HOME)
 
-# pip extra of this package that installs a module, by module
-_EXTRAS = {
-    "mujoco": "sim",
-    "numba": "sim",
-    "llvmlite": "sim",
-    "plotly": "report",
-    "gymnasium": "env",
-    "greenlet": "env",
-}
-
 
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use."""
     if name not in _HOME:
         raise AttributeError(f"module 'flightstack' has no attribute {name!r}; it has {', '.join(__all__)}")
-    try:
-        found = getattr(import_module(_HOME[name]), name)
-    except ModuleNotFoundError as error:
-        missing = (error.name or "").partition(".")[0]
-        if missing not in _EXTRAS:
-            raise
-        from flightstack.common.text import pip_install
+    from flightstack.common.text import needed_by
 
-        raise ModuleNotFoundError(
-            f"flightstack.{name} needs {missing}, which is not installed: {pip_install(_EXTRAS[missing])}",
-            name=error.name,
-        ) from error
+    with needed_by(f"flightstack.{name}"):
+        found = getattr(import_module(_HOME[name]), name)
     globals()[name] = found
     return found
 

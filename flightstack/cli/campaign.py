@@ -17,7 +17,6 @@ from rich.text import Text
 
 from flightstack.common.options import Option, takes
 from flightstack.common.terminal import Bar, Terminal
-from flightstack.common.text import pip_install, without
 from flightstack.config import options as shared
 from flightstack.core.parameters.filters import short_name
 from sim.options import ValidateOptions
@@ -141,14 +140,9 @@ def validate(options: ValidateOptions) -> None:
     Exit status: 0 all criteria are met, 1 a criterion is missed or no flight is usable, 2 wrong input.
     """
     from flightstack.onboard.recording import new_folder
-
-    try:
-        from sim.flights.recording import RecordingError, find_recordings
-        from sim.validation import run as core
-        from sim.validation.criteria import judge, reasons, summary
-    except ModuleNotFoundError as error:
-        text = f"`validate` needs {{}}: {pip_install('sim,export')}"
-        raise without(error, text, "pyarrow", "mujoco", "numba") from None
+    from sim.flights.recording import RecordingError, find_recordings
+    from sim.validation import run as core
+    from sim.validation.criteria import judge, reasons, summary
 
     options = replace(options, vehicle=options.vehicle or core.VEHICLE)
     console = Terminal(stderr=options.as_json)

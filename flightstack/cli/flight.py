@@ -14,7 +14,6 @@ import click
 
 from flightstack.common.hangup import Stop, reader_gone, say
 from flightstack.common.options import takes
-from flightstack.common.text import without_rerun
 from flightstack.config.options import WATCHED, OnboardOptions, WatchOptions
 from flightstack.launch.run_options import FlyOptions, RunOptions
 from sim.options import Px4SimOptions, TargetOptions, VehicleOptions, WorldOptions
@@ -237,11 +236,8 @@ def _recording(options: WatchOptions, where: str) -> LiveRecording:
     """Open the 3-D view."""
     from flightstack.config import load
     from logs.reader.flight_data import shape
+    from logs.view.live import LiveRecording
 
-    try:
-        from logs.view.live import LiveRecording
-    except ModuleNotFoundError as error:
-        raise without_rerun(error, "--view") from error
     run = {"namespace": options.namespace}
     if options.config_file is not None:
         run |= shape(load(options.config_file))

@@ -15,7 +15,7 @@ import click
 from flightstack.cli.log import BROKEN, DONE, new_file, show_verdict
 from flightstack.common.options import Option, takes
 from flightstack.common.strict_toml import ConfigError
-from flightstack.common.text import labels, named, outline, plain, without_rerun
+from flightstack.common.text import labels, named, outline, plain
 from flightstack.config import options as shared
 from flightstack.core.parameters.filters import FILTERS
 
@@ -121,10 +121,8 @@ def view(log_file: Path, save: Path | None, web: bool, member: str | None, force
     The command needs the extra `view`. Exit status: 0 shown or written, 1 shown or written from a broken
     LOG, 2 wrong input or no window.
     """
-    try:
-        from logs.view.view import Recording, open_viewer
-    except ModuleNotFoundError as error:
-        raise without_rerun(error, "view") from error
+    from logs.view.view import Recording, open_viewer
+
     recording = Recording(log_file, member)
     if save is not None:
         with new_file(save, force=force) as part:

@@ -13,7 +13,7 @@ import click
 from flightstack.common import hangup
 from flightstack.common.processes import LaunchError
 from flightstack.common.strict_toml import ConfigError
-from flightstack.common.text import plain
+from flightstack.common.text import needed_by, plain
 
 INTERRUPTED, WRONG_INPUT = 1, 2
 
@@ -132,7 +132,8 @@ class Verbs(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the subcommand."""
         try:
-            return super().invoke(ctx)
+            with needed_by("this command"):
+                return super().invoke(ctx)
         except click.exceptions.Exit:
             raise
         except (hangup.CalledOffError, Exception) as error:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 # C0 and C1 except tab and line feed, marks of writing direction, line separators, and surrogates (bytes of a
@@ -40,16 +41,29 @@ def pip_install(extras: str) -> str:
     return f"{shlex.quote(sys.executable)} -m pip install 'crazyflie-flightstack[{extras}]'"
 
 
-def without(error: ModuleNotFoundError, text: str, *packages: str) -> Exception:
-    """Return an error with this text if one of the packages is missing, else the given error."""
-    package = (error.name or "").partition(".")[0]
-    return ValueError(text.format(package)) if package in packages else error
+# extra that installs a module, by module
+_EXTRAS = {
+    "mujoco": "sim", "numba": "sim", "llvmlite": "sim", "plotly": "report", "jinja2": "report",
+    "markupsafe": "report", "pyarrow": "export", "gymnasium": "env", "greenlet": "env", "rerun": "view",
+    "cflib": "crazyflie",
+}  # fmt: skip
 
 
-def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
-    """Return the error for a command or option ``what`` that cannot import Rerun."""
-    text = f"`{what}` needs Rerun: {pip_install('view')}; "
-    return without(error, text + "or open the log itself in another viewer (docs/how_to/viewing.md)", "rerun")
+class MissingExtraError(ModuleNotFoundError, ValueError):
+    """A package is not installed; the text names the extra that contains it."""
+
+
+@contextmanager
+def needed_by(what: str) -> Iterator[None]:
+    """Raise MissingExtraError if an import inside fails because an extra is missing, which ``what`` needs."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in _EXTRAS:
+            raise
+        text = f"{what} needs {package}, which is not installed: {pip_install(_EXTRAS[package])}"
+        raise MissingExtraError(text, name=error.name) from error
 
 
 def failed_code(reason: str) -> str:
