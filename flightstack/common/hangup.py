@@ -31,7 +31,6 @@ class CalledOffError(KeyboardInterrupt):
 
 
 _COMPILER = "llvmlite"  # callbacks in files with this part in their path drop exceptions
-_AGAIN_S = 0.01
 _came: list[CalledOffError] = []
 
 
@@ -58,13 +57,10 @@ def begun() -> None:
 
 
 def _call_off(number: int, frame: FrameType | None) -> None:
-    """Raise the exception; inside a callback that would drop it, try again a little later."""
-    if number != signal.SIGALRM:
-        _came.append(CalledOffError(f"ended by {signal.Signals(number).name}"))
+    """Raise the exception, except inside a callback that would drop it: ``begun`` raises it then."""
+    _came.append(CalledOffError(f"ended by {signal.Signals(number).name}"))
     while frame is not None:
         if _COMPILER in frame.f_code.co_filename:
-            signal.signal(signal.SIGALRM, _call_off)
-            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
             return
         frame = frame.f_back
     raise _came[-1]
