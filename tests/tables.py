@@ -55,8 +55,10 @@ def read_class(cls: Any) -> Definition:
 
 def messages_table() -> str:
     """Return the text of the file: messages of pymavlink are generated again, others are unchanged."""
-    wide = {id_: cls for id_, cls in everything.mavlink_map.items() if id_ not in ardupilotmega.mavlink_map}
-    made = {d.id: d for d in definitions() if d.id not in everything.mavlink_map}
+    table = {d.id: d for d in definitions()}  # a part of ardupilotmega.mavlink_map, too
+    narrow = ardupilotmega.mavlink_map.keys() - table.keys()
+    wide = {id_: cls for id_, cls in everything.mavlink_map.items() if id_ not in narrow}
+    made = {id_: d for id_, d in table.items() if id_ not in everything.mavlink_map}
     made.update({id_: read_class(cls) for id_, cls in wide.items()})
     rows = ",\n".join(json.dumps(msgspec.to_builtins(made[id_])) for id_ in sorted(made))
     return f'{{"about": {json.dumps(_ABOUT)},\n"messages": [\n{rows}\n]}}\n'

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.framing import FLAG_SIGNED, StreamFramer, intact, split_frames, without_signature
-from bridge.mavlink.codec.messages import Message, decode, pack
+from bridge.mavlink.codec.messages import Message, decode
 from bridge.mavlink.signing import Refusal, Signer, SigningKey, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
 from bridge.mavlink.transport.byte_stream import ByteStream, open_stream
@@ -209,8 +209,7 @@ class Endpoint:
         if self._heartbeat is None or self._signer is None or now_s - self._answered_s < _ANSWER_S:
             return
         self._answered_s = now_s
-        mav = self._mav  # the reply depends on wall time: it gets no new number and is not recorded
-        frame = pack(self._heartbeat, mav.seq, mav.srcSystem, mav.srcComponent)
+        frame = self._heartbeat.pack(self._mav)  # depends on wall time: neither numbered nor recorded
         self._transport.send((self._signer.sign(frame),), peer)
         self.counters.stale_answered += 1
 
@@ -229,9 +228,8 @@ class Endpoint:
 
         Raises struct.error: a field does not fit its type on the wire; IndexError: an array is too short.
         """
-        mav = self._mav
-        frame = pack(message, mav.seq, mav.srcSystem, mav.srcComponent)
-        mav.seq = (mav.seq + 1) % 256
+        frame: bytes = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
         return frame
 
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:

@@ -12,59 +12,15 @@ from ipaddress import IPv4Address
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.framing import FrameCounters, NoFrame, frame_end, version_1_end
-from bridge.mavlink.codec.messages import Message, decode, pack
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.transport.address import resolve
 from sim.px4.plant import COMPONENT_ID, SYSTEM_ID
-
-_MARKER_V2 = 0xFD
-FRAME_MAX = 280  # maximum bytes of a frame: header, payload, checksum and signature
-
-
-class FrameStream:
-    """Splits received bytes into messages; keeps fewer than ``FRAME_MAX`` bytes between calls."""
-
-    def __init__(self) -> None:
-        self.garbage_bytes = 0  # number of bytes outside of any frame
-        self.bad = 0  # number of frames with a correct checksum that cannot be decoded
-        self._rest = b""
-        self._version_1 = dialect.MAVLink(None)
-
-    def feed(self, data: bytes) -> list[Message]:
-        """Return the messages that are complete now, in order."""
-        data, counts = self._rest + data, FrameCounters()
-        found: list[Message] = []
-        used = at = 0
-        waiting: int | None = None  # index of a possible frame whose end has not arrived
-        while at < len(data):
-            end = frame_end(data, at, len(data), counts) or version_1_end(data, at, len(data))
-            if end > 0:
-                self.garbage_bytes += at - used
-                self._decode(data[at:end], found)
-                used = at = end
-                waiting = None
-                continue
-            if end == NoFrame.CUT_SHORT and waiting is None:
-                waiting = at
-            at += 1
-        keep = len(data) if waiting is None else waiting
-        self.garbage_bytes += keep - used
-        self._rest = data[keep:]
-        return found
-
-    def _decode(self, frame: bytes, found: list[Message]) -> None:
-        try:
-            found.append(
-                decode(frame) if frame[0] == _MARKER_V2 else self._version_1.decode(bytearray(frame))
-            )
-        except (dialect.MAVError, ValueError, KeyError, TypeError):
-            self.bad += 1
-
 
 _ENDPOINT = re.compile(r"^([^:/\s]+):(\d{1,5})$")
 _ENDPOINT_HELP = "allowed is HOST:PORT, PORT up to 65535 (0 takes a free one), for example 127.0.0.1:4560"
 _CHUNK = 65536  # maximum bytes per read
 _SEND_MAX_S = 5.0  # maximum time for which PX4's receive buffer may be full, s
+_BAD_DATA: int = dialect.MAVLINK_MSG_ID_BAD_DATA  # negative, as is the id of unknown messages
 SLICE_S = 0.1  # longest wait for the socket, s
 
 
@@ -98,22 +54,24 @@ class Px4Link:
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(_SEND_MAX_S))
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(SLICE_S))
         self._socket = connected
-        self._sequence = 0
-        self.stream = FrameStream()
+        # pymavlink's parser suffices: TCP loses and damages no bytes, and PX4 is the only sender
+        self._mav = dialect.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
+        self._mav.robust_parsing = True
+        self.garbage_bytes = 0  # number of bytes outside of any frame
 
     def send(self, messages: Iterable[Message]) -> None:
         """Send all messages in one write."""
         data = b""
         for message in messages:
-            data += pack(message, self._sequence, SYSTEM_ID, COMPONENT_ID)
-            self._sequence = (self._sequence + 1) % 256
+            data += message.pack(self._mav)
+            self._mav.seq = (self._mav.seq + 1) % 256
         try:
             self._socket.sendall(data)
         except OSError as error:
             raise LinkClosedError(f"sending to PX4 failed: {error}") from error
 
     def receive(self, timeout_s: float) -> Sequence[Message]:
-        """Return the messages received within ``timeout_s``, at most ``SLICE_S``."""
+        """Return the messages, of MAVLink 1 and 2, received within ``timeout_s``, at most ``SLICE_S``."""
         if timeout_s < SLICE_S and not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:
             return ()
         try:
@@ -124,7 +82,9 @@ class Px4Link:
             raise LinkClosedError(f"receiving from PX4 failed: {error}") from error
         if not data:
             raise LinkClosedError("PX4 closed the connection")
-        return self.stream.feed(data)
+        found = self._mav.parse_buffer(data) or []
+        self.garbage_bytes += sum(len(m.data) for m in found if m.get_msgId() == _BAD_DATA)
+        return [m for m in found if m.get_msgId() >= 0]
 
     def close(self) -> None:
         with contextlib.suppress(OSError):  # PX4 may already have closed the connection

@@ -182,7 +182,7 @@ def _serve(flight: Px4Session, link: Px4Link, node: Px4Node, stop: Stop, duratio
     finally:
         link.close()
         node.end(flight.steps * STEP_S)
-        garbage = link.stream.garbage_bytes
+        garbage = link.garbage_bytes
         if flight.nudges or flight.lockstep.old or garbage:
             print(
                 f"px4-sim: {flight.steps} steps, {flight.nudges} without an answer, "

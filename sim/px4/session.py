@@ -158,7 +158,7 @@ class Px4Session:
             if left_s <= 0.0:
                 raise NotPx4Error(
                     f"a client said nothing that is MAVLink for {HELLO_MAX_S:g} s "
-                    f"({self._link.stream.garbage_bytes} other bytes): PX4 sends a HEARTBEAT at once; dropped"
+                    f"({self._link.garbage_bytes} other bytes): PX4 sends a HEARTBEAT at once; dropped"
                 )
             messages = self._link.receive(min(left_s, SLICE_S))
             if messages:

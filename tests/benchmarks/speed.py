@@ -16,9 +16,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
 from bridge.mavlink.client.companion import velocity_setpoint
 from bridge.mavlink.client.link import COMPONENT_ID
-from bridge.mavlink.codec.messages import pack
 from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.common.strict_toml import from_table
 from flightstack.compiled.core import compiled
@@ -41,6 +42,7 @@ from sim.scenarios.scenario import Scenario, load
 from tests.integration.runs import flightstack
 
 ROUNDS, TICKS = 5, 4000
+COMPANION = dialect.MAVLink(None, 1, COMPONENT_ID)
 APPROACHES, STEPS_MAX, WARM_STEPS = 8, 3000, 50
 
 
@@ -61,7 +63,7 @@ def approach(controller: Controller, azimuth_rad: float) -> list[float]:
         started = time.perf_counter_ns()
         out = controller.step(given, tick * 0.01)
         if out.setpoint is not None:
-            pack(velocity_setpoint(out.setpoint, (1, 1), tick * 0.01), tick % 256, 1, COMPONENT_ID)
+            velocity_setpoint(out.setpoint, (1, 1), tick * 0.01).pack(COMPANION)
         took.append((time.perf_counter_ns() - started) / 1e3)
         if out.phase is Phase.LAND:
             return took[WARM_STEPS:]

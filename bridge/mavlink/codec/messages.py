@@ -1,20 +1,16 @@
-"""MAVLink's messages as pymavlink's classes, decoded from checked MAVLink 2 frames and packed into frames.
+"""MAVLink's messages as pymavlink's classes, and their decoding from checked MAVLink 2 frames.
 
 ``wide_messages.json`` holds messages that pymavlink's dialect ``ardupilotmega`` lacks: those of its dialect
 ``all`` (which takes 0.6 s to load), and messages of MAVLink's ``common`` that PX4 sends and pymavlink lacks.
 ``python -m tests.tables messages`` updates the first group and keeps the second.
 
-Decoding and packing take a quarter of the time of pymavlink's ``decode`` and ``pack``; messages, frames and
-kinds of packing errors equal pymavlink's for every message of the dialect (tested). Packed frames are
-unsigned; ``signing`` adds signatures.
+They are added to pymavlink's table, so its parser decodes them.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
 from importlib.resources import files
-from operator import attrgetter, itemgetter
 from typing import Any
 
 import msgspec
@@ -115,7 +111,8 @@ def make_class(definition: Definition) -> Any:
 
 
 # All known messages by id: pymavlink's, then those of the table.
-MESSAGES: dict[int, Any] = {**dialect.mavlink_map, **{d.id: make_class(d) for d in definitions()}}
+MESSAGES: dict[int, Any] = dialect.mavlink_map
+MESSAGES.update({d.id: make_class(d) for d in definitions()})
 
 # CRC_EXTRA of every known message: the checksum also covers the message's definition.
 CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in MESSAGES.items()}
@@ -137,91 +134,7 @@ def parameter_name(field: str | bytes) -> str:
 
 def decode(frame: bytes) -> Message:
     """Decode one frame of ``split_frames``. Raises the error of a message class that rejects its values."""
-    id_, length = message_id(frame), frame[1]
-    make, size, unpack, arguments = _DECODERS[id_]
-    payload = frame[_HEADER_BYTES : _HEADER_BYTES + length]
-    if length != size:  # the sender omits trailing zeros; its newer dialect may have more fields
-        payload = payload[:size].ljust(size, _ZERO)
-    message = make(*arguments(unpack(payload)))
-    message._header = dialect.MAVLink_header(id_, frame[2], frame[3], length, frame[4], frame[5], frame[6])
-    message._msgbuf = frame
-    message._crc = frame[_HEADER_BYTES + length] | frame[_HEADER_BYTES + length + 1] << 8
-    return message
+    return _DECODER.decode(bytearray(frame))
 
 
-def _arguments(cls: Any) -> Callable[[tuple[Any, ...]], Sequence[Any]]:
-    """Return a function that sorts the values on the wire into the class's order of arguments."""
-    spans = [(sum(cls.lengths[:order]), cls.lengths[order]) for order in cls.orders]
-    if len(spans) > 1 and max(cls.lengths) == 1 and "char" not in cls.fieldtypes:
-        return itemgetter(*(start for start, _ in spans))
-
-    def arguments(values: tuple[Any, ...]) -> list[Any]:
-        found: list[Any] = []
-        for start, length in spans:
-            value = values[start]
-            if isinstance(value, bytes):
-                value = value.rstrip(_ZERO)
-            elif length > 1:
-                value = list(values[start : start + length])
-            found.append(value)
-        return found
-
-    return arguments
-
-
-_MARKER = b"\xfd"
-_HEADER_BYTES = 10
-_HEAD = struct.Struct("6B").pack  # fields: length, two flag bytes, sequence number, system id, component id
-_ZERO = b"\x00"
-
-Payload = Callable[[Message], bytes]
-
-
-def pack(message: Message, sequence: int, system_id: int, component_id: int) -> bytes:
-    """Serialise a message; the message stores the frame for ``get_msgbuf`` and keeps its header.
-
-    Raises struct.error: a field does not fit its type on the wire; IndexError: an array is too short.
-    """
-    id_bytes, extra, payload_of = _PACKERS[message._header.msgId]
-    payload = payload_of(message)
-    if payload[-1] == 0:  # omit trailing zeros, but always send the first byte
-        payload = payload.rstrip(_ZERO) or _ZERO
-    body = _HEAD(len(payload), 0, 0, sequence, system_id, component_id) + id_bytes + payload
-    frame: bytes = _MARKER + body + checksum(body + extra).to_bytes(2, "little")
-    message._msgbuf = frame
-    return frame
-
-
-def _payload(cls: Any) -> Payload:
-    # pymavlink stores the bytes of a string beside the text
-    strings = {name for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True) if kind == "char"}
-    names = [f"_{name}_raw" if name in strings else name for name in cls.ordered_fieldnames]
-    pack_values = cls.unpacker.pack
-    read = attrgetter(*names)
-    if len(names) == 1 and cls.lengths == [1]:
-        return lambda message: pack_values(read(message))
-    if all(length == 1 for length in cls.lengths):
-        return lambda message: pack_values(*read(message))
-    fields = [
-        (attrgetter(name), itemgetter(*range(length)) if length > 1 else None)
-        for name, length in zip(names, cls.lengths, strict=True)
-    ]
-
-    def payload(message: Message) -> bytes:
-        values: list[Any] = []
-        for field, elements in fields:
-            if elements is None:
-                values.append(field(message))
-            else:
-                values += elements(field(message))
-        return pack_values(*values)  # type: ignore[no-any-return]
-
-    return payload
-
-
-_PACKERS: dict[int, tuple[bytes, bytes, Payload]] = {
-    id_: (id_.to_bytes(3, "little"), CRC_EXTRA[id_], _payload(cls)) for id_, cls in MESSAGES.items()
-}
-_DECODERS = {
-    id_: (cls, cls.unpacker.size, cls.unpacker.unpack, _arguments(cls)) for id_, cls in MESSAGES.items()
-}
+_DECODER = dialect.MAVLink(None)

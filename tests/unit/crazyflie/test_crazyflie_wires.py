@@ -30,7 +30,6 @@ from bridge.crazyflie.process import Loop
 from bridge.crazyflie.rules import DRAG, UNKNOWN_DRAG, Rules
 from bridge.frames import enu_from_ned, yaw_ned_from_enu
 from bridge.mavlink.client.vehicle_state import VehicleState
-from bridge.mavlink.codec.messages import pack
 from bridge.mavlink.profiles import profile
 from flightstack.cli.real import _drag_1_s
 from flightstack.common.hangup import Stop
@@ -40,6 +39,7 @@ from tests.crazyflie_firmware.bench import Bench
 from tests.crazyflie_firmware.firmware import Firmware, quaternion_bits
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.supervisor import State
+from tests.unit.mavlink.codec.frames_of_messages import packed
 
 UNIT = (
     st.tuples(*[st.floats(-1.0, 1.0)] * 4)
@@ -140,7 +140,7 @@ def test_the_outbox_is_bounded_and_never_loses_what_stops_motors():
 def through_the_wire(message):
     """Return the position in a packet, decoded by an independent implementation."""
     parser = mav.MAVLink(None)
-    return parser.decode(bytearray(pack(message, 0, 1, 1)))
+    return parser.decode(bytearray(packed(message)))
 
 
 def read(bench: Bench, *, power: bool = False) -> VehicleState:

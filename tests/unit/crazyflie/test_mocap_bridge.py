@@ -10,7 +10,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from scipy.spatial.transform import Rotation
 
 from bridge.mavlink.client.companion import Origin
-from bridge.mavlink.codec.messages import pack
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between
 from bridge.mocap.process import (
     RATE_MAX_HZ,
@@ -25,6 +24,7 @@ from bridge.ros2.cdr import Pose
 from bridge.zenoh import zenoh_link
 from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
+from tests.unit.mavlink.codec.frames_of_messages import packed
 from tests.unit.target.ros2_helpers import pose_stamped
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -177,7 +177,7 @@ def test_the_offset_of_the_markers_turns_with_the_body(position, q, offset):
 
 
 def wire(message):
-    return mav.MAVLink(None).decode(bytearray(pack(message, 0, 1, 197)))
+    return mav.MAVLink(None).decode(bytearray(packed(message, 0, 1, 197)))
 
 
 def covariance(seed):

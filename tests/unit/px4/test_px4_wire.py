@@ -1,15 +1,12 @@
 """Tests the messages between PX4 and its simulator: bytes, fields and time stamps."""
 
-import itertools
 import math
-import random
+import socket
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mav
 
-from sim.px4.link import FRAME_MAX, FrameStream, parse_endpoint
+from sim.px4.link import Px4Server, parse_endpoint
 from sim.px4.plant import Answer, Body, Fix, Readings, Slow, hil_gps, hil_sensor, hil_state
 from sim.px4.session import FIRST_US, Lockstep
 
@@ -30,42 +27,21 @@ WHOLE = packed(HEARTBEAT) + packed(controls()) + packed(HEARTBEAT, 1) + packed(c
 KINDS = ["HEARTBEAT", "HIL_ACTUATOR_CONTROLS"] * 2
 
 
-@given(st.lists(st.integers(1, len(WHOLE) - 1), max_size=20))
-def test_frames_of_both_versions_come_out_however_the_stream_is_cut(cuts):
-    stream, found = FrameStream(), []
-    edges = [0, *sorted(cuts), len(WHOLE)]
-    for a, b in itertools.pairwise(edges):
-        found += stream.feed(WHOLE[a:b])
+@pytest.mark.parametrize("size", [1, 7, len(WHOLE)])
+def test_frames_of_both_versions_come_out_however_the_stream_is_cut(size):
+    server = Px4Server("127.0.0.1", 0)
+    px4 = socket.create_connection(("127.0.0.1", server.port))
+    link, found = server.accept(), []
+    stream = b"GET / HTTP/1.1\r\n" + WHOLE
+    for at in range(0, len(stream), size):
+        px4.sendall(stream[at : at + size])
+        found += link.receive(0.05)
     assert [m.get_type() for m in found] == KINDS
-    assert found[1].time_usec == 5
-    assert found[3].time_usec == 6
+    assert (found[1].time_usec, found[3].time_usec) == (5, 6)
     assert found[3].controls == pytest.approx(OUTPUTS)
-    assert stream.garbage_bytes == 0
-
-
-@pytest.mark.parametrize(
-    "garbage",
-    [
-        b"\x00" * 40, b"\xfd", b"\xfd\xff\x00\x00\x00\x01\x01\x5d\x00\x00", b"\xfe\xff\x00\x01\x01\x5d",
-        b"GET / HTTP/1.1\r\n\r\n",
-        packed(controls())[:-3], packed(controls())[:-1] + b"\x00",
-    ],
-)  # fmt: skip
-def test_a_frame_behind_garbage_comes_out_at_once(garbage):
-    stream = FrameStream()
-    found = stream.feed(garbage + packed(HEARTBEAT))
-    assert [m.get_type() for m in found] == ["HEARTBEAT"]
-    assert stream.garbage_bytes == len(garbage)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_noise_moves_no_motor_and_is_not_kept(seed):
-    stream, chance = FrameStream(), random.Random(seed)
-    for _ in range(20):
-        noise = bytes(chance.choice((0xFD, 0xFE, 0x5D, chance.randrange(256))) for _ in range(500))
-        assert "HIL_ACTUATOR_CONTROLS" not in [m.get_type() for m in stream.feed(noise)]
-        assert len(stream._rest) < FRAME_MAX
-    assert stream.garbage_bytes > 9000
+    assert link.garbage_bytes == 16
+    for end in (px4, link, server):
+        end.close()
 
 
 READINGS = Readings((1.0, 2.0, -9.8), (0.1, 0.2, 0.3), None, None)

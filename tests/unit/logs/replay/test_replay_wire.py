@@ -6,7 +6,6 @@ from dataclasses import replace as with_
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.messages import pack as packed
 from bridge.ros2.cdr import OdometryError
 from bridge.target.odometry import RawSample, sample_of
 from flightstack.core.types import Inputs
@@ -21,6 +20,7 @@ from logs.schema.rows import LogRow
 from tests.golden.flights import path_of, write_kept
 from tests.point_mass import World
 from tests.unit.logs.replay.replay_helpers import CONFIG, record
+from tests.unit.mavlink.codec.frames_of_messages import packed
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +31,7 @@ SKIPPED = 200  # messages of this kind before the changed one, so that the fligh
 PAYLOAD_AT = 10  # offset of the payload in a MAVLink 2 frame, bytes
 
 
-def frame_changed(target, topic, message_id, byte, *, value=None):
+def frame_changed(target, topic, message_id, byte):
     """Return the golden log with one changed byte in a frame's payload, after 200 frames of the kind."""
     seen = 0
 
@@ -44,7 +44,9 @@ def frame_changed(target, topic, message_id, byte, *, value=None):
         if frame[7] != message_id or seen != SKIPPED:
             return message.data
         changed = bytearray(frame)
-        changed[PAYLOAD_AT + byte] = (frame[PAYLOAD_AT + byte] ^ 1) if value is None else value
+        changed[PAYLOAD_AT + byte] ^= 1
+        checked = bytes(changed[1:-2]) + bytes([dialect.mavlink_map[message_id].crc_extra])
+        changed[-2:] = dialect.x25crc(checked).crc.to_bytes(2, "little")
         seen += 1
         return pack_mavlink(stamp_ns, bytes(changed), peer)
 

@@ -4,7 +4,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.senders import SILENT_S, Kind, Senders
-from bridge.mavlink.codec.messages import decode, pack
+from bridge.mavlink.codec.messages import decode
 from flightstack.onboard.runner import LinkedVehicle
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     LAND,
@@ -17,6 +17,7 @@ from tests.unit.mavlink.client.vehicle_link_fakes import (
     poll,
     position,
 )
+from tests.unit.mavlink.codec.frames_of_messages import packed
 
 HERE, THERE = ("127.0.0.1", 14580), ("127.0.0.1", 14590)
 QUADROTOR, STATION = Kind(2, 12), Kind(6, 8)
@@ -33,7 +34,7 @@ class Wire:
 
     def admits(self, message, peer=HERE, now_s=0.0, *, armed=False, stream=None):
         number = self.numbers[stream or peer] = (self.numbers.get(stream or peer, 7) + 1) % 256
-        decoded = decode(pack(message, number, 1, 1))
+        decoded = decode(packed(message, number))
         return self.senders.admits(decoded, peer, now_s, armed=armed)
 
     def beats(self, kind=QUADROTOR, peer=HERE, now_s=0.0, *, armed=False, mode=LOITER, stream=None):
@@ -47,7 +48,7 @@ def test_a_path_that_delivers_all_once_more_and_later_says_nothing_new(late_s):
     for k in range(900):  # 300 frames a second; the vehicle is armed after a second
         now_s = k / 300.0
         beat = dialect.MAVLink_heartbeat_message(*QUADROTOR, 128 if k >= 300 else 1, LOITER, 3, 3)
-        frame = pack(beat if k % 300 == 0 else position(k) if k % 2 else attitude(k), k % 256, 1, 1)
+        frame = packed(beat if k % 300 == 0 else position(k) if k % 2 else attitude(k), k % 256)
         path.append((now_s + late_s, frame))
         assert senders.admits(decode(frame), HERE, now_s, armed=k > 300)
         while path and path[0][0] <= now_s:
@@ -61,13 +62,13 @@ def test_a_path_that_delivers_all_once_more_and_later_says_nothing_new(late_s):
 def test_a_sender_that_numbers_all_its_frames_alike_is_heard():
     senders, frames = (
         Senders(),
-        [pack(m, 0, 1, 1) for m in (heartbeat(LOITER), position(), heartbeat(LOITER))],
+        [packed(m) for m in (heartbeat(LOITER), position(), heartbeat(LOITER))],
     )
     assert all(senders.admits(decode(frame), HERE, k, armed=False) for k, frame in enumerate(3 * frames))
 
 
 def test_requests_of_lockstep_may_come_again():
-    senders, request = Senders(), pack(dialect.MAVLink_timesync_message(0, 10), 3, 1, 1)
+    senders, request = Senders(), packed(dialect.MAVLink_timesync_message(0, 10), 3)
     assert all(senders.admits(decode(request), HERE, k, armed=True) for k in range(3))
 
 

@@ -24,6 +24,12 @@ def frames_of(count, seed=0):
     return [rng.choice(makers)().pack(mav) for _ in range(count)]
 
 
+def packed(message, sequence=0, system=1, component=1):
+    mav = dialect.MAVLink(None, system, component)
+    mav.seq = sequence
+    return message.pack(mav)
+
+
 def raw_frame(message_id, payload, flags=0):
     body = bytes([len(payload), flags, 0, 7, 3, 4]) + message_id.to_bytes(3, "little") + payload
     crc = dialect.x25crc(body + bytes([dialect.mavlink_map[message_id].crc_extra])).crc

@@ -6,8 +6,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.client.texts import TextAssembler
-from bridge.mavlink.codec.messages import pack
 from bridge.mavlink.server.commander import Text, Texts
+from tests.unit.mavlink.codec.frames_of_messages import packed
 from tests.unit.mavlink.server.served import ACCEPTED, COMPANION, DENIED, FAILED, NAN, UNSUPPORTED, as_long
 
 
@@ -127,6 +127,6 @@ def test_messages_from_itself_and_of_no_interest_do_nothing(served) -> None:
 @pytest.mark.parametrize("length", [1, 49, 50, 51, 100, 101, 180])
 def test_long_texts_come_through(length: int) -> None:
     text, assembler, parser = "x" * length, TextAssembler(), mav.MAVLink(None)
-    chunks = [parser.decode(bytearray(pack(m, 0, 1, 1))) for m in Texts().messages(Text(4, text))]
+    chunks = [parser.decode(bytearray(packed(m))) for m in Texts().messages(Text(4, text))]
     assert [c.chunk_seq for c in chunks] == list(range(len(chunks)))
     assert [t for chunk in chunks for t in assembler.add(chunk)] == [(4, text)]
