@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.framing import FLAG_SIGNED, StreamFramer, intact, split_frames, without_signature
-from bridge.mavlink.codec.messages import Message, decode
+from bridge.mavlink.codec.framing import FLAG_SIGNED, Framer, intact, without_signature
+from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.signing import Refusal, Signer, SigningKey, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
 from bridge.mavlink.transport.byte_stream import ByteStream, open_stream
@@ -114,10 +114,9 @@ class Endpoint:
         except BaseException:
             self._transport.close()
             raise
-        self._framer = StreamFramer(self.counters) if self._transport.is_stream else None
+        self._framer = Framer(self.counters, stream=self._transport.is_stream)
         self._heartbeat: Message | None = None  # newest heartbeat of this endpoint; stored only with a key
         self._answered_s = -math.inf  # time of the last reply to a frame with an old timestamp
-        self._unknown: list[bytes] = []  # frames of unknown messages in the current chunk
         self.local_port = self._transport.local_port  # UDP port of the socket; 0 for other links
         self.baud = self._transport.baud  # speed of a serial line, bit/s; None for other links
         warnings = (warning, self._signer.warning if self._signer else None)
@@ -141,11 +140,8 @@ class Endpoint:
             if chunk is None:
                 break
             data, peer = chunk
-            for frame in self._split(data):
+            for frame in self._framer.push(data):
                 self._take(frame, peer, received)
-            for frame in self._unknown:
-                self._take_unknown(frame, peer)
-            self._unknown.clear()
             size += len(data)
             if size > _UNTIMED_BYTES:
                 now_s = time.thread_time()
@@ -155,19 +151,6 @@ class Endpoint:
         if self._signer is not None:
             self._signer.save_if_due()
         return received
-
-    def _split(self, data: bytes) -> Iterator[bytes]:
-        if self._framer is not None:
-            return self._framer.push(data, self._unknown.append)
-        return split_frames(data, self.counters, self._unknown.append)
-
-    def _take_unknown(self, frame: bytes, peer: Peer) -> None:
-        """Pass a frame of an unknown message to the recorder; its sender does not become a peer."""
-        refused = self._refused(frame)
-        if refused is not None:
-            self.counters.add(refused.value)
-        elif self.tap is not None:
-            self.tap(Direction.IN, without_signature(frame) if frame[2] & FLAG_SIGNED else frame, peer)
 
     def _take(self, frame: bytes, peer: Peer, received: list[Received]) -> None:
         """Check and decode a frame and record its sender; count it if it is rejected."""
@@ -180,6 +163,10 @@ class Endpoint:
             return
         if frame[2] & FLAG_SIGNED:
             frame = without_signature(frame)
+        if message_id(frame) not in MESSAGES:  # only recorded; its sender does not become a peer
+            if self.tap is not None:
+                self.tap(Direction.IN, frame, peer)
+            return
         try:
             message = decode(frame)
         except Exception:  # an invalid frame from the network must never stop the loop

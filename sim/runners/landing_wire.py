@@ -14,7 +14,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.framing import split_frames
-from bridge.mavlink.codec.messages import Message, decode
+from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import EndpointCounters
@@ -93,7 +93,8 @@ class Inlet(Endpoint):
         """Pass a packed frame to the other end; a damaged frame is lost."""
         del peer
         for good in split_frames(frame):
-            self.other._arrived.append(Received(decode(good), good, PEER))
+            if message_id(good) in MESSAGES:
+                self.other._arrived.append(Received(decode(good), good, PEER))
 
     def wait(self, timeout_s: float) -> bool:
         """Let the other end run, instead of waiting; return whether messages have arrived."""

@@ -1,21 +1,20 @@
-"""Finds the MAVLink 2 frames in a datagram or a byte stream; no I/O.
+"""Finds the MAVLink frames in a datagram or a byte stream; no I/O.
 
 A parser that trusts the length byte after every start marker loses several good frames after a stray 0xFD,
 and a cut datagram damages the next datagram. Therefore each datagram is parsed alone, and a frame counts only
 with a correct checksum; after any other byte the search continues at the next byte. The incomplete end of a
 stream waits in a bounded buffer.
 
-The checksum also covers the message's definition, so a frame of an unknown message cannot be checked: its raw
-bytes are passed on if the frames around it confirm its length; it is never decoded.
+The checksum also covers the message's definition, so a frame of an unknown message cannot be checked: it
+counts if its header is plausible, no checked frame starts within it, and the data or the next frame follow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
-from bridge.mavlink.codec.messages import CRC_EXTRA, MESSAGES, checksum
+from bridge.mavlink.codec.messages import CRC_EXTRA, MESSAGES, checksum, message_id
 
 _MARKER_V1 = 0xFE
 _MARKER_V2 = 0xFD
@@ -24,11 +23,7 @@ _HEADER_V2 = 10  # number of bytes of version 1's fields, two flag bytes, and a 
 _CHECKSUM = 2  # length of the checksum, bytes
 _SIGNATURE = 13  # number of bytes of link id, timestamp and signature
 FLAG_SIGNED = 0x01  # the only incompatibility flag that MAVLink 2 defines
-
-_UNKNOWN_RUN_MAX = 4  # maximum number of frames of unknown messages in a row
-# buffered bytes of a stream: four frames of the largest length, for unknown frames and for those that
-# confirm their end
-REST_MAX = 1120
+REST_MAX = 560  # maximum number of buffered bytes of a stream: two frames of the largest length
 
 
 @dataclass(slots=True)
@@ -51,78 +46,67 @@ class NoFrame(IntEnum):
     UNKNOWN = -2  # the message id has no checksum seed (CRC_EXTRA)
 
 
-def split_frames(
-    datagram: bytes, counters: FrameCounters | None = None, unknown: Callable[[bytes], None] | None = None
-) -> Iterator[bytes]:
-    """Yield every MAVLink 2 frame of a known message with a correct checksum, in order.
+class Framer:
+    """Splits datagrams, or a stream that arrives in chunks, into MAVLink 2 frames.
 
-    Frames extend from marker to checksum, or to the end of the signature. ``counters`` counts skipped bytes
-    and candidates. ``unknown`` is called with each frame of an unknown message: its header is plausible, it
-    contains no checked frame, and it is followed by the end of the data, a checked frame, or unknown frames.
-    """
-    yield from _scan(datagram, counters if counters is not None else FrameCounters(), unknown, None)
-
-
-class StreamFramer:
-    """Splits a stream that arrives in chunks into frames.
-
-    After a checked frame, the parser waits for the complete next frame. After noise it waits only for a
-    header of a known message with a fitting length, so a stray 0xFD does not delay frames. Only the first
-    byte of a wrong candidate is skipped.
+    Frames extend from marker to checksum, or to the end of the signature. After a frame, a stream waits for
+    the complete next frame; after noise only for a header of a known message with a fitting length, so a
+    stray 0xFD does not delay frames. Only the first byte of a wrong candidate is skipped.
     """
 
-    def __init__(self, counters: FrameCounters) -> None:
-        self._counters = counters
+    def __init__(self, counters: FrameCounters, *, stream: bool = False) -> None:
+        self._count, self._stream = counters, stream
         self._rest = b""
-        self.in_sync = True  # whether a frame may start at the first buffered byte
+        self._in_sync = True  # whether a frame may start at the first buffered byte
 
-    def push(self, piece: bytes, unknown: Callable[[bytes], None] | None = None) -> Iterator[bytes]:
-        """Add a chunk; yield frames as ``split_frames`` does."""
-        data, self._rest = self._rest + piece, b""
-        self._rest = data[(yield from _scan(data, self._counters, unknown, self)) :]
+    def push(self, piece: bytes) -> list[bytes]:
+        """Add a datagram or chunk; return the frames, in order."""
+        data, pos, count, found = self._rest + piece, 0, self._count, list[bytes]()
+        size = len(data)
+        while pos < size:
+            end = frame_end(data, pos, size, count)
+            if end == NoFrame.UNKNOWN:
+                end = self._unknown_end(data, pos, size)
+                count.unknown_frames += end > 0
+                count.unknown_id += end == NoFrame.INVALID
+            if end == NoFrame.CUT_SHORT and self._worth_waiting(data, pos, size):
+                break
+            self._in_sync = end > 0
+            if end <= 0:
+                count.garbage_bytes += 1
+            elif data[pos] == _MARKER_V1:
+                count.version_1 += 1
+            else:
+                found.append(data[pos:end])
+            pos = max(end, pos + 1)
+        self._rest = data[pos:]
+        return found
 
-    def worth_waiting(self, data: bytes, pos: int, size: int) -> bool:
+    def _worth_waiting(self, data: bytes, pos: int, size: int) -> bool:
         """Whether to wait for the remaining bytes of a possible frame at ``pos``."""
         left = size - pos
-        if left > REST_MAX:
+        if not self._stream or left > REST_MAX:
             return False
-        if self.in_sync or left < _HEADER_V2:
+        if self._in_sync or left < _HEADER_V2:
             return True
-        message = MESSAGES.get(_message_id(data, pos))
+        message = MESSAGES.get(message_id(data[pos : pos + _HEADER_V2]))
         fits = message is not None and data[pos + 1] <= message.unpacker.size
-        return fits and 0 not in data[pos + 5 : pos + 7]
+        return data[pos] == _MARKER_V2 and fits and _has_sender(data, pos)
+
+    def _unknown_end(self, data: bytes, pos: int, size: int) -> int:
+        """Return the end of the frame of an unknown message at ``pos``, judged by the bytes around it."""
+        end = _claimed_end(data, pos, size)
+        if self._stream and end == size:
+            return NoFrame.CUT_SHORT
+        within = (at for at in range(pos + 1, end) if data[at] == _MARKER_V2)
+        hides = any(frame_end(data, at, size, FrameCounters()) > 0 for at in within)
+        followed = end == size or data[end] == _MARKER_V2
+        return end if followed and _has_sender(data, pos) and not hides else NoFrame.INVALID
 
 
-def _scan(
-    data: bytes, count: FrameCounters, unknown: Callable[[bytes], None] | None, stream: StreamFramer | None
-) -> Generator[bytes, None, int]:
-    """Yield the frames; return the start of the bytes to buffer (stream only)."""
-    size, pos = len(data), 0
-    while pos < size:
-        end = frame_end(data, pos, size, count)
-        if end > 0:
-            yield data[pos:end]
-        elif end == NoFrame.UNKNOWN:
-            end = _unknown_end(data, pos, size, whole=stream is None)
-            if end > 0:
-                count.unknown_frames += 1
-                if unknown is not None:
-                    unknown(data[pos:end])
-            elif end == NoFrame.INVALID:
-                count.unknown_id += 1
-        if end > 0:
-            pos = end
-        elif stream is not None and end == NoFrame.CUT_SHORT and stream.worth_waiting(data, pos, size):
-            return pos
-        elif (old := version_1_end(data, pos, size)) > 0:
-            count.version_1 += 1
-            pos = old
-        else:
-            count.garbage_bytes += 1
-            pos += 1
-        if stream is not None:
-            stream.in_sync = end > 0
-    return pos
+def split_frames(datagram: bytes, counters: FrameCounters | None = None) -> list[bytes]:
+    """Return every MAVLink 2 frame of a datagram, in order; ``counters`` counts skipped bytes."""
+    return Framer(counters if counters is not None else FrameCounters()).push(datagram)
 
 
 def with_signed_flag(frame: bytes) -> bytes:
@@ -141,74 +125,37 @@ def intact(frame: bytes) -> bool:
 
 def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
     """Return the end of the checked frame at ``pos``, or a :class:`NoFrame`; count a wrong checksum."""
-    if data[pos] != _MARKER_V2:
-        return NoFrame.INVALID
     end = _claimed_end(data, pos, size)
     if end <= 0:
         return end
-    extra = CRC_EXTRA.get(_message_id(data, pos))
+    old = data[pos] == _MARKER_V1
+    extra = CRC_EXTRA.get(data[pos + 5] if old else message_id(data[pos : pos + _HEADER_V2]))
     if extra is None:
-        return NoFrame.UNKNOWN
-    crc_at = pos + _HEADER_V2 + data[pos + 1]
-    if checksum(data[pos + 1 : crc_at] + extra) != data[crc_at] | data[crc_at + 1] << 8:
-        count.bad_crc += 1
-        return NoFrame.INVALID
-    return end
-
-
-def _unknown_end(data: bytes, pos: int, size: int, *, whole: bool = True) -> int:
-    """Return the end of the frame of an unknown message at ``pos``, judged by the bytes after it.
-
-    INVALID: the bytes do not confirm a frame; CUT_SHORT: more bytes are needed. ``whole``: no more bytes
-    follow, as in a datagram.
-    """
-    first = at = _claimed_end(data, pos, size)
-    for _ in range(_UNKNOWN_RUN_MAX):
-        if at == size:
-            break
-        end = frame_end(data, at, size, FrameCounters())
-        if end > 0:
-            break
-        if end == NoFrame.CUT_SHORT and not whole:
-            return NoFrame.CUT_SHORT
-        if end != NoFrame.UNKNOWN or not _has_sender(data, at):
-            return NoFrame.INVALID
-        at = _claimed_end(data, at, size)
-    else:
-        return NoFrame.INVALID
-    if not _has_sender(data, pos) or _holds_frame(data, pos + 1, first, size):
-        return NoFrame.INVALID
-    return NoFrame.CUT_SHORT if at == size and not whole else first
-
-
-def _message_id(data: bytes, pos: int) -> int:
-    return data[pos + 7] | data[pos + 8] << 8 | data[pos + 9] << 16
+        return NoFrame.INVALID if old else NoFrame.UNKNOWN
+    crc_at = pos + (_HEADER_V1 if old else _HEADER_V2) + data[pos + 1]
+    if checksum(data[pos + 1 : crc_at] + extra) == data[crc_at] | data[crc_at + 1] << 8:
+        return end
+    count.bad_crc += not old
+    return NoFrame.INVALID
 
 
 def _claimed_end(data: bytes, pos: int, size: int) -> int:
     """Return the end of the frame at ``pos`` from its length and flags, or a :class:`NoFrame`."""
-    if pos + _HEADER_V2 + _CHECKSUM > size:
+    if data[pos] not in (_MARKER_V1, _MARKER_V2):
+        return NoFrame.INVALID
+    header = _HEADER_V1 if data[pos] == _MARKER_V1 else _HEADER_V2
+    if pos + header + _CHECKSUM > size:
         return NoFrame.CUT_SHORT
-    flags = data[pos + 2]
+    flags = data[pos + 2] if data[pos] == _MARKER_V2 else 0
     if flags & ~FLAG_SIGNED:
         return NoFrame.INVALID  # an unknown flag forbids decoding (MAVLink 2 packet format)
-    end = pos + _HEADER_V2 + data[pos + 1] + _CHECKSUM + (_SIGNATURE if flags else 0)
+    end = pos + header + data[pos + 1] + _CHECKSUM + (_SIGNATURE if flags else 0)
     return end if end <= size else NoFrame.CUT_SHORT
 
 
 def _has_sender(data: bytes, pos: int) -> bool:
     """Whether system and component of a header belong to a sender; 0 means broadcast."""
     return data[pos + 5] != 0 and data[pos + 6] != 0
-
-
-def _holds_frame(data: bytes, start: int, stop: int, size: int) -> bool:
-    """Whether a checked frame starts within these bytes: stray bytes must never hide a good frame."""
-    pos = data.find(_MARKER_V2, start, stop)
-    while pos >= 0:
-        if frame_end(data, pos, size, FrameCounters()) > 0:
-            return True
-        pos = data.find(_MARKER_V2, pos + 1, stop)
-    return False
 
 
 def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
@@ -225,19 +172,3 @@ def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
     crc = (frame[crc_at] | frame[crc_at + 1] << 8) ^ difference
     changed[crc_at], changed[crc_at + 1] = crc & 0xFF, crc >> 8
     return bytes(changed)
-
-
-def version_1_end(data: bytes, pos: int, size: int) -> int:
-    """Return the end of the checked MAVLink 1 frame at ``pos``, or a :class:`NoFrame`."""
-    if data[pos] != _MARKER_V1:
-        return NoFrame.INVALID
-    if pos + _HEADER_V1 + _CHECKSUM > size:
-        return NoFrame.CUT_SHORT
-    extra = CRC_EXTRA.get(data[pos + 5])
-    if extra is None:
-        return NoFrame.UNKNOWN
-    crc_at = pos + _HEADER_V1 + data[pos + 1]
-    if crc_at + _CHECKSUM > size:
-        return NoFrame.CUT_SHORT
-    good = checksum(data[pos + 1 : crc_at] + extra) == data[crc_at] | data[crc_at + 1] << 8
-    return crc_at + _CHECKSUM if good else NoFrame.INVALID

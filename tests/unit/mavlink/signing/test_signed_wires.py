@@ -93,7 +93,7 @@ def test_logs_see_valid_unsigned_frames_both_ways_equal_to_those_without_a_key(w
     wire.put(signed(stamp=now()))
     wire.endpoint.send([heartbeat(), heartbeat()])
     sent, _ = wire.socket.recvfrom(2048)
-    frames = list(split_frames(sent))
+    frames = split_frames(sent)
     assert [f[2] for f in frames] == [1, 1]
     expected = [heartbeat().pack(dialect.MAVLink(None, *COMPANION))]
     mav = dialect.MAVLink(None, 1, 1)

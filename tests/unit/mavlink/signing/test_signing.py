@@ -42,7 +42,7 @@ def test_accepts_what_pymavlink_signs_and_signs_what_pymavlink_accepts(clock):
     for _ in range(20):
         assert signer.refusal(heartbeat().pack(peer)) is None
         frame = signer.sign(heartbeat().pack(mav))
-        assert list(split_frames(frame)) == [frame]
+        assert split_frames(frame) == [frame]
         message = peer.decode(bytearray(frame))
         assert message.get_signed()
         assert message.get_type() == "HEARTBEAT"
