@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-import struct
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
+
+import msgspec
 
 from bridge.mavlink.client.link import VehicleLink
 from bridge.target.odometry import RawSample, SampleSource
@@ -43,7 +44,6 @@ LOST_RUN_MAX_S = TARGET_SILENT_S + 15.0
 ALIVE = "sim/target/alive"  # Zenoh liveliness token of the robot's process in lockstep
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
 OVER = 1  # second value of the last message of a member
-_LENGTH = struct.Struct("<I")
 
 
 class VehicleTicks(LinkedVehicle):
@@ -175,7 +175,7 @@ class LockstepStatuses(NoFleet):
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
         self._heard = zenoh_link.fifo_subscriber(session, f"{namespace}/{HEARD}")
         self._told = zenoh_link.blocking_publisher(session, f"{namespace}/{TOLD}")
-        self._inbox: dict[int, bytes] = {}
+        self._inbox: dict[int, list[bytes]] = {}  # packed messages by tick
         self._tick: Tick | None = None
         self._gone = False
         self._texts: list[str] = []
@@ -195,10 +195,9 @@ class LockstepStatuses(NoFleet):
 
     def statuses(self) -> tuple[MemberStatus, ...]:
         tick = self._tick
-        payload = self._inbox.pop(tick.number, b"") if tick is not None else b""
-        if tick is None or not payload:
+        if tick is None:
             return ()
-        found = [message for each in split(payload) for message in unpack_neighbours(each)]
+        found = [message for each in self._inbox.pop(tick.number, ()) for message in unpack_neighbours(each)]
         return tuple(message._replace(arrival_s=tick.now_s) for message in found)
 
     def say(self, message: MemberStatus | None) -> bytes | None:
@@ -228,19 +227,5 @@ class LockstepStatuses(NoFleet):
         for sample in zenoh_link.drain(self._heard):
             number, _ = PAIR.unpack(sample.attachment.to_bytes())
             if number >= tick:
-                self._inbox[number] = sample.payload.to_bytes()
+                self._inbox[number] = msgspec.msgpack.decode(sample.payload.to_bytes(), type=list[bytes])
         return tick in self._inbox
-
-
-def joined(payloads: Sequence[bytes]) -> bytes:
-    """Join payloads; each is preceded by its length."""
-    return b"".join(part for each in payloads for part in (_LENGTH.pack(len(each)), each))
-
-
-def split(payload: bytes) -> Iterator[bytes]:
-    """Yield the payloads of a result of ``joined``."""
-    at = 0
-    while at < len(payload):
-        (length,) = _LENGTH.unpack_from(payload, at)
-        at += _LENGTH.size + length
-        yield payload[at - length : at]

@@ -32,7 +32,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,6 +42,7 @@ from logs.reader.flight_data import Bools, Fleet, Flight, Floats
 from logs.reader.reader import LogFile
 from logs.schema import FLEET, LOSSES
 from logs.schema.events import ContactBit
+from logs.schema.rows import FleetPairRow
 from logs.verdict.estimate import judge_estimate
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import GAP_MAX_S, RADIUS_ABOVE_M, RADIUS_BESIDE_M, Outcome, Verdict
@@ -98,28 +99,6 @@ def flown_by(told: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-class Near(Protocol):
-    """Smallest distances of two vehicles, given by their ids: the fields that a verdict needs."""
-
-    @property
-    def one(self) -> int: ...
-
-    @property
-    def other(self) -> int: ...
-
-    @property
-    def distance_min_m(self) -> float: ...  # distance of the centres of mass, m; infinite at the start
-
-    @property
-    def ellipsoid_min(self) -> float: ...  # smallest distance in units of the ellipsoid; infinite at first
-
-    @property
-    def violations(self) -> int: ...  # number of times inside the ellipsoid
-
-    @property
-    def collided_ms(self) -> int | None: ...  # time of the first overlap; None or negative: no overlap
-
-
 @dataclass(frozen=True, slots=True)
 class FleetVerdict:
     """Verdict on a fleet from the verdicts of its members."""
@@ -143,13 +122,13 @@ class FleetVerdict:
 
 def fleet_verdict(
     members: Mapping[str, Verdict],
-    pairs: Collection[Near],
+    pairs: Collection[FleetPairRow],
     names: Mapping[int, str],
     *,
     complete: bool = True,
 ) -> FleetVerdict:
     """Judge a fleet by its members' verdicts and by the distances between the members."""
-    struck = [pair for pair in pairs if pair.collided_ms is not None and pair.collided_ms >= 0]
+    struck = [pair for pair in pairs if pair.collided_ms >= 0]
     ends = [each for pair in struck for each in ((pair.one, pair.other), (pair.other, pair.one))]
     hits = {names[one]: names[other] for one, other in ends}
     judged = {name: _struck(each, hits.get(name)) for name, each in members.items()}

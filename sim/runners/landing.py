@@ -30,16 +30,17 @@ from flightstack.onboard.lockstep import VehicleTicks
 from flightstack.onboard.runner import Runner, Taken
 from logs.recorder.feed import Feed
 from logs.schema import Names, member_name
+from logs.schema.rows import FleetPairRow
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Verdict
 from sim.autopilot.autopilot import Autopilot
-from sim.clock import TickGrid
+from sim.clock import NS_PER_S, TickGrid
 from sim.runners.batches import Batches, suited
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import Exchange, LockstepVehicle, LockstepWorld
 from sim.runners.log import Notes, Seen
 from sim.runners.robot import DirectTarget
-from sim.runners.room import Pair, Room, Words, warm_up_room
+from sim.runners.room import Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario, load
 from sim.vehicle.vehicle import VehicleSim
@@ -82,7 +83,7 @@ class Companion:
         self._stop = Stop()
         self._over = False
         self.tick = 0  # current tick of the fleet's vehicles
-        grid = TickGrid(rate_hz)
+        self._grid = grid = TickGrid(rate_hz)
         ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
         assert ticks_max is not None  # every scenario has a time limit
         self.ticks_max = ticks_max  # maximum number of ticks of a flight
@@ -99,8 +100,10 @@ class Companion:
         )
         self.vehicle = vehicle = VehicleSim(scenario, seed)  # the simulated vehicle
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id)
-        # outputs of the newest tick; None before the first tick and after the last
-        self.outputs: Outputs | None = None
+        # message of the newest tick to the other vehicles; None: no message, or the flight is over
+        self._message: MemberStatus | None = None
+        # longest wait for the right of way, and the present wait, ticks
+        self.waits = self._waiting = 0
         self._notes = self.log_type(config, scenario.target.pad_radius_m, Names(self.name, system_id))
         self.node = node = VehicleNode(system_id, self.name, vehicle, autopilot, here, self._notes)
         here.answer = self._answer
@@ -124,14 +127,15 @@ class Companion:
         """Whether the controller has ended its flight."""
         return self._stop.is_set
 
-    def take(self, silence: Silence, stop: Stop) -> Outputs | None:
-        """Return the controller's outputs of this tick."""
+    def take(self, silence: Silence, stop: Stop) -> MemberStatus | None:
+        """Return the controller's message of this tick."""
         del silence, stop
-        return self.outputs
+        return self._message
 
-    def hear(self, words: tuple[MemberStatus, ...]) -> None:
+    def hear(self, words: Sequence[MemberStatus]) -> None:
         """Receive the messages of other vehicles for the next tick."""
-        self._wires.neighbours = words
+        arrival_s = self._grid.ns(self.tick + 1) / NS_PER_S
+        self._wires.neighbours = tuple(word._replace(arrival_s=arrival_s) for word in words)
 
     def seen(self) -> Seen:
         """Return the data that a flight log would contain. Raises RuntimeError: the landing did not end."""
@@ -142,14 +146,17 @@ class Companion:
     def _answer(self) -> None:
         if self._over:  # the last step was flown, and one more true state recorded
             self._stop.ask()
-            self.outputs = None
+            self._message = None
         else:
             self._over = self._runner.tick() is not None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
         """Record a tick: step, events and the link's texts; then call ``on_step``."""
         del taken, exec_s
-        self.outputs = out
+        self._message = out.member_status
+        waits = out.phase is Phase.APPROACH and not out.snapshot.permissions.may_land
+        self._waiting = self._waiting + 1 if waits else 0
+        self.waits = max(self.waits, self._waiting)
         self._notes.step(tick, out)
         for _, text in self._link.take_texts():
             self._notes.note(tick.now_s, 0, "onboard", f"vehicle: {text}")
@@ -168,7 +175,7 @@ class Landing:
     wall_s: float  # duration of the run, wall time
     retries: int  # number of restarts of the landing
     wait_s: float  # longest wait for the right of way
-    pairs: tuple[Pair, ...] = ()  # all pairs of vehicles, (1, 2) first
+    pairs: tuple[FleetPairRow, ...] = ()  # all pairs of vehicles, (1, 2) first
     others: tuple[Landing, ...] = ()  # flights of cf2, cf3 and so on
 
     @property
@@ -192,9 +199,7 @@ class Flights:
             Companion(each, own, on_step, system_id=n, target_seed=robot, controller=controller)
             for n, (each, own) in enumerate(scenario.singles(seed), 1)
         ]
-        # longest wait of each member for its right of way, and its present wait, ticks
-        self.waits, self._waiting = [0] * len(self.members), [0] * len(self.members)
-        self._words = exchange or Words(scenario, seed)
+        self._exchange = exchange or Words(scenario, seed)
         feed = Feed.connect(None, "vehicle", lossless=False)
         self.room = Room([member.node for member in self.members], TickGrid(scenario.rate_hz), feed)
         first, *others = self.members
@@ -208,13 +213,6 @@ class Flights:
         )
         world.run(max(member.ticks_max for member in self.members))
 
-    def _exchange(self, tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[MemberStatus, ...]]:
-        for n, out in enumerate(outputs):
-            waits = out is not None and out.phase is Phase.APPROACH and not out.snapshot.permissions.may_land
-            self._waiting[n] = self._waiting[n] + 1 if waits else 0
-            self.waits[n] = max(self.waits[n], self._waiting[n])
-        return self._words(tick, outputs)
-
 
 def land(
     scenario: Scenario, seed: int, *, exchange: Exchange | None = None, on_step: OnStep | None = None
@@ -227,8 +225,7 @@ def land(
     Args:
         scenario: the whole scenario; its ``onboard`` part configures the flown controller.
         seed: seed of all random draws.
-        exchange: computes the messages between companions from the outputs of all controllers (None after the
-        end of a flight); None: the controllers' messages, with the scenario's delay and loss.
+        exchange: transmits the messages of the controllers; None: with the scenario's delay and loss.
         on_step: called after every controller step of each vehicle.
 
     Raises:
@@ -244,9 +241,9 @@ def land(
     first, *others = (
         Landing(
             member.seed, verdict, each, float(each.steps.t_s[-1]), wall_s, member.controller.memory.retries,
-            ticks / scenario.rate_hz,
+            member.waits / scenario.rate_hz,
         )
-        for member, each, verdict, ticks in zip(flights.members, seen, judged, flights.waits, strict=True)
+        for member, each, verdict in zip(flights.members, seen, judged, strict=True)
     )  # fmt: skip
     return replace(first, pairs=flights.room.found(), others=tuple(others))
 

@@ -1,6 +1,6 @@
 """Interactions between the vehicles of a room: jets, collisions, distances and messages.
 
-Each call of ``Air.blow`` updates the rotor jets, which stay constant until the next call. A vehicle's motion
+Each call of ``blow`` updates the rotor jets, which stay constant until the next call. A vehicle's motion
 therefore acts on other vehicles one tick later. Jets have no transport delay, and wind does not move them.
 """
 
@@ -10,10 +10,10 @@ import math
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 
 from bridge.zenoh import zenoh_link
@@ -21,16 +21,14 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import COMPANION_SILENT_S, PAIR, Silence
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell
-from flightstack.core.controller import Outputs
-from flightstack.core.types import MemberStatus
-from flightstack.onboard.lockstep import HEARD, OVER, TOLD, joined
+from flightstack.onboard.lockstep import HEARD, OVER, TOLD
 from logs.recorder.feed import Feed
 from logs.schema.events import Severity
 from logs.schema.rows import FleetPairRow
 from logs.schema.schemas import FLEET_PAIR
 from sim.chance import member as seed_of
 from sim.chance import stream
-from sim.clock import NS_PER_S, STARTUP_S, NoAnswerError, TickGrid, wait_until
+from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.plant.air import JET, feel, set_jet
 from sim.plant.states import rotation_axes
 from sim.runners.vehicle_node import VehicleNode
@@ -55,22 +53,17 @@ def _feel(vehicle: Cell[VehicleRecord], jets: F64, own: int) -> None:
     feel(v.downwash, jets, own, body.position, rotation_axes(body.quaternion))
 
 
-class Air:
-    """Air flow between the vehicles of a team."""
+def blow(vehicles: Sequence[Physics], jets: F64) -> None:
+    """Apply to each vehicle the current rotor jets of all others, until the next call.
 
-    def __init__(self, team: Sequence[Physics]) -> None:
-        self._team = tuple(team)
-        # (N, JET) jets of the vehicles at the last call of ``blow``
-        self.jets = np.zeros((len(self._team), JET))
-
-    def blow(self) -> None:
-        """Apply to each vehicle the current jets of all other vehicles, until the next call."""
-        if len(self._team) < 2:
-            return
-        for number, each in enumerate(self._team):
-            _blow(each.vehicle, self.jets[number])
-        for number, each in enumerate(self._team):
-            _feel(each.vehicle, self.jets, number)
+    ``jets``: output, the N vehicles' jets, (N, JET).
+    """
+    if len(vehicles) < 2:
+        return
+    for number, each in enumerate(vehicles):
+        _blow(each.vehicle, jets[number])
+    for number, each in enumerate(vehicles):
+        _feel(each.vehicle, jets, number)
 
 
 T = TypeVar("T")
@@ -79,25 +72,9 @@ TOPIC = "/fleet/pairs"
 NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
 _MS_PER_S = 1000.0
-_BLOCK = 256  # count of random numbers in one draw
 _YIELDS = 20  # number of polls without a pause; the message usually arrives during these polls
 _PAUSE_S = 50e-6  # time between later polls, s
 _MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
-
-
-@dataclass(slots=True)
-class Pair:
-    """Smallest distances of two members."""
-
-    one: int  # number of the first vehicle, from 1
-    other: int  # number of the second vehicle, always higher
-    distance_min_m: float = math.inf  # smallest distance of the centres of mass
-    flying_distance_min_m: float = math.inf  # smallest distance while both flew; infinite: never both
-    # smallest ellipsoid norm of the relative position while both flew; below 1: inside
-    ellipsoid_min: float = math.inf
-    violations: int = 0  # number of entries into the ellipsoid of a neighbour
-    inside_ms: int = 0  # total duration of the ticks inside the ellipsoid
-    collided_ms: int | None = None  # time of the first overlap of the shapes; None: no overlap
 
 
 class Room:
@@ -111,10 +88,13 @@ class Room:
 
     def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
         self._members, self._grid, self._feed = members, grid, feed
-        self._air = Air([member.vehicle.physics for member in members])
-        shapes = [Shape.of(member.vehicle.physics.params) for member in members]
+        self._physics = [member.vehicle.physics for member in members]
+        self._jets = np.zeros((len(members), JET))
+        shapes = [Shape.of(each.params) for each in self._physics]
+        self._both = list(combinations(members, 2))
         # all pairs, (1, 2) first; ``found`` fills in their smallest distances
-        self._pairs = [Pair(i, j) for i, j in combinations(range(1, len(members) + 1), 2)]
+        none = FleetPairRow(0, 0, 0, math.inf, math.inf, math.inf, 0, 0, NEVER)
+        self._pairs = [none._replace(one=one.number, other=other.number) for one, other in self._both]
         self._team, self._inside = Team(shapes), [False] * len(self._pairs)
         self._before, self._flew = self._states(), self._flying()
         # a single vehicle has no pair, and needs no compiled code for pairs
@@ -129,7 +109,7 @@ class Room:
 
     def begin(self) -> None:
         """Update the jets before a tick."""
-        self._air.blow()
+        blow(self._physics, self._jets)
 
     def end(self, tick: int, epoch_ns: int) -> None:
         """Evaluate a tick that all vehicles have flown; write the distances about ten times per second.
@@ -148,45 +128,39 @@ class Room:
         if (tick + 1) % self._every == 0:
             self.write(tick, epoch_ns)
 
-    def found(self) -> tuple[Pair, ...]:
-        """Return all pairs with their smallest distances."""
-        for pair, least in zip(self._pairs, self._team.least.tolist(), strict=True):
-            pair.distance_min_m, pair.flying_distance_min_m, pair.ellipsoid_min = least
-        return tuple(self._pairs)
+    def found(self, stamp_ns: int = 0) -> tuple[FleetPairRow, ...]:
+        """Return all pairs with their smallest distances until the time of ``stamp_ns``."""
+        return tuple(
+            pair._replace(
+                stamp_ns=stamp_ns, distance_min_m=near_m, flying_distance_min_m=flying_m, ellipsoid_min=norm
+            )
+            for pair, (near_m, flying_m, norm) in zip(self._pairs, self._team.least.tolist(), strict=True)
+        )
 
     def write(self, tick: int, epoch_ns: int) -> None:
         """Write the smallest distances of all pairs up to the end of a tick; arguments as in ``end``."""
-        stamp_ns, members = epoch_ns + self._grid.ns(tick + 1), self._members
-        for pair in self.found():
+        stamp_ns = epoch_ns + self._grid.ns(tick + 1)
+        for row in self.found(stamp_ns):
             self._written += 1
-            collided_ms = NEVER if pair.collided_ms is None else pair.collided_ms
-            row = FleetPairRow(
-                stamp_ns, members[pair.one - 1].number, members[pair.other - 1].number, pair.distance_min_m,
-                pair.flying_distance_min_m, pair.ellipsoid_min, pair.violations, pair.inside_ms, collided_ms,
-            )  # fmt: skip
             self._feed.write(self._channel, stamp_ns, stamp_ns, self._written, row.pack())
 
     def _note(self, begin_ms: int, steps: int) -> None:
         """Count the pairs inside their ellipsoid; the first overlap of a pair is a collision."""
-        now, hits = [bool(each) for each in self._team.inside], []
-        for pair, inside, was, overlap_ms in zip(
-            self._pairs, now, self._inside, self._team.overlap_ms.tolist(), strict=True
-        ):
-            pair.violations += inside and not was
-            pair.inside_ms += steps * inside
-            if overlap_ms >= 0 and pair.collided_ms is None:
-                pair.collided_ms = begin_ms + overlap_ms
-                hits.append((pair.collided_ms, pair))
-        self._inside = now
-        self._collide(hits)
-
-    def _collide(self, hits: Sequence[tuple[int, Pair]]) -> None:
-        for at_ms, pair in hits:
-            for own, other in ((pair.one, pair.other), (pair.other, pair.one)):
-                text = f"collision with {self._members[other - 1].name}"
-                self._members[own - 1].say(at_ms / _MS_PER_S, Severity.ERROR, text)
-        for number in {number for _, pair in hits for number in (pair.one, pair.other)}:
-            self._members[number - 1].vehicle.collide()
+        hit: list[VehicleNode] = []
+        for k, overlap_ms in enumerate(self._team.overlap_ms.tolist()):
+            pair, inside = self._pairs[k], bool(self._team.inside[k])
+            if overlap_ms >= 0 and pair.collided_ms == NEVER:
+                pair = pair._replace(collided_ms=begin_ms + overlap_ms)
+                for one, other in (self._both[k], self._both[k][::-1]):
+                    one.say(pair.collided_ms / _MS_PER_S, Severity.ERROR, f"collision with {other.name}")
+                hit += self._both[k]
+            entered = inside and not self._inside[k]
+            self._pairs[k] = pair._replace(
+                violations=pair.violations + entered, inside_ms=pair.inside_ms + steps * inside
+            )
+            self._inside[k] = inside
+        for node in hit:
+            node.vehicle.collide()
 
     def _states(self) -> F64:
         """Return position (m) and velocity (m/s) of all vehicles, (N, 6), ENU."""
@@ -211,8 +185,7 @@ class Words:
         link, rate_hz = team.exchange, team.rate_hz
         silent, apart = frozenset(link.silent), frozenset(link.apart)
         broken_tick = math.ceil(link.broken_from_s * rate_hz - 1e-9)
-        self._grid = TickGrid(rate_hz)
-        self._ticks = max(1, math.ceil(link.delay_s * rate_hz - 1e-9))
+        ticks = max(1, math.ceil(link.delay_s * rate_hz - 1e-9))
         numbers = range(1, len(team.members) + 1)
         self._ways: list[list[_Way]] = []
         for hearer in numbers:
@@ -220,19 +193,9 @@ class Words:
             since = {n: broken_tick if n in broken else math.inf for n in numbers}
             since[hearer] = 0  # no member receives its own messages
             self._ways.append([_Way(seed, n, hearer, link.loss, since[n]) for n in numbers])
-        self._under_way: deque[list[list[Any]]] = deque([[] for _ in numbers] for _ in range(self._ticks - 1))
+        self._under_way: deque[list[list[Any]]] = deque([[] for _ in numbers] for _ in range(ticks - 1))
 
-    def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[MemberStatus, ...]]:
-        """Take the outputs of one tick; return the messages that each member receives with the next tick.
-
-        ``outputs``: outputs of all controllers at this tick; None after the end of a flight.
-        """
-        arrive_s = self._grid.ns(tick + self._ticks) / NS_PER_S
-        told = [None if each is None else each.member_status for each in outputs]
-        on_time = [word and word._replace(arrival_s=arrive_s) for word in told]
-        return [tuple(words) for words in self.pass_on(tick, on_time)]
-
-    def pass_on(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
+    def __call__(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
         """Take the messages of one tick, in any form; return the messages that each member receives next.
 
         ``told``: message of each member, or None.
@@ -256,28 +219,22 @@ class _Way:
     def __init__(self, seed: int, teller: int, hearer: int, loss: float, broken_tick: float) -> None:
         self._loss, self._broken_tick = loss, broken_tick
         self._chance = stream(seed_of(seed, hearer), f"words.{teller}")
-        self._drawn: list[float] = []
 
     def loses(self, tick: int) -> bool:
         """Whether the message of a tick is lost.
 
         Call it in each tick, so that the random draws do not depend on the messages.
         """
-        if self._loss > 0.0 and self._draw() < self._loss:
+        if self._loss > 0.0 and self._chance.random() < self._loss:
             return True
         return tick >= self._broken_tick
-
-    def _draw(self) -> float:
-        if not self._drawn:
-            self._drawn = self._chance.random(_BLOCK).tolist()[::-1]
-        return self._drawn.pop()
 
 
 def warm_up_room(team: Scenario) -> None:
     """Compile the code of the room, or load it from the cache."""
     warm_up_vehicle(team)
     two = [VehicleSim(each, 0).physics for each in team.members[:2]]
-    Air(two).blow()
+    blow(two, np.zeros((len(two), JET)))
     overlapping([Shape.of(each.params) for each in two], np.zeros((len(two), 3)))
 
 
@@ -318,7 +275,7 @@ class MemberWords:
 
     def hear(self, words: list[bytes]) -> None:
         """Send the messages that the member receives with the next tick."""
-        self._heard.put(joined(words), attachment=PAIR.pack(self.tick + 1, len(words)))
+        self._heard.put(msgspec.msgpack.encode(words), attachment=PAIR.pack(self.tick + 1, len(words)))
 
     def await_listener(self, stop: Stop) -> None:
         """Wait until the member has subscribed, because messages without a subscriber are lost.

@@ -271,7 +271,7 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
         _ready(endpoints, stop)
         for each in members:
             each.await_listener(stop)
-        LockstepWorld(loops, room, words and words.pass_on, stop, epoch_ns).run(ticks)
+        LockstepWorld(loops, room, words, stop, epoch_ns).run(ticks)
         feed.flush()
         while words is not None and not stop.is_set:  # continue until the parent process ends this process
             time.sleep(_PAUSE_S)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 
-from flightstack.core.controller import Outputs
 from flightstack.core.types import MemberStatus
 from logs.verdict.verdict import FleetVerdict
 from sim.campaign.rows import judge_landing
@@ -33,13 +32,11 @@ class Way(StrEnum):
 def _lying(exchange: Words, from_tick: int) -> Exchange:
     """Return a message exchange that falsifies one member's position from a tick on."""
 
-    def tell(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[MemberStatus, ...]]:
-        told, out = list(outputs), outputs[WHO - 1]
-        if tick >= from_tick and out is not None and out.member_status is not None:
-            x, y, z = out.member_status.position_enu_m
-            told[WHO - 1] = out._replace(
-                member_status=out.member_status._replace(position_enu_m=(x, y + LIE_M, z))
-            )
+    def tell(tick: int, messages: Sequence[MemberStatus | None]) -> Sequence[Sequence[MemberStatus]]:
+        told, own = list(messages), messages[WHO - 1]
+        if tick >= from_tick and own is not None:
+            x, y, z = own.position_enu_m
+            told[WHO - 1] = own._replace(position_enu_m=(x, y + LIE_M, z))
         return exchange(tick, told)
 
     return tell

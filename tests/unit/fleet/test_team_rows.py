@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 
 from flightstack.common.strict_toml import ConfigError
+from logs.schema.rows import FleetPairRow
 from logs.verdict.types import Outcome
 from sim.campaign.rows import judge_landing, read_rows, row_of, write_rows
 from sim.campaign.run import plan
 from sim.campaign.summary import summary
 from sim.campaign.workers import fly_seed
 from sim.runners.landing import land
-from sim.runners.room import Pair
 from sim.scenarios.scenario import load, text
 from tests.unit.fleet.fleet_helpers import FIELD, at, team_of
 
@@ -37,7 +37,7 @@ def flown(landing):
     return make
 
 
-FAR = Pair(1, 2, 0.9, 0.9, 3.0)
+FAR = FleetPairRow(0, 1, 2, 0.9, 0.9, 3.0, 0, 0, -1)
 
 
 @pytest.mark.parametrize(

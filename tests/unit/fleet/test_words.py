@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import pytest
 
@@ -22,40 +21,25 @@ from tests.processes.ports import free_endpoint
 from tests.unit.fleet.fleet_helpers import FIELD, team_of
 
 
-class Said(NamedTuple):
-    """Replacement for a fleet message; the exchange uses only its arrival time."""
-
-    text: str
-    arrival_s: float = 0.0
-
-
 def words(number=3, seed=5, **link):
-    """Return an exchange of plain texts between the members; a text arrives with its time."""
-    exchange = Words(replace(team_of(*[FIELD] * number), exchange=ExchangeLink(**link)), seed)
-
-    def told(tick, texts):
-        outputs = [each and SimpleNamespace(member_status=Said(each)) for each in texts]
-        return [tuple(tuple(word) for word in heard) for heard in exchange(tick, outputs)]
-
-    return told
+    """Return an exchange of plain texts between the members."""
+    return Words(replace(team_of(*[FIELD] * number), exchange=ExchangeLink(**link)), seed)
 
 
 def test_a_word_is_heard_by_all_others_in_the_next_tick():
     exchange = words()
-    assert exchange(0, ["a0", "b0", None]) == [
-        (("b0", 0.01),), (("a0", 0.01),), (("a0", 0.01), ("b0", 0.01)),
-    ]  # fmt: skip
-    assert exchange(1, [None, None, None]) == [(), (), ()]
+    assert exchange(0, ["a0", "b0", None]) == [["b0"], ["a0"], ["a0", "b0"]]
+    assert exchange(1, [None, None, None]) == [[], [], []]
 
 
 @pytest.mark.parametrize(("delay_s", "ticks"), [(0.0, 1), (0.01, 1), (0.011, 2), (0.03, 3), (0.1, 10)])
 def test_words_are_late_by_whole_ticks(delay_s, ticks):
     exchange = words(2, delay_s=delay_s)
     heard = [exchange(tick, [f"a{tick}", None]) for tick in range(20)]
-    assert all(own == () for own, _ in heard)
+    assert all(own == [] for own, _ in heard)
     for tick, (_, other) in enumerate(heard):
         wanted = tick + 1 - ticks  # number of the message that arrives with the next tick
-        assert other == (((f"a{wanted}", (tick + 1) / 100.0),) if wanted >= 0 else ())
+        assert other == ([f"a{wanted}"] if wanted >= 0 else [])
 
 
 def lost(exchange, number, hearer, ticks=2000):
