@@ -28,7 +28,6 @@ from flightstack.common.strict_toml import (
     to_table,
 )
 from flightstack.common.text import labels
-from flightstack.core.fleet.assignment import assign
 from flightstack.core.parameters.filters import look_here
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
@@ -39,7 +38,6 @@ from sim.chance import stream
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.tables import (
     MEMBERS_MAX,
-    Assignment,
     ExchangeLink,
     Judge,
     Start,
@@ -52,7 +50,7 @@ from sim.scenarios.tables import (
     apart_m,
 )
 
-_OF_THE_RUN = ("name", "description", "exchange", "assignment", "one_target")  # keys that no member has
+_OF_THE_RUN = ("name", "description", "exchange", "one_target")  # keys that no member has
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +73,6 @@ class Scenario:
     judge: Judge | None = None  # barrier of the verdict; None: the flown barrier
     fault: tuple[Fault, ...] = ()  # tables [[fault]], in any order
     exchange: ExchangeLink = field(default_factory=ExchangeLink)
-    # `fixed`: each vehicle lands on the robot of its table; `start`: the robots are assigned by the starts
-    assignment: Assignment = Assignment.FIXED
     one_target: bool = False  # whether all vehicles land on one robot: its copies have one seed
     others: tuple[Scenario, ...] = ()  # vehicles cf2, cf3 and so on
 
@@ -172,7 +168,8 @@ class Scenario:
         for start, target in ((each.start, each.target) for each in self.members):
             drawn = target.random_heading and target.pad_behind_axle_m
             if start.kind is StartKind.HOVER and start.offset_m is not None and not drawn:
-                found.append(start.place_m(target.pad_m(""), ""))
+                (x, y, z), (dx, dy, dz) = target.pad_m, start.offset_m
+                found.append((x + dx, y + dy, z + dz))
         return found
 
     def pads_apart_m(self) -> float:
@@ -251,7 +248,7 @@ def load(name_or_file: str | Path) -> Scenario:
     path = path_of(name_or_file)
     table = read_toml(path)
     try:
-        found = _assigned(_built(path, table))
+        found = _built(path, table)
         return Scenario.of(_in_place(each, path.parent) for each in found.members)
     except ConfigError as error:
         text = str(error)
@@ -273,7 +270,7 @@ def text(scenario: Scenario) -> str:
     shared, own = _in_common(
         [{k: v for k, v in each.items() if k not in (*about, "others")} for each in tables]
     )
-    usual = {"exchange": to_table(ExchangeLink()), "assignment": Assignment.FIXED.value, "one_target": False}
+    usual = {"exchange": to_table(ExchangeLink()), "one_target": False}
     kept = {key: value for key, value in about.items() if value != usual.get(key)}
     return dumps(kept | shared | ({"member": own} if own != [{}] else {}))
 
@@ -334,28 +331,6 @@ def _configured(path: Path, shared: dict[str, Any], own: dict[str, Any], number:
         kept["takeoff"] = {"start_offset_m": takeoff["start_offset_m"]}
     file = configurations.FILES.named(path, f"member {number}: config", own.pop("config"))
     return {**shared, "onboard": over(configurations.FILES.table(file), kept)}
-
-
-def _assigned(scenario: Scenario) -> Scenario:
-    """Return this scenario with assigned robots, and with ``assignment`` FIXED.
-
-    Each vehicle keeps its start and gets the robot and odometry tables of the assigned member.
-
-    Raises ConfigError: a start or a pad has no known position, because it is drawn from the seed.
-    """
-    if scenario.assignment is Assignment.FIXED:
-        return scenario
-    given = scenario.members
-    pads = [each.target.pad_m(f"member {n}") for n, each in enumerate(given, 1)]
-    starts = [each.start.place_m(pads[n], f"member {n + 1}") for n, each in enumerate(given)]
-    members = []
-    for n, k in enumerate(assign(starts, pads)):
-        start, robot, (x, y, z), (px, py, pz) = given[n].start, given[k], starts[n], pads[k]
-        if start.kind is StartKind.HOVER and k != n:
-            start = replace(start, offset_m=(x - px, y - py, z - pz))
-        one = replace(given[n], start=start, target=robot.target, odometry=robot.odometry)
-        members.append(replace(one, assignment=Assignment.FIXED))
-    return Scenario.of(members)
 
 
 def _in_place(scenario: Scenario, beside: Path) -> Scenario:

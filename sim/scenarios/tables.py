@@ -63,21 +63,6 @@ class Start:
     distance_m: tuple[float, float] = (0.3, 2.5)  # drawn horizontal distance from the landing spot
     h_m: tuple[float, float] = (0.03, 1.2)  # drawn barrier value at the start
 
-    def place_m(self, pad_m: Vec3, where: str) -> Vec3:
-        """Return the start position of a vehicle with this pad, ENU, m; ``where``: start of an error text.
-
-        Raises ConfigError: the place is drawn from the seed.
-        """
-        if self.kind is StartKind.GROUND:
-            return (*self.ground_position_m, 0.0)
-        if self.offset_m is None:
-            raise ConfigError(
-                f"{where}: start.offset_m: missing; its start is drawn by chance, after robots are "
-                'assigned: give it, or assignment = "fixed"'
-            )
-        (x, y, z), (dx, dy, dz) = pad_m, self.offset_m
-        return (x + dx, y + dy, z + dz)
-
 
 @dataclass(frozen=True, slots=True)
 class TargetSpec:
@@ -124,17 +109,10 @@ class TargetSpec:
                 f"{self.pad_height_m:g} at most {most_m:.4g}, so that {BELOW_PAD_MIN_M:g} m are left below"
             )
 
-    def pad_m(self, where: str) -> Vec3:
-        """Return the pad's centre at time zero, ENU, m, without heave; ``where``: start of an error text.
-
-        Raises ConfigError: the place is drawn from the seed.
-        """
+    @property
+    def pad_m(self) -> Vec3:
+        """Pad's centre at time zero, ENU, m, without heave; not valid for a heading drawn from the seed."""
         (x, y), behind_m = self.position_m, self.pad_behind_axle_m
-        if behind_m and self.random_heading:
-            raise ConfigError(
-                f"{where}: target.random_heading: found true, with a pad behind the axle its place is drawn "
-                'by chance; give target.heading_rad, or assignment = "fixed"'
-            )
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return (x - behind_m * c, y - behind_m * s, self.pad_height_m)
 
@@ -144,7 +122,7 @@ class TargetSpec:
         behind = bool(self.pad_behind_axle_m)
         if (self.random_heading and (behind or not stands)) or (self.turn_rate_rad_s and not stands):
             return None
-        x, y, _ = self.pad_m("")
+        x, y, _ = self.pad_m
         return (x, y), (0.0, 0.0) if stands else (math.cos(self.heading_rad), math.sin(self.heading_rad))
 
 
@@ -272,13 +250,6 @@ class ExchangeLink:
     # numbers of members that exchange messages only among themselves from broken_from_s on
     apart: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
     broken_from_s: Annotated[float, span(0.0, 3600.0)] = 0.0  # time from which ``silent`` and ``apart`` hold
-
-
-class Assignment(Enum):
-    """Assignment of vehicles to robots."""
-
-    FIXED = "fixed"  # each vehicle lands on the robot of its own table
-    START = "start"  # the assignment with the smallest sum of horizontal distances from the starts
 
 
 def apart_m(one: Line | None, other: Line | None) -> float:

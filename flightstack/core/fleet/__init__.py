@@ -6,5 +6,4 @@ all), and both shares sum to at least 1 (``pair.py``). In each tick ``member.py`
 neighbour within reach. ``program.py`` finds the nearest velocity that meets all of them, with OSQP;
 ``solution.py`` is the exact solution that OSQP starts from and is compared with. Each vehicle also steps
 aside to its right. ``precedence.py`` gives the right of way to land to the oldest claim.
-``assignment.py`` assigns the pads before the flight.
 """

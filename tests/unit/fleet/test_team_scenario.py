@@ -1,14 +1,12 @@
 """Tests team files: shared keys, keys of one member, and error messages with instructions."""
 
-import tomllib
 from dataclasses import replace
 
 import pytest
 
 from flightstack import config as configurations
-from flightstack.common.strict_toml import ConfigError, dumps, from_table
+from flightstack.common.strict_toml import ConfigError
 from sim.scenarios import scenario
-from sim.scenarios.scenario import Scenario
 
 
 @pytest.fixture
@@ -48,8 +46,8 @@ FIRST, SECOND = BASED + "[[member]]\n", BASED + "[[member]]\n[[member]]\n"
         (ABOUT + "base = 3\n[[member]]\n", "base: found 3, the name of a scenario"),
         (BASED + "member = 3\n", r"member: found 3, allowed: tables \[\[member\]\]"),
         (BASED + "[[others]]\n", r"others: unknown key; give a table \[\[member\]\] for each vehicle"),
-        (BASED + "sped = 1\n", f"sped: unknown key; allowed: assignment, base, {ANY}, member, (?!.*others)"),
-        (BASED + "sped = 1\n[[member]]\n", f"sped: unknown key; allowed: assignment, base, {ANY}, member, "),
+        (BASED + "sped = 1\n", f"sped: unknown key; allowed: base, {ANY}, member, (?!.*others)"),
+        (BASED + "sped = 1\n[[member]]\n", f"sped: unknown key; allowed: base, {ANY}, member, "),
         (BASED + "[[membr]]\n", "membr: unknown key; did you mean member[?] "),
         (FIRST + "sped = 1\n", f"sped: unknown key; allowed: config, (?!.*(base|member|name)){ANY}, wind$"),
         (FIRST + "others = []\n", r"member 1: others: found \[\]; only the run has it, remove it"),
@@ -117,65 +115,6 @@ def test_the_exchange_is_the_team_s(written):
     assert scenario.load(written(text)).exchange == scenario.ExchangeLink(0.02, 0.1)
     with pytest.raises(ConfigError, match=r"exchange\.loss: found 2\.0, allowed: 0 to 1"):
         scenario.load(written(text.replace("0.1", "2.0")))
-
-
-CROSSING = (
-    ABOUT
-    + """base = "field"
-assignment = "start"
-target.speed_m_s = 0.0
-target.random_heading = false
-[start]
-kind = "hover"
-[onboard.fleet]
-members = [1, 2]
-id = 1
-[[member]]
-target.position_m = [0.0, -1.0]
-start.offset_m = [-1.5, 2.0, 1.0]
-odometry.delay_s = 0.05
-[[member]]
-onboard.fleet.id = 2
-target.position_m = [0.0, 1.0]
-target.pad_height_m = 0.3
-start.offset_m = [-1.4, -2.0, 0.9]
-"""
-)
-
-
-def begins(scenario):
-    (x, y), (dx, dy, dz) = scenario.target.position_m, scenario.start.offset_m
-    return (x + dx, y + dy, scenario.target.pad_height_m + dz)
-
-
-def test_robots_are_assigned_by_where_the_vehicles_begin(written):
-    found = scenario.load(written(CROSSING))
-    fixed = scenario.load(written(CROSSING.replace('"start"', '"fixed"')))
-    assert found.assignment is fixed.assignment is scenario.Assignment.FIXED  # the assignment is complete
-    for own, before, robot in zip(found.members, fixed.members, fixed.members[::-1], strict=True):
-        assert own.target == robot.target
-        assert own.odometry == robot.odometry
-        assert begins(own) == pytest.approx(begins(before))
-        assert replace(own, target=before.target, odometry=before.odometry, start=before.start) == before
-    assert from_table(Scenario, tomllib.loads(dumps(found))) == found
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "error"),
-    [
-        ("start.offset_m = [-1.4, -2.0, 0.9]", "", r"member 2: start\.offset_m: missing; its start is drawn"),
-        (
-            "random_heading = false",
-            "random_heading = true\ntarget.pad_behind_axle_m = 0.03",
-            r"member 1: target\.random_heading: found true, with a pad behind the axle",
-        ),
-        ('assignment = "start"', 'assignment = "nearest"', "assignment: found 'nearest', allowed: "),
-    ],
-)
-def test_what_cannot_be_assigned_is_refused(written, old, new, error):
-    assert old in CROSSING
-    with pytest.raises(ConfigError, match=error):
-        scenario.load(written(CROSSING.replace(old, new)))
 
 
 ROBOT = "[[member]]\n[member.target]\n"

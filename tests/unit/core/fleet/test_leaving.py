@@ -1,6 +1,5 @@
 """Tests one pad for several vehicles: after its landing each vehicle takes off and lands beside the path."""
 
-import itertools
 import math
 from dataclasses import replace
 
@@ -9,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.fleet.assignment import UNIT_M, assign
 from flightstack.core.fleet.member import STAYS_S, FleetMember
 from flightstack.core.fleet.precedence import APART, KEPT_M, Pad, Permissions, place_beside
 from flightstack.core.parameters.fleet import Fleet
@@ -114,46 +112,3 @@ def test_a_place_is_given_up_where_another_pad_comes():
 def test_a_place_nearer_than_what_counts_as_clear_is_refused():
     with pytest.raises(ConfigError, match=r"fleet\.wait_distance_m: found 1\.2; .* 1\.3 m"):
         settings_of(3, (3, 7), {"frees_pad": True}, checks={"clearance_m": 1.3})
-
-
-PLACE = st.tuples(*[st.floats(-20.0, 20.0)] * 2, st.floats(0.0, 3.0))
-GRID = st.tuples(st.integers(-2, 2), st.integers(-2, 2), st.just(0)).map(lambda p: tuple(map(float, p)))
-
-
-def units(start, pad):
-    return round(math.hypot(pad[0] - start[0], pad[1] - start[1]) / UNIT_M)
-
-
-def fleets(place):
-    """Return a strategy for a random number of starts, and up to two more pads."""
-    return st.integers(1, 5).flatmap(
-        lambda n: st.tuples(
-            st.lists(place, min_size=n, max_size=n), st.lists(place, min_size=n, max_size=min(6, n + 2))
-        )
-    )
-
-
-def by_trying(starts, pads):
-    """Return the first assignment, in the order of preference, that has the smallest sum of distances."""
-    every = list(itertools.permutations(range(len(pads)), len(starts)))
-    sums = [sum(units(start, pads[k]) for start, k in zip(starts, each, strict=True)) for each in every]
-    best = [each for each, total in zip(every, sums, strict=True) if total == min(sums)]
-    return min(best, key=lambda each: [(k != own, k) for own, k in enumerate(each)])
-
-
-@given(fleets(PLACE) | fleets(GRID))  # on a grid, many assignments have equal sums
-def test_it_is_the_best_of_all_permutations(fleet):
-    assert assign(*fleet) == by_trying(*fleet)
-
-
-@pytest.mark.parametrize(
-    ("starts", "pads", "error"),
-    [
-        ([(0.0, 0.0, 0.0)] * 2, [(0.0, 0.0, 0.0)], "found 1 pads for 2 vehicles; each vehicle needs one"),
-        ([(math.nan, 0.0, 0.0)], [(0.0, 0.0, 0.0)], r"found the place \(nan, 0.0, 0.0\) m; allowed"),
-        ([(0.0, 0.0, 0.0)], [(0.0, 1e7, 0.0)], r"coordinates up to 1e\+06 m"),
-    ],
-)
-def test_what_cannot_be_assigned_is_refused(starts, pads, error):
-    with pytest.raises(ValueError, match=error):
-        assign(starts, pads)
