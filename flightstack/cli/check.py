@@ -6,14 +6,14 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import click
 from rich.text import Text
 
-from flightstack.common.options import Option, takes
+from flightstack.common.options import Option, arguments
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml, to_table
 from flightstack.common.terminal import Terminal
 from flightstack.common.text import labels
@@ -29,21 +29,18 @@ PROVEN, NOT_PROVEN = 0, 1
 STEP_S = 0.01  # time between two calls of the robot's function, s
 
 
-@dataclass(frozen=True, kw_only=True)
-class CheckOptions:
-    config: Annotated[str, Option("CONFIG")]
+@click.command()
+@arguments
+def check(
+    config: Annotated[str, Option("CONFIG")],
     filter: Annotated[
         str | None, shared.safety_filter("Check it for this safety filter; default: the configuration's")
-    ] = None
+    ] = None,
     every: Annotated[
         bool, Option("--all", "Show each claim with its worst point, also those that are proven")
-    ] = False
-    as_json: shared.AsJson = False
-
-
-@click.command()
-@takes(CheckOptions)
-def check(options: CheckOptions) -> None:
+    ] = False,
+    as_json: shared.AsJson = False,
+) -> None:
     """Prove before a flight that the filter's guarantees hold in the whole range that CONFIG declares.
 
     CONFIG is the name or file of an `onboard` configuration or of a scenario; a scenario of several vehicles
@@ -54,19 +51,19 @@ def check(options: CheckOptions) -> None:
 
     Exit status: 0 all claims proven, 1 at least one not proven, 2 wrong input.
     """
-    parts = _parts(options.config, options.filter)
-    if options.as_json:
-        click.echo(json.dumps(_as_json(options.config, parts)))
+    parts = _parts(config, filter)
+    if as_json:
+        click.echo(json.dumps(_as_json(config, parts)))
     else:
         console = Terminal()
         for part in parts:
-            console.print(f"{options.config}{part.of}, filter {part.filter}", soft_wrap=True)
+            console.print(f"{config}{part.of}, filter {part.filter}", soft_wrap=True)
             for result in part.checks:
-                if options.every or not result.proven:
+                if every or not result.proven:
                     _show(console, result)
             for text in part.ignored:
                 click.echo(text)
-        click.echo(_summary(parts) + ("" if options.every else "; --all shows each claim"))
+        click.echo(_summary(parts) + ("" if every else "; --all shows each claim"))
     sys.exit(PROVEN if all(each.proven for part in parts for each in part.checks) else NOT_PROVEN)
 
 

@@ -7,22 +7,22 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
+from flightstack.common.options import Option, arguments
 from flightstack.common.text import plain
+from flightstack.config import options as shared
 
 DONE, BROKEN = 0, 1
 LANDED, NOT_LANDED = 0, 1
 DIFFERENCES_MAX = 20  # maximum number of printed differences; the first ones are the most useful
 
-_log = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
-_out = click.option(
-    "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="File to write."
-)
-_force = click.option("--force", is_flag=True, help="Replace OUT if it exists.")
-_member = click.option("--member", metavar="NAME", help="Only the part of this member of a fleet, e.g. cf2.")
+Log = Annotated[Path, Option("LOG")]
+Out = Annotated[Path, Option("--out", "File to write.", path="file")]
+Force = Annotated[bool, Option("--force", "Replace files that exist.")]
+JsonVerdict = Annotated[bool, Option("--json", "Print one JSON object, with the keys of `sitl --json`.")]
 
 
 @click.group()
@@ -34,10 +34,8 @@ def log() -> None:
 
 
 @log.command()
-@_log
-@_member
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def info(log_file: Path, member: str | None, as_json: bool) -> None:
+@arguments
+def info(log_file: Log, member: shared.Member = None, as_json: shared.AsJson = False) -> None:
     """Show duration, topics, metadata and attachments of a LOG, and whether it is complete."""
     from logs.reader.reader import LogFile
     from logs.tools import summary, summary_lines
@@ -48,10 +46,8 @@ def info(log_file: Path, member: str | None, as_json: bool) -> None:
 
 
 @log.command()
-@_log
-@_out
-@_force
-def recover(log_file: Path, out: Path, force: bool) -> None:
+@arguments
+def recover(log_file: Log, out: Out, force: Force = False) -> None:
     """Repair a broken LOG: write a complete file with an index and all readable records."""
     from logs.reader.reader import LogFile
     from logs.tools import recover as recovered
@@ -63,15 +59,17 @@ def recover(log_file: Path, out: Path, force: bool) -> None:
 
 
 @log.command()
-@_log
-@click.option("--topic", metavar="TOPIC", required=True, help="Topic to export; `log info` lists them.")
-@click.option(
-    "--format", "kind", type=click.Choice(["csv", "parquet"]), required=True,
-    help="Format of OUT; parquet needs the extra `export` and enough memory for the whole table.",
-)  # fmt: skip
-@_out
-@_force
-def export(log_file: Path, topic: str, kind: str, out: Path, force: bool) -> None:
+@arguments
+def export(
+    log_file: Log,
+    topic: Annotated[str, Option("--topic", "Topic to export; `log info` lists them.", "TOPIC")],
+    kind: Annotated[str, Option(
+        "--format", "Format of OUT; parquet needs the extra `export` and enough memory for the whole table.",
+        choices=("csv", "parquet"),
+    )],
+    out: Out,
+    force: Force = False,
+) -> None:  # fmt: skip
     """Write one topic of a LOG as a table: one row for each message, with its times and sequence number.
 
     Nested fields have dotted names; a list is one column with JSON text.
@@ -89,12 +87,8 @@ def export(log_file: Path, topic: str, kind: str, out: Path, force: bool) -> Non
 
 
 @log.command()
-@_log
-@_member
-@click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object, with the keys of `sitl --json`."
-)
-def verdict(log_file: Path, member: str | None, as_json: bool) -> None:
+@arguments
+def verdict(log_file: Log, member: shared.Member = None, as_json: JsonVerdict = False) -> None:
     """Judge the flight in a LOG from the true states, or a real flight from the vehicle's own estimate.
 
     A fleet has landed when all its members have landed.
@@ -120,9 +114,8 @@ def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("log_a", type=click.Path(path_type=Path))
-@click.argument("log_b", type=click.Path(path_type=Path))
-def compare(log_a: Path, log_b: Path) -> None:
+@arguments
+def compare(log_a: Annotated[Path, Option("LOG_A")], log_b: Annotated[Path, Option("LOG_B")]) -> None:
     """Compare two logs message by message; exit status 0 equal, 1 different.
 
     The last line names the first tick with a difference. Wall-clock measurements (loop timing) are not

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from flightstack.cli.log import BROKEN, DONE, new_file, show_verdict
-from flightstack.common.options import Option, takes
+from flightstack.cli.log import BROKEN, DONE, Force, JsonVerdict, Log, new_file, show_verdict
+from flightstack.common.options import Option, arguments, takes
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import labels, named, outline, plain
 from flightstack.config import options as shared
@@ -24,15 +24,12 @@ if TYPE_CHECKING:
     from logs.replay.replay import PhaseChange, Result
 
 
-@dataclass(frozen=True, kw_only=True)
-class IdentifyOptions:
-    logs: Annotated[tuple[Path, ...], Option("LOG...", exists=True)]
-    as_json: Annotated[bool, Option("--json", "Print one JSON object instead of TOML.")] = False
-
-
 @click.command()
-@takes(IdentifyOptions)
-def identify(options: IdentifyOptions) -> None:
+@arguments
+def identify(
+    logs: Annotated[tuple[Path, ...], Option("LOG...", exists=True)],
+    as_json: Annotated[bool, Option("--json", "Print one JSON object instead of TOML.")] = False,
+) -> None:
     """Find a vehicle's response to velocity set-points, and the noise of its measurements, in flight LOGs.
 
     The command prints the sections of a configuration; several flights, of several vehicles, give their
@@ -43,49 +40,41 @@ def identify(options: IdentifyOptions) -> None:
     from logs import identified
     from logs.reader.flight import load_fleet
 
-    flights = [flight for path in options.logs for flight in load_fleet(path).flights.values()]
+    flights = [flight for path in logs for flight in load_fleet(path).flights.values()]
     found = identified.gather(flights)
-    if options.as_json:
+    if as_json:
         click.echo(json.dumps(found.as_json()))
     else:
         click.echo(identified.toml(found, len(flights)), nl=False)
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordOptions:
+@click.command()
+@arguments
+def record(
     socket_path: Annotated[
         Path, Option("--socket", "Socket to listen on; the other commands take it as --recorder.")
-    ]
-    out: Annotated[Path, Option("--out", "MCAP file to write.", path="file")]
+    ],
+    out: Annotated[Path, Option("--out", "MCAP file to write.", path="file")],
     until_clients: Annotated[int | None, Option(
         "--until-clients", "End when this number of clients have disconnected.", span=(1, None)
-    )] = None  # fmt: skip
-
-
-@click.command()
-@takes(RecordOptions)
-def record(options: RecordOptions) -> None:
+    )] = None,
+) -> None:  # fmt: skip
     """Record the data that the other processes send, until Ctrl-C; the log is readable at any time."""
     from logs.recorder.recorder import record_main
 
-    sys.exit(record_main(options.socket_path, options.out, options.until_clients))
+    sys.exit(record_main(socket_path, out, until_clients))
 
 
 @click.command()
-@click.argument("log", type=click.Path(exists=True, path_type=Path))
-@click.option("--member", metavar="NAME", help="Take the flight of this member of a fleet, e.g. cf2.")
-@click.option(
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="HTML file; default: next to the log, report.html for flight.mcap.",
-)
-@click.option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    help="Print the verdict as a JSON object, with the keys of `sitl --json`.",
-)
-def report(log: Path, member: str | None, out: Path | None, as_json: bool) -> None:
+@arguments
+def report(
+    log: Annotated[Path, Option("LOG", exists=True)],
+    member: shared.Member = None,
+    out: Annotated[Path | None, Option(
+        "--out", "HTML file; default: next to the log, report.html for flight.mcap.", path="file"
+    )] = None,
+    as_json: JsonVerdict = False,
+) -> None:  # fmt: skip
     """Write the report of a LOG: one self-contained HTML page.
 
     A fleet has one page for all members together, and one page for each member.
@@ -103,17 +92,18 @@ def report(log: Path, member: str | None, out: Path | None, as_json: bool) -> No
 
 
 @click.command()
-@click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
-@click.option(
-    "--save", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.rrd",
-    help="Write a Rerun recording instead of opening a window.",
-)  # fmt: skip
-@click.option(
-    "--web", is_flag=True, help="Serve Rerun to a browser of this machine, instead of opening a window."
-)
-@click.option("--member", metavar="NAME", help="Show the flight of this member of a fleet alone, e.g. cf2.")
-@click.option("--force", is_flag=True, help="Replace files that exist.")
-def view(log_file: Path, save: Path | None, web: bool, member: str | None, force: bool) -> None:
+@arguments
+def view(
+    log_file: Log,
+    save: Annotated[Path | None, Option(
+        "--save", "Write a Rerun recording instead of opening a window.", "FILE.rrd", path="file"
+    )] = None,
+    web: Annotated[
+        bool, Option("--web", "Serve Rerun to a browser of this machine, instead of opening a window.")
+    ] = False,
+    member: shared.Member = None,
+    force: Force = False,
+) -> None:  # fmt: skip
     """Show a LOG in Rerun: the scene in 3-D, curves and events (docs/how_to/viewing.md).
 
     A fleet is shown in one scene.

@@ -6,19 +6,18 @@ import shutil
 import signal
 import sys
 import textwrap
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import click
 
-from flightstack.common.options import Option, takes
+from flightstack.common.options import Option, arguments
 from flightstack.config import options as shared
 
 
 @click.command()
-@click.argument("name", required=False)
-def config(name: str | None) -> None:
+@arguments
+def config(name: Annotated[str | None, Option("[NAME]")] = None) -> None:
     """List the packaged configurations of the onboard process, or print the one with the given NAME."""
     from flightstack import config as known
     from flightstack.common.strict_toml import decoded
@@ -36,10 +35,12 @@ def _first_line(text: str) -> str:
 
 
 @click.command()
-@click.argument("what", type=click.Choice(["scenario"]))
-@click.argument("name")
-@click.option("--base", default="lab", show_default=True, help="Name of the scenario from which it starts.")
-def new(what: str, name: str, base: str) -> None:
+@arguments
+def new(
+    what: Annotated[str, Option("{scenario}", choices=("scenario",))],
+    name: Annotated[str, Option("NAME")],
+    base: Annotated[str, Option("--base", "Name of the scenario from which it starts.")] = "lab",
+) -> None:
     """Write NAME.toml to this folder: a scenario based on another one, with a comment for each key.
 
     Exit status: 0 written, 2 wrong name, or the file exists.
@@ -61,8 +62,8 @@ def new(what: str, name: str, base: str) -> None:
 
 
 @click.command()
-@click.argument("name", required=False)
-def scenarios(name: str | None) -> None:
+@arguments
+def scenarios(name: Annotated[str | None, Option("[NAME]")] = None) -> None:
     """List the scenarios of the simulator, or print the one with the given NAME."""
     from flightstack.common.strict_toml import decoded
     from sim.scenarios import scenario
@@ -79,8 +80,8 @@ def scenarios(name: str | None) -> None:
 
 
 @click.command()
-@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
-def key(file: Path) -> None:
+@arguments
+def key(file: Annotated[Path, Option("FILE", path="file")]) -> None:
     """Write a new MAVLink signing key to FILE, readable only by its owner (docs/how_to/security.md)."""
     from bridge.mavlink.signing import make_key
 
@@ -88,33 +89,32 @@ def key(file: Path) -> None:
     click.echo(f"{file}: a new signing key; give it to both ends as --signing-key, over a channel you trust")
 
 
-@dataclass(frozen=True, kw_only=True)
-class RouterOptions:
+@click.command()
+@arguments
+def router(
     listen: Annotated[tuple[str, ...], Option(
         "--listen", "Endpoint to listen on; default: the configuration's, or tcp/127.0.0.1:7447; repeatable.",
         "ENDPOINT"
-    )] = ()  # fmt: skip
-    connect: shared.Connect = ()
-    zenoh_config: shared.ZenohConfig = None
-
-
-@click.command()
-@takes(RouterOptions)
-def router(options: RouterOptions) -> None:
+    )] = (),
+    connect: shared.Connect = (),
+    zenoh_config: shared.ZenohConfig = None,
+) -> None:  # fmt: skip
     """Run a Zenoh router, to which robot, companion, watchers and ROS 2 nodes connect.
 
     The router replaces zenohd or rmw_zenohd if neither is installed. Ctrl-C or SIGTERM ends it.
     """
     from bridge.zenoh import zenoh_link
 
-    config_file = options.zenoh_config
     ends = {signal.SIGINT, signal.SIGTERM}
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # inherited by Zenoh's threads, started later
     role = zenoh_link.Role.ROUTER
     try:
-        if config_file is not None and zenoh_link.dialled(config_file=config_file, role=role)[0] is not role:
-            raise ValueError(f'{config_file}: mode "router" is needed, or none')
-        session = zenoh_link.open_session(options.listen, options.connect, config_file=config_file, role=role)
+        if (
+            zenoh_config is not None
+            and zenoh_link.dialled(config_file=zenoh_config, role=role)[0] is not role
+        ):
+            raise ValueError(f'{zenoh_config}: mode "router" is needed, or none')
+        session = zenoh_link.open_session(listen, connect, config_file=zenoh_config, role=role)
     except zenoh_link.ZenohLinkError as error:
         click.echo(f"flightstack: {error}", err=True)
         sys.exit(1)

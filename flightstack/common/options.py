@@ -1,15 +1,16 @@
-"""Options of the commands: the annotated fields of a dataclass declare its command line, each option once.
+"""Options of the commands: annotated fields of a dataclass, or arguments of a function, declare each once.
 
 ``rate_hz: Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))] = 100`` has name, help, range,
-type and default. ``takes`` reads the dataclass from a command line, ``argv`` writes the arguments of a child
-process, and ``shared`` passes fields on to the options of another command.
+type and default. ``takes`` reads the dataclass from a command line, ``arguments`` those of a function;
+``argv`` writes the arguments of a child process, and ``shared`` passes fields on to other options.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
+from inspect import Parameter, signature
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -56,13 +57,13 @@ class Declared(NamedTuple):
     default: Any  # default; MISSING: the option is required
 
 
-def declared(cls: type) -> tuple[Declared, ...]:
-    """Return the options of a dataclass, in the order of its fields."""
+def declared(source: Callable[..., Any]) -> tuple[Declared, ...]:
+    """Return the options of a dataclass or function, in the order of its fields or arguments."""
     found: list[Declared] = []
-    hints: dict[str, Any] = get_type_hints(cls, include_extras=True)
-    for field in fields(cls):
+    hints: dict[str, Any] = get_type_hints(source, include_extras=True)
+    for name, argument in signature(source).parameters.items():
         hint: Any
-        hint, *notes = get_args(hints[field.name]) or [None]
+        hint, *notes = get_args(hints[name]) or [None]
         option = next((note for note in notes if isinstance(note, Option)), None)
         if option is None:
             continue
@@ -75,8 +76,8 @@ def declared(cls: type) -> tuple[Declared, ...]:
             hint = parts[0]
         elif many:
             hint = str  # an item of a Mapping is KEY=VALUE
-        default = field.default if field.default_factory is MISSING else field.default_factory()
-        found.append(Declared(field.name, option, hint, many, number, default))
+        default = MISSING if argument.default is Parameter.empty else argument.default
+        found.append(Declared(name, option, hint, many, number, default))
     return tuple(found)
 
 
@@ -106,20 +107,28 @@ def argv(options: Any) -> list[str]:
 
 
 def takes(cls: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
-    """Return a decorator that passes a command's options (required ones first) as one object of ``cls``."""
-    parameters = sorted(declared(cls), key=lambda each: each.default is not MISSING)
+    """Return a decorator that passes a command's options as one object of ``cls``."""
 
     def decorate(verb: Callable[[T], None]) -> Callable[..., None]:
         def run(**given: Any) -> None:
             verb(cls(**given))
 
         run.__doc__, run.__name__ = verb.__doc__, verb.__name__
-        decorated: Callable[..., None] = run
-        for each in reversed(parameters):
-            decorated = _clicked(each)(decorated)
-        return decorated
+        return _optioned(run, declared(cls))
 
     return decorate
+
+
+def arguments(verb: Callable[..., None]) -> Callable[..., None]:
+    """Declare the arguments of a command as its options."""
+    return _optioned(verb, declared(verb))
+
+
+def _optioned(verb: Callable[..., None], options: Sequence[Declared]) -> Callable[..., None]:
+    """Give a command its options, required ones first."""
+    for each in sorted(options, key=lambda each: each.default is not MISSING)[::-1]:
+        verb = _clicked(each)(verb)
+    return verb
 
 
 def _clicked(each: Declared) -> Callable[..., Any]:
