@@ -26,6 +26,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Sequence
+from itertools import count, islice
 from typing import Any, NamedTuple
 
 CDR_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian, no options (OMG DDSI-RTPS 10.5)
@@ -112,195 +113,162 @@ def codec(
     The encoder raises struct.error if a number is outside the range of its field. The decoder raises
     ValueError if a payload is cut short, too long, or has a wrong encoding or frame. With ``frame_id``
     None each message has its own frame. ``fields`` returns the fields of a type. Payloads of foreign programs
-    may have bytes after the message, and strings without a NUL at the end.
+    may have bytes after the message.
     """
-    compiler = _Compiler(frame_id, fields)
-    names = compiler.message(schema, "row")
-    compiler.flush()
-    pack = ["def pack(row):", *compiler.pack, f"    return {'bytes(out)' if compiler.large else 'out'}"]
-    if compiler.large:
-        first = next(n for n, line in enumerate(pack) if line.startswith("    out = "))
-        pack.insert(first + 1, "    out = bytearray(out)")
-    unpack = [
+    generator = _Generator(frame_id, fields)
+    value = generator.message(schema, "row")
+    generator.flush()
+    source = [
+        "def pack(row):",
+        "    out = bytearray()",
+        *generator.pack,
+        "    return bytes(out)",
         "def unpack(data):",
+        "    at = 0",
         "    try:",
-        *("    " + line for line in compiler.unpack),
+        *("    " + line for line in generator.unpack),
         f"        if at != len(data) and not {foreign}:",
         "            raise ValueError(f'{len(data)} bytes, of which the last {len(data) - at} mean nothing')",
         "    except (ValueError, error) as problem:",
         f"        text = f'not a {schema}{'' if foreign else ' of this stack'}: {{problem}}; "
         "it begins with {data[:20].hex()}'",
         "        raise ValueError(text) from problem",
-        f"    return make(({names}))",
+        f"    return make({value})",
     ]
-    scope = {**compiler.constants, "NS": _NS, "CDR": CDR_HEADER, "error": struct.error, "bytes_at": _bytes_at}
-    scope |= {"text_at": _foreign_text_at if foreign else _text_at, "refuse": _refuse, "make": make}
-    exec("\n".join(pack + unpack), scope)
+    scope = generator.layouts | {"NS": _NS, "CDR": CDR_HEADER, "error": struct.error, "make": make}
+    scope |= {"bytes_at": _bytes_at, "refuse": _refuse}
+    exec("\n".join(source), scope)
     return scope["pack"], scope["unpack"]
 
 
-class _Compiler:
-    """Builds the source text of encoder and decoder, which use equal names for their local variables.
+class _Generator:
+    """Generates the source text of encoder and decoder.
 
-    A variable's name joins field names by two underscores; helpers have three. ROS field names have neither.
+    A method that adds a field takes the expression of its value in the encoder, and returns the expression of
+    its value in the decoder.
     """
 
-    def __init__(
-        self, frame_id: str | None, fields: Callable[[str], tuple[Field, ...] | None] = standard
-    ) -> None:
-        self._known = fields
+    def __init__(self, frame_id: str | None, fields: Callable[[str], tuple[Field, ...] | None]) -> None:
+        self._fields_of = fields
+        self._frame = None if frame_id is None else frame_id.encode() + b"\x00"
         self.pack: list[str] = []
         self.unpack: list[str] = []
-        self.constants: dict[str, Any] = {}
-        self.large = False  # whether the message has sequences of numbers, which a bytearray appends faster
-        self._frame = None if frame_id is None else frame_id.encode() + b"\x00"
+        self.layouts: dict[str, Any] = {}
         self._indent = "    "
-        self._at: int | None = 0  # offset from the start of the payload, bytes; None: known only at run time
-        # Current run of numbers: codes, encoded expressions, decoded names, and the statements that follow.
+        self._names = map("v{}".format, count())
+        # Current run of numbers: codes, encoded expressions, decoded names, and the checks that follow.
         self._codes, self._given, self._taken = ["4s"], ["CDR"], ["cdr"]
-        self._after = ["if cdr != CDR: refuse('encoding', cdr, CDR)"]
+        self._checks = ["if cdr != CDR: refuse('encoding', cdr, CDR)"]
 
     def message(self, schema: str, value: str) -> str:
-        """Generate code for all fields of a message type; return the names of their variables as a tuple."""
-        fields = self._fields(schema)
-        names = [f"{value}__{field.name}" for field in fields]
-        joined = "".join(f"{name}, " for name in names)
-        self.pack.append(f"{self._indent}({joined}) = {value}")
-        for field, name in zip(fields, names, strict=True):
-            self._field(field, name)
-        return joined
+        fields = self._fields_of(schema)
+        if fields is None:
+            raise TypeError(f"unknown message type {schema!r}")
+        parts = [self._field(field, f"{value}[{n}]") for n, field in enumerate(fields)]
+        return f"({', '.join(parts)},)" if parts else "()"
 
     def flush(self) -> None:
         """End the current run of numbers."""
         if self._codes:
-            given, taken = ", ".join(self._given), "".join(f"{name}, " for name in self._taken)
-            if self._at is not None:
-                layout = _layout(self._codes, self._at)
-                name, self._at = self._constant(layout), self._at + layout.size
-                self._line(self.pack, f"out = {name}.pack({given})")
-                self._line(self.unpack, f"({taken}) = {name}.unpack_from(data)")
-                self._line(self.unpack, f"at = {self._at}")
-            else:
-                name = self._constant([_layout(self._codes, at) for at in range(_ALIGNMENT_MAX)])
-                self._line(self.pack, f"out += {name}[len(out) % {_ALIGNMENT_MAX}].pack({given})")
-                self._line(self.unpack, f"layout = {name}[at % {_ALIGNMENT_MAX}]")
-                self._line(self.unpack, f"({taken}) = layout.unpack_from(data, at)")
-                self._line(self.unpack, "at += layout.size")
-        self.unpack += [self._indent + line for line in self._after]
-        self._codes, self._given, self._taken, self._after = [], [], [], []
+            name = f"LAYOUT{len(self.layouts)}"
+            self.layouts[name] = [_layout(self._codes, at) for at in range(_ALIGNMENT_MAX)]
+            self._add(self.pack, f"out += {name}[len(out) % {_ALIGNMENT_MAX}].pack({', '.join(self._given)})")
+            self._add(
+                self.unpack,
+                f"layout = {name}[at % {_ALIGNMENT_MAX}]",
+                f"({', '.join(self._taken)},) = layout.unpack_from(data, at)",
+                "at += layout.size",
+                *self._checks,
+            )
+        self._codes, self._given, self._taken, self._checks = [], [], [], []
 
-    def _field(self, field: Field, v: str) -> None:
-        kind = field.kind
-        numbers = self._numbers(kind)
-        if field.length and kind not in CODES:
+    def _field(self, field: Field, value: str) -> str:
+        kind, number = field.kind, field.kind in CODES
+        if field.length == 0:
+            return self._sequence(kind, value)
+        if field.length and not number:
             raise TypeError(
                 f"field {field.name}: an array of {kind}; arrays of fixed length hold numbers only"
             )
-        if field.length == 0:
-            self._sequence(kind, numbers, v)
-        elif kind == HEADER_TYPE:
-            self._header(v)
-        elif kind in TIME_TYPES:
-            self._time(v)
-        elif kind == "string":
-            self._string(v)
-        elif kind in CODES and field.length is None:
-            self._run(CODES[kind], v, [v])
-        elif numbers:
-            codes = numbers * (field.length or 1)
-            parts = [f"{v}___{n}" for n in range(len(codes))]
-            self._run(codes, f"*{v}", parts, f"{v} = ({', '.join(parts)},)")
-        else:
-            values = self.message(kind, v)
-            self._after.append(f"{v} = ({values})")
-
-    def _fields(self, schema: str) -> tuple[Field, ...]:
-        fields = self._known(schema)
-        if fields is None:
-            raise TypeError(f"unknown message type {schema!r}")
-        return fields
+        if kind == HEADER_TYPE:
+            return self._header(value)
+        if kind in TIME_TYPES:
+            return self._time(value)
+        if kind == "string":
+            return self._string(value)
+        if number and field.length is None:
+            return self._run([CODES[kind]], value)[0]
+        codes = self._numbers(kind)
+        if not codes:
+            return self.message(kind, value)
+        return f"({', '.join(self._run(codes * (field.length or 1), f'*{value}'))},)"
 
     def _numbers(self, kind: str) -> list[str]:
         """Return the struct codes of a number or of a message of equal numbers; empty for other types."""
         if kind in CODES:
             return [CODES[kind]]
-        if kind == "string":
-            return []
-        fields = self._fields(kind)
+        fields = (kind != "string" and self._fields_of(kind)) or ()
         codes = [CODES.get(field.kind, "") if field.length is None else "" for field in fields]
         return codes if len(set(codes)) == 1 and codes[0] else []
 
-    def _header(self, v: str) -> None:
+    def _header(self, value: str) -> str:
         if self._frame is None:
-            self._line(self.pack, f"({v}___stamp, {v}___frame) = {v}")
-            self._time(f"{v}___stamp")
-            self._string(f"{v}___frame")
-            self._after.append(f"{v} = ({v}___stamp, {v}___frame)")
-            return
-        self._time(v)
-        frame, size = self._constant(self._frame), len(self._frame)
-        self._run("I", str(size), [f"{v}___size"])
-        check = f"if {v}___size != {size} or {v}___frame != {frame}: refuse('frame', {v}___frame, {frame})"
-        self._run([f"{size}s"], frame, [f"{v}___frame"], check)
+            return f"({self._time(f'{value}[0]')}, {self._string(f'{value}[1]')})"
+        stamp, length = self._time(value), len(self._frame)
+        size, frame = self._run(["I", f"{length}s"], str(length), repr(self._frame))
+        wrong = f"{size} != {length} or {frame} != {self._frame!r}"
+        self._checks.append(f"if {wrong}: refuse('frame', {frame}, {self._frame!r})")
+        return stamp
 
-    def _time(self, v: str) -> None:
-        self._run("i", f"{v} // NS", [f"{v}___s"])
-        self._run("I", f"{v} % NS", [f"{v}___ns"], f"{v} = {v}___s * NS + {v}___ns")
+    def _time(self, value: str) -> str:
+        seconds, nanoseconds = self._run(["i", "I"], f"{value} // NS", f"{value} % NS")
+        return f"{seconds} * NS + {nanoseconds}"
 
-    def _string(self, v: str) -> None:
-        self._line(self.pack, f"{v}___raw = {v}.encode() + b'\\0'")
-        self._run("I", f"len({v}___raw)", [f"{v}___size"])
-        self._grow(f"{v}___raw")
-        self._line(self.unpack, f"{v} = text_at(data, at, {v}___size)")
-        self._line(self.unpack, f"at += {v}___size")
+    def _string(self, value: str) -> str:
+        raw = next(self._names)
+        self._add(self.pack, f"{raw} = {value}.encode() + b'\\0'")
+        (size,) = self._run(["I"], f"len({raw})")
+        self.flush()
+        self._add(self.pack, f"out += {raw}")
+        self._add(self.unpack, f"{raw} = bytes_at(data, at, {size}).removesuffix(b'\\0').decode()")
+        self._add(self.unpack, f"at += {size}")
+        return raw
 
-    def _sequence(self, kind: str, numbers: list[str], v: str) -> None:
+    def _sequence(self, kind: str, value: str) -> str:
+        made, numbers = next(self._names), self._numbers(kind)
+        size = struct.calcsize("<" + "".join(numbers))
+        (length,) = self._run(["I"], f"len({value}) // {size}" if numbers else f"len({value})")
+        self.flush()
         if numbers:
-            self.large, size = True, struct.calcsize("<" + numbers[0])
-            self._run("I", f"len({v}) // {size * len(numbers)}", [f"{v}___count"])
-            # no padding if the sequence is empty
-            self._grow(f"bytes((4 - len(out)) % {size}) + {v} if {v} else b''")
-            self._line(self.unpack, f"at += (4 - at) % {size} if {v}___count else 0")
-            self._line(self.unpack, f"{v} = bytes_at(data, at, {v}___count * {size * len(numbers)})")
-            self._line(self.unpack, f"at += len({v})")
-            return
-        self._run("I", f"len({v})", [f"{v}___count"])
-        self._grow()
-        self._line(self.pack, f"for {v}___each in {v}:")
-        self._line(self.unpack, f"{v}___made = []")
-        self._line(self.unpack, f"for _ in range({v}___count):")
+            align = struct.calcsize("<" + numbers[0])  # no padding if the sequence is empty
+            self._add(self.pack, f"out += bytes((4 - len(out)) % {align}) + {value} if {value} else b''")
+            self._add(self.unpack, f"at += (4 - at) % {align} if {length} else 0")
+            self._add(self.unpack, f"{made} = bytes_at(data, at, {length} * {size})", f"at += len({made})")
+            return made
+        each = next(self._names)
+        self._add(self.pack, f"for {each} in {value}:")
+        self._add(self.unpack, f"{made} = []", f"for _ in range({length}):")
         self._indent += "    "
-        values = self.message(kind, f"{v}___each")
+        item = self.message(kind, each)
         self.flush()
-        self._line(self.unpack, f"{v}___made.append(({values}))")
+        self._add(self.unpack, f"{made}.append({item})")
         self._indent = self._indent[:-4]
-        self._line(self.unpack, f"{v} = tuple({v}___made)")
+        return f"tuple({made})"
 
-    def _run(self, codes: Sequence[str], given: str, taken: list[str], after: str | None = None) -> None:
+    def _run(self, codes: Sequence[str], *given: str) -> list[str]:
+        """Add numbers to the current run; return their names in the decoder."""
+        taken = list(islice(self._names, len(codes)))
         self._codes += codes
-        self._given.append(given)
+        self._given += given
         self._taken += taken
-        if after is not None:
-            self._after.append(after)
+        return taken
 
-    def _grow(self, value: str | None = None) -> None:
-        """End the current run and append bytes; the next field's offset is known only at run time."""
-        self.flush()
-        self._at = None
-        if value is not None:
-            self._line(self.pack, f"out += {value}")
-
-    def _constant(self, value: Any) -> str:
-        name = f"C{len(self.constants)}"
-        self.constants[name] = value
-        return name
-
-    def _line(self, lines: list[str], text: str) -> None:
-        lines.append(self._indent + text)
+    def _add(self, lines: list[str], *texts: str) -> None:
+        lines += [self._indent + text for text in texts]
 
 
 def _layout(codes: Sequence[str], at: int) -> struct.Struct:
-    """Return the layout of numbers that start ``at`` bytes (or ``at`` modulo 8) from the payload's start."""
+    """Return the layout of numbers that start ``at`` bytes (modulo 8) from the payload's start."""
     out = "<"
     for code in codes:
         size = struct.calcsize("<" + code)
@@ -308,17 +276,6 @@ def _layout(codes: Sequence[str], at: int) -> struct.Struct:
         out += f"{padding}x{code}"
         at += padding + size
     return struct.Struct(out)
-
-
-def _text_at(data: bytes, at: int, size: int) -> str:
-    raw = _bytes_at(data, at, size)
-    if raw[-1:] != b"\x00":
-        raise ValueError(f"the text of {size} bytes at byte {at} has no end")
-    return raw[:-1].decode()
-
-
-def _foreign_text_at(data: bytes, at: int, size: int) -> str:
-    return _bytes_at(data, at, size).removesuffix(b"\x00").decode()
 
 
 def _bytes_at(data: bytes, at: int, size: int) -> bytes:

@@ -28,7 +28,7 @@ from flightstack.core.types import (
 from logs.reader.flight_data import Steps
 from logs.schema import rows, schemas
 from logs.schema.controller_rows import TickInputs, pack_controller_input, unpack_controller_input
-from logs.schema.rows import ControllerInputRow, ControllerStepRow, LogRow, LoopTimingRow
+from logs.schema.rows import ControllerInputRow, ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import fields_of
 from tests.unit.logs import row_stubs as stubs
 
@@ -118,13 +118,6 @@ def test_another_encoding_or_frame_is_named(at, said):
     data[at] ^= 3
     with pytest.raises(ValueError, match=said):
         LoopTimingRow.unpack(bytes(data))
-
-
-def test_a_text_without_its_end_is_refused():
-    data = bytearray(LogRow(0, 20, "onboard", "text", "", "", 0).pack())
-    data[data.index(b"onboard") + 7] = 1
-    with pytest.raises(ValueError, match="has no end"):
-        LogRow.unpack(bytes(data))
 
 
 @pytest.mark.parametrize("name", [*schemas._OURS, *cdr._STANDARD])
