@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -21,26 +21,15 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mocap.checks import Limits, MocapOptions, Passed, PoseChecks, PoseOptions, Sample
 from bridge.ros2.cdr import OdometryError
-from bridge.ros2.ros2_names import parse_topic_key
-from bridge.target.ros2_target import POSE_DECODERS, ROS_TYPES, Dialect, KeySearch, TargetSpec, TargetType
+from bridge.target.ros2_target import KeySearch, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly
 from flightstack.core.parameters.flight import check_origin
-from flightstack.core.types import ZERO, Landed, Mode, Vec3, VehicleStatus
+from flightstack.core.types import Landed, Mode, VehicleStatus
 
 SAY_S = 2.0  # time between two texts on the same topic, s
 CAPACITY = 256  # maximum number of samples between two polls; the oldest are dropped
-
-
-def parse_spec(text: str, pose_type: str = TargetType.POSE.value, domain: int = 0) -> TargetSpec:
-    """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``. Raises ValueError: topic or pose type is bad."""
-    found = TargetType(pose_type)
-    if found not in POSE_DECODERS:
-        raise ValueError(
-            f"{pose_type!r} is not a pose type: allowed is {', '.join(t.value for t in POSE_DECODERS)}"
-        )
-    return TargetSpec.parse(text, found, domain)
 
 
 class MocapSource:
@@ -51,21 +40,31 @@ class MocapSource:
         session: zenoh_link.Session,
         spec: TargetSpec,
         checks: PoseChecks,
-        offset_flu_m: Vec3 = ZERO,
         where: Sequence[str] = (),
     ) -> None:
-        """``offset_flu_m``: vector from the markers' centre to the vehicle's; ``where``: Zenoh endpoints.
-
-        Raises ValueError: bad key.
-        """
+        """``where``: Zenoh endpoints."""
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)
-        self._spec, self._offset_flu_m, self.checks = spec, offset_flu_m, checks
+        self._spec, self.checks = spec, checks
         at = f" at {', '.join(where)}" if where else ""
         self._search, self._waits = KeySearch(session), f"mocap: no pose on {spec.text}{at} yet"
         self._arrived = False  # whether any sample has arrived
         self._searched_s: float | None = None  # start of the search for other keys; None: no search runs
         self.problem: str | None = self._waits  # reason why there is no good pose, or None
         self._unreadable: str | None = None  # reason why the newest sample is unreadable, or None
+
+    @classmethod
+    @contextmanager
+    def opened(cls, key: str, options: PoseOptions, rate_max_hz: float = 100.0) -> Iterator[MocapSource]:
+        """Open a session for the poses on a key, and close it at the end. Raises ValueError: bad key."""
+        spec = TargetSpec.parse(key, TargetType(options.pose_type), options.ros_domain, options.offset_flu_m)
+        limits = Limits(options.frame_id, rate_max_hz=rate_max_hz, speed_max_m_s=options.pose_speed_m_s)
+        session = zenoh_link.open_session(
+            options.listen, options.connect, config_file=options.zenoh_config, prompt=True
+        )
+        try:
+            yield cls(session, spec, PoseChecks(limits), options.connect or options.listen)
+        finally:
+            session.close()
 
     def poll(self, now_s: float, *, armed: bool) -> tuple[Passed, ...]:
         """Return the good poses since the last call, oldest first; never blocks."""
@@ -94,19 +93,13 @@ class MocapSource:
         return "; nor on any key like odometry or pose" if now_s - self._searched_s >= SAY_S else ""
 
     def _sample(self, sample: zenoh_link.Sample, now_s: float) -> Sample:
-        key = str(sample.key_expr)
-        if self._spec.dialect is Dialect.RMW_ZENOH:
-            found, wanted = parse_topic_key(key), ROS_TYPES[self._spec.type].name
-            if found is None or found.type_name != wanted:
-                self._unreadable = f"{key} carries another type: {wanted} is needed"
-                return Sample(None, now_s)
+        self._unreadable = None
         try:
-            pose = POSE_DECODERS[self._spec.type](sample.payload.to_bytes())
+            self._spec.check_key(str(sample.key_expr))
+            return Sample(self._spec.pose(sample.payload.to_bytes()), now_s)
         except OdometryError as error:
             self._unreadable = str(error)
             return Sample(None, now_s)
-        self._unreadable = None
-        return Sample(pose.shifted(self._offset_flu_m), now_s)
 
 
 COMPONENT_ID = dialect.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
@@ -151,15 +144,14 @@ def odometry(passed: Passed, time_us: int) -> Message:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class PoseNeeds:
+class PoseNeeds(NamedTuple):
     title: str
     message: Callable[[Passed, int], Message]
     needs_origin: bool  # whether the autopilot has no position until it receives SET_GPS_GLOBAL_ORIGIN
     settings: str  # text with the autopilot parameters that the operator has to set
 
 
-POSE_NEEDS: Mapping[int, PoseNeeds] = {
+POSE_NEEDS = {
     dialect.MAV_AUTOPILOT_PX4: PoseNeeds(
         "PX4", odometry, False, "EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5"
     ),
@@ -177,19 +169,22 @@ class MocapVehicle:
 
     def __init__(self, system_id: int, origin: Origin | None) -> None:
         """``origin`` is the position of the room's origin on earth, for an autopilot that needs it."""
-        self.needs: PoseNeeds | None = None  # requirements of the vehicle; None before its first heartbeat
-        # MAV_AUTOPILOT number of an unsupported autopilot; None: the autopilot is supported
-        self.unknown_autopilot: int | None = None
+        self.needs: PoseNeeds | None = None  # requirements of the vehicle; None: unknown or unsupported
         self._origin, self._system_id = origin, system_id
         self._origin_sender = OriginSender(None, system_id)
-        self._origin_known = False
-        self._armed = False
+        self._autopilot: int | None = None  # MAV_AUTOPILOT number of the newest heartbeat
+        self._origin_known = self._armed = False
         self._heard_s = self._beat_s = -math.inf
 
-    @property
-    def origin_missing(self) -> bool:
-        needed = self.needs is not None and self.needs.needs_origin
-        return needed and self._origin is None and not self._origin_known
+    def problem(self, now_s: float, url: str) -> str | None:
+        """Return the reason why the vehicle does not use the poses, or None."""
+        if not self.heard(now_s):
+            return f"no message from the vehicle at {url}"
+        if self.needs is None:
+            return f"autopilot {self._autopilot} is unsupported: use PX4 (12) or ArduPilot (3)"
+        if self.needs.needs_origin and self._origin is None and not self._origin_known:
+            return "this vehicle has no position without an origin: give --origin LAT LON ALT"
+        return None
 
     def heard(self, now_s: float) -> bool:
         return now_s - self._heard_s <= SILENT_S
@@ -226,7 +221,7 @@ class MocapVehicle:
     def _on_heartbeat(self, message: Message, now_s: float) -> None:
         self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         needs = POSE_NEEDS.get(message.autopilot)
-        self.unknown_autopilot = message.autopilot if needs is None else None
+        self._autopilot = message.autopilot
         if needs is not self.needs or not self.heard(now_s):
             self.needs, self._origin_known = needs, False
             origin = self._origin if needs is not None and needs.needs_origin else None
@@ -284,37 +279,17 @@ class Bridge:
         passed = self._source.poll(now_s, armed=vehicle.flies(now_s))
         self._endpoint.send(vehicle.step(passed, now_s))
         self._tell("poses", self._source.problem, now_s, good="mocap: poses are good")
-        self._tell("vehicle", self._vehicle_problem(now_s), now_s, good=self._greeting())
+        problem, needs = vehicle.problem(now_s, self._url), vehicle.needs
+        good = f"mocap: {needs.title} receives poses, needs {needs.settings}" if needs is not None else ""
+        self._tell("vehicle", f"mocap: {problem}" if problem else None, now_s, good=good)
 
-    def _tell(self, topic: str, text: str | None, now_s: float, *, good: str | None) -> None:
+    def _tell(self, topic: str, text: str | None, now_s: float, *, good: str) -> None:
         """Print a problem when it begins and at most every two seconds; print ``good`` when it ends."""
         before, said_s = self._told.get(topic, (None, 0.0))
         if (text is None) == (before is None) and (text is None or now_s - said_s < SAY_S):
             return
         self._told[topic] = (text, now_s)
-        shown = good if text is None else text
-        if shown is not None:
-            self._say(shown)
-
-    def _vehicle_problem(self, now_s: float) -> str | None:
-        vehicle = self._vehicle
-        if not vehicle.heard(now_s):
-            return f"mocap: no message from the vehicle at {self._url}"
-        if vehicle.unknown_autopilot is not None:
-            return (
-                f"mocap: autopilot {vehicle.unknown_autopilot} is unsupported: use PX4 (12) or ArduPilot (3)"
-            )
-        if vehicle.origin_missing:
-            return "mocap: this vehicle has no position without an origin: give --origin LAT LON ALT"
-        return None
-
-    def _greeting(self) -> str | None:
-        needs = self._vehicle.needs
-        return f"mocap: {needs.title} receives poses, needs {needs.settings}" if needs is not None else None
-
-
-def limits(options: PoseOptions) -> Limits:
-    return Limits(frame_id=options.frame_id, speed_max_m_s=options.pose_speed_m_s)
+        self._say(good if text is None else text)
 
 
 def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
@@ -323,16 +298,10 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
     if options.origin is not None:
         check_origin("--origin", options.origin)
         origin = Origin(*options.origin)
-    spec = parse_spec(options.pose_key, options.pose_type, options.ros_domain)
     with ExitStack() as stack:
         endpoint = open_endpoint("mocap", options.vehicle_url, options.system_id, COMPONENT_ID, options)
         stack.callback(endpoint.close)
-        session = zenoh_link.open_session(
-            options.listen, options.connect, config_file=options.zenoh_config, prompt=True
-        )
-        stack.callback(session.close)
-        checks = PoseChecks(replace(limits(options), rate_max_hz=RATE_MAX_HZ))
-        source = MocapSource(session, spec, checks, options.offset_flu_m, options.connect or options.listen)
+        source = stack.enter_context(MocapSource.opened(options.pose_key, options, RATE_MAX_HZ))
         vehicle = MocapVehicle(options.system_id, origin)
         bridge = Bridge(source, vehicle, endpoint, options.system_id, say, options.vehicle_url)
         run_promptly()  # request a high priority: a delayed pose is useless
@@ -340,7 +309,7 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
         say("ready")
         sys.stdout.flush()
         bridge.run(stop, options.duration_s)
-    say(summary(checks))
+    say(summary(source.checks))
     return 0
 
 

@@ -17,21 +17,13 @@ from bridge.ros2.codec import CDR_HEADER, Unpack, codec
 from flightstack.core.types import ZERO, Vec3
 
 NO_COVARIANCE: tuple[float, ...] = (0.0,) * 36  # unknown covariance: all zeros, by the convention of ROS
-_UNIT_TOLERANCE = 0.01  # tolerance of a quaternion's squared norm, as in odometry.py
-_LARGEST_M = 1e9  # largest valid coordinate, m; a larger one is damaged data
-_ODOMETRY = "nav_msgs/msg/Odometry"
-_POSE = "geometry_msgs/msg/PoseStamped"
-_POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-_pack_odometry, _unpack_odometry = codec(_ODOMETRY, frame_id=None, foreign=True)
-_ENCODINGS = {
-    (0, 0): "CDR, big endian",
-    (0, 2): "parameter list, big endian",
-    (0, 3): "parameter list, little endian",
-    (0, 6): "XCDR2, big endian",
-    (0, 7): "XCDR2, little endian",
-    (0, 8): "delimited XCDR2, big endian",
-    (0, 9): "delimited XCDR2, little endian",
-}
+# tolerance of a quaternion's squared norm, as in tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
+_UNIT_TOLERANCE = 0.01
+_LARGEST = 1e9  # largest valid value in m, m/s and rad/s; larger values are damaged data
+ODOMETRY = "nav_msgs/msg/Odometry"
+POSE = "geometry_msgs/msg/PoseStamped"
+POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_pack_odometry, _unpack_odometry = codec(ODOMETRY, frame_id=None, foreign=True)
 
 
 class OdometryError(ValueError):
@@ -111,52 +103,43 @@ def decode_odometry(payload: bytes) -> Odometry:
     )  # fmt: skip
 
 
-def decode_pose(payload: bytes) -> Pose:
-    """Decode a ``geometry_msgs/msg/PoseStamped``. Raises OdometryError: cut short, or not a pose."""
-    (stamp_ns, frame_id), (position_m, turn) = _decoded(_unpacker(_POSE), payload)
-    return _checked(stamp_ns, frame_id, position_m, turn)
-
-
-def decode_pose_with_covariance(payload: bytes) -> Pose:
-    """Decode a ``geometry_msgs/msg/PoseWithCovarianceStamped``; raises as ``decode_pose``."""
-    (stamp_ns, frame_id), ((position_m, turn), covariance) = _decoded(_unpacker(_POSE_COVARIANCE), payload)
-    return _checked(stamp_ns, frame_id, position_m, turn)._replace(covariance=covariance)
+def decode_pose(payload: bytes, schema: str = POSE) -> Pose:
+    """Decode a message of type ``POSE`` or ``POSE_COVARIANCE``. Raises OdometryError: not a usable pose."""
+    (stamp_ns, frame_id), pose = _decoded(_pose_unpacker(schema), payload)
+    pose, covariance = pose if schema == POSE_COVARIANCE else (pose, NO_COVARIANCE)
+    position_m, (x, y, z, w) = pose
+    return Pose(stamp_ns, frame_id, position_m, checked_unit((w, x, y, z), position_m), covariance)
 
 
 @cache
-def _unpacker(schema: str) -> Unpack:
+def _pose_unpacker(schema: str) -> Unpack:
     return codec(schema, frame_id=None, foreign=True)[1]
+
+
+def checked_unit(orientation_wxyz: Quat, others: Vec3 | tuple[float, ...]) -> Quat:
+    """Return the quaternion with unit length; raise OdometryError if it or another number is unusable."""
+    w, x, y, z = orientation_wxyz
+    n = (*others, w, x, y, z)
+    if not (math.isfinite(sum(n)) and max(n) < _LARGEST and min(n) > -_LARGEST):
+        raise OdometryError(f"message holds a number that is not finite or beyond 1e9: {n}")
+    squared = w * w + x * x + y * y + z * z
+    if abs(squared - 1.0) > _UNIT_TOLERANCE:
+        raise OdometryError(
+            f"orientation (w, x, y, z) = ({w}, {x}, {y}, {z}) has norm {math.sqrt(squared):.4f}: "
+            "a unit quaternion is needed; was it never set?"
+        )
+    scale = 1.0 / math.sqrt(squared)
+    return (w * scale, x * scale, y * scale, z * scale)
 
 
 def _decoded(unpack: Unpack, payload: bytes) -> Any:
     # Newer versions of the standard put padding into the two option bytes; ROS 2 ignores them, too.
     if payload[:2] != CDR_HEADER[:2]:
-        if len(payload) < 4:
-            raise OdometryError(f"odometry payload has {len(payload)} bytes: not even a CDR header")
-        found = _ENCODINGS.get((payload[0], payload[1]), "not a CDR encoding")
         raise OdometryError(
-            f"odometry payload starts with {payload[:4].hex(' ')} ({found}): only CDR little endian, 00 01, "
-            "is understood; let the publisher send that"
+            f"payload of {len(payload)} bytes starts with {payload[:4].hex(' ') or 'nothing'}: only CDR "
+            "little endian, 00 01, is understood; let the publisher send that"
         )
-    if payload[2:4] != CDR_HEADER[2:]:
-        payload = CDR_HEADER + payload[4:]
     try:
-        return unpack(payload)
+        return unpack(CDR_HEADER + payload[4:] if payload[2:4] != CDR_HEADER[2:] else payload)
     except ValueError as error:
         raise OdometryError(f"payload of {len(payload)} bytes is cut short or damaged: {error}") from error
-
-
-def _checked(stamp_ns: int, frame_id: str, position_m: Vec3, turn: tuple[float, ...]) -> Pose:
-    numbers = (*position_m, *turn)
-    if not all(abs(n) < _LARGEST_M for n in numbers):  # NaN is not below the limit
-        raise OdometryError(
-            f"pose in {frame_id!r} holds a number that is not finite or beyond 1e9: {numbers}"
-        )
-    x, y, z, w = turn
-    norm = math.sqrt(w * w + x * x + y * y + z * z)
-    if abs(norm * norm - 1.0) > _UNIT_TOLERANCE:
-        raise OdometryError(
-            f"pose in {frame_id!r} has an orientation (w, x, y, z) = ({w}, {x}, {y}, {z}) of norm "
-            f"{norm:.4f}: a unit quaternion is needed; was it never set?"
-        )
-    return Pose(stamp_ns, frame_id, position_m, (w / norm, x / norm, y / norm, z / norm))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from bridge.frames import Quat, world_from_body, yaw_from_quaternion
-from bridge.ros2.cdr import NO_COVARIANCE, Odometry, OdometryError, decode_odometry
+from bridge.ros2.cdr import NO_COVARIANCE, Odometry, checked_unit, decode_odometry
 from bridge.ros2.ros2_names import Ros2Publisher
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import GID_BYTES, parse_attachment
@@ -19,9 +19,6 @@ from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import TargetSample, Vec3
 
 ENCODING = "application/cdr;nav_msgs/msg/Odometry"
-# tolerance of a quaternion's squared norm, as in tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
-_UNIT_TOLERANCE = 0.01
-_LARGEST = 1e9  # largest valid value in m, m/s and rad/s; larger values are damaged data
 WARN_FACTOR = 1.5  # ratio of reported to configured noise above which a warning is sent
 _UNUSED_M2 = 1e3  # variance from which a value counts as unmeasured; diff_drive_controller writes 1e6
 
@@ -47,18 +44,7 @@ def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
     Raises OdometryError: malformed, a value not finite or above 1e9, or no unit quaternion.
     """
     o = raw.odometry or decode_odometry(raw.payload)
-    w, x, y, z = o.orientation_wxyz
-    n = (*o.position_m, x, y, z, w, *o.linear_m_s, *o.angular_rad_s)
-    if not (math.isfinite(sum(n)) and max(n) < _LARGEST and min(n) > -_LARGEST):
-        raise OdometryError(f"odometry holds a number that is not finite or beyond 1e9: {n}")
-    squared = w * w + x * x + y * y + z * z
-    if abs(squared - 1.0) > _UNIT_TOLERANCE:
-        raise OdometryError(
-            f"odometry orientation (w, x, y, z) = ({w}, {x}, {y}, {z}) has norm {math.sqrt(squared):.4f}: "
-            "a unit quaternion is needed; was it never set?"
-        )
-    scale = 1.0 / math.sqrt(squared)
-    q: Quat = (w * scale, x * scale, y * scale, z * scale)
+    q = checked_unit(o.orientation_wxyz, (*o.position_m, *o.linear_m_s, *o.angular_rad_s))
     return TargetSample(
         arrival_s=arrival_s,
         source_time_s=o.stamp_ns / 1e9,

@@ -15,12 +15,14 @@ from typing import NamedTuple
 from bridge.frames import body_from_world, wrap_angle, yaw_from_quaternion
 from bridge.ros2.cdr import (
     NO_COVARIANCE,
+    ODOMETRY,
+    POSE,
+    POSE_COVARIANCE,
     Odometry,
     OdometryError,
     Pose,
     decode_odometry,
     decode_pose,
-    decode_pose_with_covariance,
 )
 from bridge.ros2.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topic_key
 from bridge.target.odometry import RawSample, excess_noise, raw_sample
@@ -49,9 +51,6 @@ class TargetType(Enum):
     POSE_COVARIANCE = "pose-covariance"
 
 
-POSE_DECODERS = {TargetType.POSE: decode_pose, TargetType.POSE_COVARIANCE: decode_pose_with_covariance}
-
-
 class RosType(NamedTuple):
     name: str
     type_hash: str  # REP 2016; equal for these types from Iron on
@@ -59,14 +58,14 @@ class RosType(NamedTuple):
 
 ROS_TYPES = {
     TargetType.ODOMETRY: RosType(
-        "nav_msgs/msg/Odometry", "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
+        ODOMETRY, "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
     ),
     TargetType.POSE: RosType(
-        "geometry_msgs/msg/PoseStamped",
+        POSE,
         "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
     ),
     TargetType.POSE_COVARIANCE: RosType(
-        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        POSE_COVARIANCE,
         "RIHS01_26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e",
     ),
 }
@@ -87,7 +86,7 @@ class TargetSpec:
     ) -> TargetSpec:
         """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``."""
         if not all(abs(one) <= OFFSET_MAX_M for one in offset_m):  # also rejects NaN
-            raise ValueError(f"--target-offset {offset_m}: up to {OFFSET_MAX_M:g} m on each axis are allowed")
+            raise ValueError(f"offset {offset_m}: up to {OFFSET_MAX_M:g} m on each axis are allowed")
         dialect = next(
             (d for d in (Dialect.ROS2DDS, Dialect.RMW_ZENOH) if text.startswith(d.value)), Dialect.PLAIN
         )
@@ -100,6 +99,28 @@ class TargetSpec:
         if self.dialect is Dialect.RMW_ZENOH:
             return any_type_key(self.domain, self.name)
         return bridge_key(self.name) if self.dialect is Dialect.ROS2DDS else self.name
+
+    def check_key(self, key: str) -> None:
+        """Raise OdometryError if a key of a rmw_zenoh topic has another message type than expected."""
+        if self.dialect is not Dialect.RMW_ZENOH:
+            return
+        found, wanted = parse_topic_key(key), ROS_TYPES[self.type]
+        if found is None:
+            raise OdometryError(f"the key {key} is not one of rmw_zenoh")
+        if found.type_name != wanted.name:
+            raise OdometryError(
+                f"the topic carries {found.type_name}, {wanted.name} is needed; give --target-type or "
+                "--pose-type if the other type is intended"
+            )
+        if found.type_hash not in (wanted.type_hash, NO_HASH):
+            raise OdometryError(
+                f"{found.type_name} has the hash {found.type_hash}, {wanted.type_hash} is needed: the sender "
+                "was built with another definition of it"
+            )
+
+    def pose(self, payload: bytes) -> Pose:
+        """Return the pose of the offset point in a message. Raises OdometryError: not a usable pose."""
+        return decode_pose(payload, ROS_TYPES[self.type].name).shifted(self.offset_m)
 
     def described(self) -> dict[str, str]:
         """Return the source and processing of the odometry as text for the log."""
@@ -234,8 +255,7 @@ class TargetSource:
         for sample in zenoh_link.drain(self._subscriber):
             raw = raw_sample(sample)
             try:
-                if self._spec.dialect is Dialect.RMW_ZENOH:
-                    self._check_key(str(sample.key_expr))
+                self._spec.check_key(str(sample.key_expr))
                 made = self._odometry(raw.payload)
                 if made is not None:
                     raw = raw._replace(payload=made.pack(), odometry=made)
@@ -260,26 +280,10 @@ class TargetSource:
     def close(self) -> None:
         self._subscriber.undeclare()
 
-    def _check_key(self, key: str) -> None:
-        """Raise OdometryError if a key of the topic has another message type than expected."""
-        found, wanted = parse_topic_key(key), ROS_TYPES[self._spec.type]
-        if found is None:
-            raise OdometryError(f"the key {key} is not one of rmw_zenoh")
-        if found.type_name != wanted.name:
-            raise OdometryError(
-                f"the topic carries {found.type_name}, {wanted.name} is needed; give --target-type if the "
-                "other type is intended"
-            )
-        if found.type_hash not in (wanted.type_hash, NO_HASH):
-            raise OdometryError(
-                f"{found.type_name} has the hash {found.type_hash}, {wanted.type_hash} is needed: the sender "
-                "was built with another definition of it"
-            )
-
     def _odometry(self, payload: bytes) -> Odometry | None:
         """Return the odometry made from a message; None: there is none, or it needs no conversion."""
         if self._spec.type is not TargetType.ODOMETRY:
-            return self._followed(POSE_DECODERS[self._spec.type](payload))
+            return self._followed(self._spec.pose(payload))
         # Rejected samples are returned, too: the controller counts them, and the log stores them unchanged.
         if self._until_look == 0:
             self._until_look = LOOK_EVERY
@@ -306,7 +310,7 @@ class TargetSource:
             self.refused += 1
             return None
         self._tell(excess_noise(pose.covariance, NO_COVARIANCE, self._link))
-        odometry = self._track.take(pose.shifted(self._spec.offset_m))
+        odometry = self._track.take(pose)
         self._tell(self._track.problem)
         return odometry
 

@@ -129,22 +129,12 @@ def crazyflie(options: CrazyflieOptions) -> None:
     if options.mocap_key is None:
         sys.exit(process.run(options, drag_1_s, say=say))
 
-    from bridge.mocap.checks import PoseChecks
-    from bridge.mocap.process import MocapSource, limits, parse_spec, summary
-    from bridge.zenoh import zenoh_link
+    from bridge.mocap.process import MocapSource, summary
 
     process.check_uri(options.uri)
-    spec = parse_spec(options.mocap_key, options.pose_type, options.ros_domain)
-    session = zenoh_link.open_session(
-        options.listen, options.connect, config_file=options.zenoh_config, prompt=True
-    )
-    try:
-        where = options.connect or options.listen
-        poses = MocapSource(session, spec, PoseChecks(limits(options)), options.offset_flu_m, where)
+    with MocapSource.opened(options.mocap_key, options) as poses:
         status = process.run(options, drag_1_s, poses, say)
-        say(summary(poses.checks))
-    finally:
-        session.close()
+    say(summary(poses.checks))
     sys.exit(status)
 
 

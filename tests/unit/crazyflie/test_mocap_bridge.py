@@ -17,16 +17,17 @@ from bridge.mocap.process import (
     MocapSource,
     MocapVehicle,
     odometry,
-    parse_spec,
     vision_position_estimate,
 )
 from bridge.ros2.cdr import Pose
+from bridge.target.ros2_target import TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from tests.processes.bounded import wait_for
 from tests.processes.ports import free_endpoint
 from tests.unit.mavlink.codec.frames_of_messages import packed
 from tests.unit.target.ros2_helpers import pose_stamped
 
+SPEC = TargetSpec.parse("lab/pose", TargetType.POSE)
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 S = 1_000_000_000
 EPOCH_S = 1.7e9  # clock offset of the motion capture computer, s
@@ -266,7 +267,7 @@ def test_without_a_pose_the_key_the_endpoint_and_other_keys_are_named():
     session, other = zenoh_link.open_session([endpoint]), zenoh_link.open_session([], [endpoint])
     begin = f"mocap: no pose on lab/pose at {endpoint} yet"
     try:
-        source = MocapSource(session, parse_spec("lab/pose"), PoseChecks(), where=[endpoint])
+        source = MocapSource(session, SPEC, PoseChecks(), where=[endpoint])
         assert source.problem == begin
         source.poll(0.0, armed=False)
         assert source.problem == begin  # the search has only begun
@@ -289,11 +290,11 @@ def test_without_a_pose_the_key_the_endpoint_and_other_keys_are_named():
 def test_why_poses_cannot_be_read_is_known_until_one_can():
     session = zenoh_link.open_session()
     try:
-        source = MocapSource(session, parse_spec("lab/pose"), PoseChecks())
+        source = MocapSource(session, SPEC, PoseChecks())
         session.put("lab/pose", b"no pose")
         for now_s in (1.0, 1.002, 1.5, 9.0):  # no further pose arrives
             assert source.poll(now_s, armed=False) == ()
-            assert source.problem.startswith("mocap: odometry payload starts with 6e 6f 20 70")
+            assert source.problem.startswith("mocap: payload of 7 bytes starts with 6e 6f 20 70")
         session.put("lab/pose", pose_stamped(S, "map", (1.0, 2.0, 0.5)))
         assert len(source.poll(9.1, armed=False)) == 1
         source.poll(12.0, armed=False)
@@ -307,8 +308,3 @@ def test_px4s_clock_is_answered():
     (answer,) = vehicle.handle(mav.MAVLink_timesync_message(0, 77), 2.5)
     assert (answer.tc1, answer.ts1) == (2_500_000_000, 77)
     assert vehicle.handle(mav.MAVLink_timesync_message(1, 77), 2.5) == []
-
-
-def test_odometry_is_no_pose():
-    with pytest.raises(ValueError, match="is not a pose type: allowed is pose, pose-covariance"):
-        parse_spec("a/b", "odometry")

@@ -10,14 +10,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from bridge.frames import quaternion_from_yaw
-from bridge.ros2.cdr import (
-    Odometry,
-    OdometryError,
-    Pose,
-    decode_odometry,
-    decode_pose,
-    decode_pose_with_covariance,
-)
+from bridge.ros2.cdr import POSE, POSE_COVARIANCE, Odometry, OdometryError, Pose, decode_odometry, decode_pose
 from bridge.target.odometry import RawSample, sample_of
 from bridge.zenoh.zenoh_link import parse_attachment
 from tests.examples import examples
@@ -99,10 +92,10 @@ def test_twist_is_turned_by_the_whole_quaternion():
 @pytest.mark.parametrize(
     ("payload", "words"),
     [
-        (b"", "not even a CDR header"),
-        (b"\x00\x00" + usual()[2:], "big endian"),
-        (b"\x00\x03" + usual()[2:], "parameter list"),
-        (b"{}" + usual()[2:], "not a CDR encoding"),
+        (b"", "0 bytes starts with nothing"),
+        (b"\x00\x00" + usual()[2:], "starts with 00 00"),
+        (b"\x00\x03" + usual()[2:], "starts with 00 03"),
+        (b"{}" + usual()[2:], "starts with 7b 7d"),
         (usual()[:300], "cut short"),
         (usual()[:14], "cut short"),
         (usual()[:12] + b"\xff\xff\xff\x7f" + usual()[16:], "cut short"),
@@ -184,36 +177,36 @@ def test_a_pose_of_another_library_is_read(frame, position):
 @examples(60)
 @given(frame_names, positions, st.lists(numbers, min_size=36, max_size=36))
 def test_a_pose_with_covariance_is_read(frame, position, covariance):
-    found = decode_pose_with_covariance(pose_covariance(STAMP, frame, position, covariance, Q))
+    found = decode_pose(pose_covariance(STAMP, frame, position, covariance, Q), POSE_COVARIANCE)
     assert found == Pose(STAMP, frame, position, Q, tuple(covariance))
 
 
 @pytest.mark.parametrize(
-    ("decode", "payload", "words"),
+    ("schema", "payload", "words"),
     [
-        (decode_pose, b"", "not even a CDR header"),
-        (decode_pose, b"\x00\x00" + pose_stamped(1, "map", (0.0, 0.0, 0.0))[2:], "big endian"),
-        (decode_pose, pose_stamped(1, "map", (0.0, 0.0, 0.0))[:40], "not a geometry_msgs/msg/PoseStamped"),
-        (decode_pose, pose_stamped(1, "map", (0.0, 0.0, 0.0))[:13], "not a geometry_msgs/msg/PoseStamped"),
-        (decode_pose, pose_stamped(1, "map", (math.nan, 0.0, 0.0)), "not finite"),
-        (decode_pose, pose_stamped(1, "map", (1e12, 0.0, 0.0)), "beyond"),
-        (decode_pose, pose_stamped(1, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)), "never set"),
-        (decode_pose_with_covariance, pose_stamped(1, "map", (0.0, 0.0, 0.0)), "PoseWithCovarianceStamped"),
+        (POSE, b"", "0 bytes starts with nothing"),
+        (POSE, b"\x00\x00" + pose_stamped(1, "map", (0.0, 0.0, 0.0))[2:], "starts with 00 00"),
+        (POSE, pose_stamped(1, "map", (0.0, 0.0, 0.0))[:40], "not a geometry_msgs/msg/PoseStamped"),
+        (POSE, pose_stamped(1, "map", (0.0, 0.0, 0.0))[:13], "not a geometry_msgs/msg/PoseStamped"),
+        (POSE, pose_stamped(1, "map", (math.nan, 0.0, 0.0)), "not finite"),
+        (POSE, pose_stamped(1, "map", (1e12, 0.0, 0.0)), "beyond"),
+        (POSE, pose_stamped(1, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)), "never set"),
+        (POSE_COVARIANCE, pose_stamped(1, "map", (0.0, 0.0, 0.0)), "PoseWithCovarianceStamped"),
     ],
 )
-def test_what_is_refused_and_why(decode, payload, words):
+def test_what_is_refused_and_why(schema, payload, words):
     with pytest.raises(OdometryError, match=words):
-        decode(payload)
+        decode_pose(payload, schema)
 
 
 @examples(300)
 @given(st.binary(max_size=60), st.integers(0, 240), st.integers(0, 240))
 def test_damage_raises_nothing_else(noise, start, stop):
     whole = pose_covariance(STAMP, "map", (1.0, 2.0, 3.0), [0.0] * 36, Q)
-    for decode in (decode_pose, decode_pose_with_covariance):
+    for schema in (POSE, POSE_COVARIANCE):
         for damaged in (noise, whole[:start] + noise + whole[stop:], whole[:stop]):
             try:
-                found = decode(damaged)
+                found = decode_pose(damaged, schema)
             except OdometryError:
                 continue
             assert all(map(math.isfinite, found.position_m))
