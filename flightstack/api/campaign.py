@@ -24,7 +24,7 @@ from flightstack.verify.certificate import problems
 from logs.report.style import layout
 from sim.campaign.rows import Row, failed_rows, row_of
 from sim.campaign.summary import kinds, summary
-from sim.campaign.workers import Workers
+from sim.campaign.workers import fly_here
 from sim.runners.landing import land, warm_up
 from sim.scenarios.scenario import Scenario, text
 from sim.vehicle.declared import judged_apart, not_proven
@@ -247,5 +247,4 @@ def _rows(flown: Scenario, seeds: list[int], workers: int) -> Iterable[Row]:
     if here:
         pickled = import_module("cloudpickle").dumps(here[0])
     longest_s = sum(each.duration_max_s for each in flown.members)
-    with Workers(text(flown), min(workers, len(seeds)), longest_s, given=pickled) as processes:
-        yield from processes.fly(seeds)
+    yield from fly_here(text(flown), seeds, workers, longest_s, pickled)

@@ -44,7 +44,7 @@ from sim.campaign.rows import (
     write_rows,
 )
 from sim.campaign.summary import apart, lines, repeat_command, summary
-from sim.campaign.workers import Cluster, Workers, code_fingerprint
+from sim.campaign.workers import code_fingerprint, fly_here, fly_on_cluster
 from sim.robot import try_out
 from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Scenario, load, text
@@ -197,11 +197,8 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
 
 def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> Iterator[Row]:
     if cluster is not None:
-        with Cluster(cluster, wanted.scenario_toml) as there:
-            yield from there.fly(todo)
-        return
-    with Workers(wanted.scenario_toml, workers, wanted.duration_max_s) as here:
-        yield from here.fly(todo)
+        return fly_on_cluster(cluster, wanted.scenario_toml, todo)
+    return fly_here(wanted.scenario_toml, todo, workers, wanted.duration_max_s)
 
 
 def identity(wanted: Plan) -> dict[str, Any]:

@@ -7,19 +7,14 @@ without links, of criteria, left-out flights and figures.
 from __future__ import annotations
 
 import json
-import signal
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from flightstack.common.processes import LaunchError
+from flightstack.common.pool import in_processes
 from logs.report.page import Page, Panel, details, html, need_libraries, paragraph, table
 from sim.flights.recording import COLUMNS, Group, RecordingError, read_columns
 from sim.flights.screening import Reason, load
@@ -79,41 +74,20 @@ def run(
 
     ``on_flight``: called with each compared flight, in any order.
     Raises RecordingError: the table of columns is wrong; ConfigError: the vehicle's file is wrong;
-    LaunchError: a process was killed.
+    WorkersError: no process starts.
     """
     columns, params = read_columns(options.columns or COLUMNS), load_vehicle(options.vehicle or VEHICLE)
+    work = partial(compare, columns=columns, params=params, options=options)
+    alone = workers == 1 or len(paths) <= 1
     done: list[Compared] = []
-    for one in _each(partial(compare, columns=columns, params=params, options=options), paths, workers):
+    for one in map(work, paths) if alone else in_processes(work, paths, workers, _failed):
         on_flight(one)
         done.append(one)
     return sorted(done, key=lambda one: one.name)
 
 
-def _each(work: Callable[[Path], Compared], paths: Sequence[Path], workers: int) -> Iterator[Compared]:
-    """Yield results as they arrive; Ctrl-C ends the processes immediately."""
-    if workers == 1 or len(paths) <= 1:
-        yield from map(work, paths)
-        return
-    try:
-        pool = ProcessPoolExecutor(
-            min(workers, len(paths)), get_context("spawn"), initializer=signal.signal,
-            initargs=(signal.SIGINT, signal.SIG_IGN),
-        )  # fmt: skip
-    except (OSError, NotImplementedError) as error:  # no semaphores: /dev/shm is missing or read-only
-        print(f"validate: one process instead of {workers}: no shared memory ({error})", file=sys.stderr)
-        yield from map(work, paths)
-        return
-    try:
-        for future in as_completed([pool.submit(work, path) for path in paths]):
-            yield future.result()
-    except BrokenProcessPool:
-        raise LaunchError("a worker process was killed; is the machine out of memory?") from None
-    except BaseException:
-        for process in active_children():
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
+def _failed(path: Path, why: str) -> Compared:
+    return Compared(path.stem, 0.0, (Reason(why, 0.0),))
 
 
 Summary = dict[str, Any]

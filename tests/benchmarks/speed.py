@@ -8,7 +8,6 @@ from __future__ import annotations
 import gc
 import math
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -25,7 +24,6 @@ from flightstack.common.strict_toml import from_table
 from flightstack.compiled.core import compiled
 from flightstack.core.controller import Controller
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.safety.projection import project
 from flightstack.core.types import (
     ZERO,
     Inputs,
@@ -41,7 +39,7 @@ from sim.runners.landing import land, warm_up
 from sim.scenarios.scenario import Scenario, load
 from tests.integration.runs import flightstack
 
-ROUNDS, TICKS = 5, 4000
+ROUNDS = 5
 COMPANION = dialect.MAVLink(None, 1, COMPONENT_ID)
 APPROACHES, STEPS_MAX, WARM_STEPS = 8, 3000, 50
 
@@ -87,19 +85,8 @@ def one_round(make: Callable[[FlightConfig], Controller]) -> list[float]:
     return took
 
 
-def closed_form() -> float:
-    """Return the median time of the exact projection alone, us."""
-    took = []
-    for k in range(TICKS):
-        a = k * 0.003
-        started = time.perf_counter_ns()
-        project((0.1, 0.2, -0.5), (math.cos(a), math.sin(a), 1.0), 0.05, (-0.2, -0.2, -0.5), (0.2, 0.2, 0.5))
-        took.append((time.perf_counter_ns() - started) / 1e3)
-    return statistics.median(took)
-
-
 def control_step() -> None:
-    """Measure the time from inputs to set-point, us: interpreted, compiled, and the projection alone."""
+    """Measure the time from inputs to set-point, us: interpreted and compiled."""
     for name, make, asked in (("plain", Controller, (55, 120)), ("compiled", compiled, (30, 80))):
         one_round(make)
         medians, tails = [], []
@@ -109,7 +96,6 @@ def control_step() -> None:
             tails.append(took[int(len(took) * 0.99)])
         p50, p99 = statistics.median(medians), statistics.median(tails)
         print(f"{name:8}  p50 {p50:.1f} us (asked {asked[0]})   p99 {p99:.1f} us (asked {asked[1]})")
-    print(f"closed form alone {closed_form():.1f} us")
 
 
 def sitl(folder: str | Path, scenario: str, seed: int = 0, *more: str) -> dict:
@@ -129,29 +115,8 @@ def lockstep() -> None:
     print(f"{statistics.median(factors):.1f} x real time (asked 30); runs {runs}")
 
 
-CRAZYFLOW = """
-import time
-import gymnasium, numpy as np
-import crazyflow.envs
-for worlds in (1, 64, 1024):
-    env = gymnasium.make_vec("DroneReachVel-v0", num_envs=worlds, freq=100)
-    env.reset(seed=1)
-    action = np.zeros(env.action_space.shape, np.float32)
-    env.step(action)  # compiles
-    steps, began_s, cpu_s = 200 if worlds < 1000 else 40, time.perf_counter(), time.process_time()
-    for _ in range(steps):
-        np.asarray(env.step(action)[1])
-    wall_s, cpu_s = time.perf_counter() - began_s, time.process_time() - cpu_s
-    rates = [steps * worlds / took_s for took_s in (cpu_s, wall_s)]
-    print("crazyflow, {} worlds: {:,.0f} steps/s of CPU time, {:,.0f} of wall time".format(worlds, *rates))
-"""
-
-
 def environment() -> None:
-    """Print steps per second of the Gymnasium environment, of Pendulum-v1 and, if requested, of crazyflow.
-
-    Argument: path of a Python interpreter with crazyflow installed; its steps are 0.01 s long, too.
-    """
+    """Print steps per second of the Gymnasium environment and of Pendulum-v1."""
     import gymnasium
 
     import flightstack as fs
@@ -173,8 +138,6 @@ def environment() -> None:
         print(f"landing, filter {name}: {statistics.median(rates):,.0f} steps/s of CPU time")
     pendulum = gymnasium.make("Pendulum-v1")
     print(f"Pendulum-v1: {flown(pendulum, range(20), pendulum.action_space.sample):,.0f} steps/s of CPU time")
-    for python in sys.argv[1:]:
-        subprocess.run([python, "-W", "ignore", "-c", CRAZYFLOW], check=True, timeout=600)
 
 
 PAPER_RUNS = ("paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2")

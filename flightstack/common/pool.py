@@ -1,0 +1,164 @@
+"""Worker processes that return results as they come; a process that dies or hangs loses none of them.
+
+The processes are forked and use the modules and code that this process has loaded and compiled; if it has
+other threads, they are spawned.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from multiprocessing.process import BaseProcess
+from typing import Any, TypeVar
+
+from flightstack.common.processes import LaunchError, forget_handlers, may_fork
+
+T = TypeVar("T")
+R = TypeVar("R")
+STARTS_MAX = 3  # number of attempts to start the processes
+START_S = 1800.0  # time-out of a start, including compilation on a slow computer, s
+
+
+class WorkersError(LaunchError):
+    """Workers end repeatedly before they do anything."""
+
+
+class _LostError(Exception):
+    """A worker died or hung; ``items``: the items without a result that were given out."""
+
+    def __init__(self, items: Iterable[Any], what: str) -> None:
+        super().__init__(what)
+        self.items = [*items]
+
+
+class Processes(ProcessPoolExecutor):
+    """Processes that end with the context, without waiting for their work.
+
+    ``start``: called with ``arguments`` in each process before its work.
+    """
+
+    def __init__(self, number: int, start: Callable[..., object], arguments: tuple[Any, ...]) -> None:
+        self._forks = may_fork()
+        context = multiprocessing.get_context("fork" if self._forks else "spawn")
+        super().__init__(number, context, _begin, (start, arguments))
+
+    def submit(self, work: Callable[..., R], /, *arguments: Any, **named: Any) -> Future[R]:
+        with contextlib.nullcontext() if self._forks else _without_main():
+            return super().submit(work, *arguments, **named)
+
+    def __exit__(self, *_: object) -> None:
+        for process in [*(self._processes or {}).values()]:
+            process.kill()
+        self.shutdown(cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Start processes that do not run the main script again, so that the script needs no guard."""
+    main = sys.modules["__main__"]
+    file, main.__spec__, spec = vars(main).pop("__file__", None), None, main.__spec__
+    try:
+        yield
+    finally:
+        main.__spec__ = spec
+        if file is not None:
+            main.__file__ = file
+
+
+def _begin(start: Callable[..., object], arguments: tuple[Any, ...]) -> None:
+    """Prepare a process; it ends with its parent, which alone handles Ctrl-C."""
+    forget_handlers()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
+    start(*arguments)
+
+
+def _end_after(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(1)
+
+
+def results(
+    executor: Executor, work: Callable[[T], R], waiting: deque[T], ahead: Callable[[], int],
+    limit_s: float | None = None,
+) -> Iterator[tuple[T, Future[R]]]:  # fmt: skip
+    """Yield each item of ``waiting`` with its finished future, in any order.
+
+    ``ahead``: number of items that the executor has at a time; ``limit_s``: time-out without a result.
+    """
+    running: dict[Future[R], T] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < ahead():
+                future = executor.submit(work, waiting[0])
+                running[future] = waiting.popleft()
+            done = wait(running, limit_s, FIRST_COMPLETED).done
+            if not done:
+                raise _LostError(running.values(), "did not end")
+            for future in done:
+                if isinstance(future.exception(), BrokenProcessPool):
+                    raise BrokenProcessPool
+            yield from [(running.pop(future), future) for future in done]
+    except BrokenProcessPool:
+        raise _LostError(running.values(), "ended its worker") from None
+
+
+def in_processes(
+    work: Callable[[T], R], items: Iterable[T], number: int, failed: Callable[[T, str], R], *,
+    start: Callable[..., object] = bool, arguments: tuple[Any, ...] = (), limit_s: float | None = None,
+) -> Iterator[R]:  # fmt: skip
+    """Yield the results of ``work`` as they arrive, in any order, from ``number`` processes.
+
+    If a worker dies or hangs, each item in work may be the cause. They are given out again, one at a time;
+    ``failed`` makes the result of an item that ends its worker a second time. ``start``, ``arguments``: see
+    ``Processes``; ``limit_s``: longest time of an item. Raises WorkersError: no worker starts.
+    """
+    waiting, suspects = deque(items), deque[T]()
+    try:
+        multiprocessing.Lock()
+    except (OSError, NotImplementedError) as error:  # /dev/shm is missing or read-only
+        print(f"one process instead of {number}: no shared memory ({error})", file=sys.stderr)
+        yield from map(work, waiting)
+        return
+    while waiting or suspects:
+        alone = bool(suspects)
+        most = 1 if alone else min(number, len(waiting))
+        try:
+            with _started(most, start, arguments) as pool:
+                for _, future in results(
+                    pool, work, suspects if alone else waiting, partial(int, most), limit_s
+                ):
+                    yield future.result()
+        except _LostError as lost:
+            if alone:
+                yield from (failed(item, f"{lost} twice") for item in lost.items)
+            else:
+                suspects.extend(lost.items)
+
+
+@contextlib.contextmanager
+def _started(number: int, start: Callable[..., object], arguments: tuple[Any, ...]) -> Iterator[Processes]:
+    """Yield processes of which one is ready."""
+    for _ in range(STARTS_MAX):
+        with Processes(number, start, arguments) as pool:
+            try:
+                pool.submit(os.getpid).result(START_S)
+            except (BrokenProcessPool, TimeoutError):
+                continue
+            yield pool
+            return
+    raise WorkersError(
+        f"{STARTS_MAX} workers in a row ended before they were ready; is the machine out of memory? Try "
+        "fewer --workers"
+    )
