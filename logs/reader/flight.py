@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,7 +21,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import labels, named
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
-from flightstack.core.types import Vec3
+from flightstack.core.types import Intent, Vec3
 from logs.reader.flight_data import (
     ATTACHMENT,
     PAD_RADIUS_M,
@@ -28,6 +30,7 @@ from logs.reader.flight_data import (
     Flight,
     Floats,
     Ints,
+    Span,
     Steps,
     TargetOdometry,
     Timing,
@@ -37,8 +40,24 @@ from logs.reader.flight_data import (
 )
 from logs.reader.reader import EmptyLogError, LogError, LogFile, Members, Message
 from logs.schema import NO_PAD
-from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
-from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE, codec
+from logs.schema.rows import (
+    ControllerStepRow,
+    FleetPairRow,
+    LogRow,
+    LoopTimingRow,
+    MemberStatusRow,
+    TrueStateRow,
+)
+from logs.schema.schemas import (
+    CONTROLLER_STEP,
+    FLEET_PAIR,
+    LOG,
+    LOOP_TIMING,
+    MEMBER_STATUS,
+    ODOMETRY,
+    TRUE_STATE,
+    codec,
+)
 
 TARGET_TOPIC_END = "/target/odom"  # end of the topic in any namespace
 
@@ -145,6 +164,7 @@ def _flight(log: LogFile, label: str, by_kind: Mapping[str, list[Message]], prob
         timing=read(LOOP_TIMING, partial(columns, Timing), LoopTimingRow.unpack),
         truth=truth,
         target=read(ODOMETRY, _target, codec(ODOMETRY, frame_id=None)[1]),
+        spans=read(MEMBER_STATUS, partial(_spans, log.parts.ids), _status) or (),
         events=_events(by_kind.get(LOG, []), origin_ns, damage),
         metadata=log.metadata(),
         attachments=attachments,
@@ -160,7 +180,7 @@ def _flight(log: LogFile, label: str, by_kind: Mapping[str, list[Message]], prob
 
 def _kind(message: Message) -> str:
     """Return the schema if this reader uses the message, else an empty text."""
-    if message.schema in (CONTROLLER_STEP, LOOP_TIMING, TRUE_STATE, LOG):
+    if message.schema in (CONTROLLER_STEP, LOOP_TIMING, TRUE_STATE, MEMBER_STATUS, LOG):
         return message.schema
     return ODOMETRY if message.schema == ODOMETRY and message.topic.endswith(TARGET_TOPIC_END) else ""
 
@@ -201,6 +221,21 @@ def _target(rows: Sequence[Any], t_s: Floats) -> TargetOdometry:
         position_enu_m=np.array([position for (position, _), _ in poses]),
         velocity_child_m_s=np.array([linear for (linear, _), _ in twists]),
         frame_id=[frame for _, frame in headers],
+    )
+
+
+def _status(data: bytes) -> tuple[Intent, bytes]:
+    """Return intent and ``yields_to`` of a vehicle's message. Raises ValueError: it is not readable."""
+    row = MemberStatusRow.unpack(data)
+    return Intent(row.intent), row.yields_to
+
+
+def _spans(names: Mapping[int, str], told: Sequence[tuple[Intent, bytes]], t_s: Floats) -> tuple[Span, ...]:
+    runs = [(key, next(run)[0]) for key, run in groupby(zip(t_s.tolist(), told, strict=True), itemgetter(1))]
+    ends_s = [*(begin_s for _, begin_s in runs[1:]), float(t_s[-1])]
+    return tuple(
+        Span(begin_s, end_s, intent, tuple(names.get(n, f"vehicle {n}") for n in yields_to))
+        for ((intent, yields_to), begin_s), end_s in zip(runs, ends_s, strict=True)
     )
 
 

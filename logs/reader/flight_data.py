@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from flightstack.common.strict_toml import from_table, parse_toml
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
-from flightstack.core.types import Phase, Vec3
+from flightstack.core.types import Intent, Phase, Vec3
 from logs.schema.rows import ControllerStepColumns, FleetPairRow, LoopTimingColumns, TrueStateColumns
 
 Floats = NDArray[np.float64]
@@ -102,6 +102,20 @@ class Event:
     text: str
 
 
+class Span(NamedTuple):
+    """An interval in which all messages of a vehicle to the other members had the same content."""
+
+    begin_s: float  # time of the first message, s
+    end_s: float  # time of the first message with other content, or of the last message, s
+    intent: Intent  # intent that the vehicle announced
+    gives_way_to: tuple[str, ...]  # names of the members to which the vehicle gives way
+
+    @property
+    def waits(self) -> bool:
+        """Whether the vehicle flew and gave way to a neighbour."""
+        return self.intent is Intent.WAITING and bool(self.gives_way_to)
+
+
 class JudgedSteps(Protocol):
     """The fields of controller steps that a verdict by true states needs."""
 
@@ -147,6 +161,7 @@ class Flight(Judged):
         origin_ns: log time of ``t_s = 0``.
         duration_s: time from the first to the last step or true state, s.
         steps, timing, truth, target: ``None`` if the log has no such messages.
+        spans: messages to the other members, in order; empty for a vehicle alone.
         events: events of /rosout in order.
         metadata: metadata records by name.
         attachments: files stored in the log by name.
@@ -165,6 +180,7 @@ class Flight(Judged):
     steps: Steps | None = None
     timing: Timing | None = None
     target: TargetOdometry | None = None
+    spans: tuple[Span, ...] = ()
     attachments: dict[str, bytes] = field(default_factory=dict)
     barrier: Barrier | None = None
     velocity_max_m_s: Vec3 | None = None

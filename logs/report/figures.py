@@ -13,7 +13,6 @@ import plotly.graph_objects as go
 
 from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import Intent
-from logs.reader.fleet_messages import FleetMessages
 from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, phase_name
 from logs.report import series, space
 from logs.report.derived import Side, fault_spans
@@ -39,7 +38,6 @@ from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
 from logs.verdict.verdict import PairSeries
 
 _EVENTS_MAX = 500
-_SILENT_MAX = 16  # maximum number of lanes for members without messages
 _ROW_PX = 26
 _LETTER_SHARE = 0.009  # fraction of the axis per letter of a label; a shorter bar has no label
 _INTENT_COLORS = {
@@ -122,11 +120,7 @@ class _Lanes:
 
 
 def timeline(
-    sides: Sequence[Side],
-    axis: Axis,
-    events: Sequence[Event] = (),
-    zero_s: float = 0.0,
-    messages: FleetMessages | None = None,
+    sides: Sequence[Side], axis: Axis, events: Sequence[Event] = (), zero_s: float = 0.0
 ) -> go.Figure | None:
     """Draw phases, faults, right of way and events; for one flight also sent and missing data.
 
@@ -140,17 +134,13 @@ def timeline(
         for fault in fault_spans(side.flight):
             ends = (fault.begin_s + side.offset_s, fault.end_s + side.offset_s)
             lanes.bar(f"{side.of}fault injected", ends, FAULT, fault.text)
-        for span in messages.spans[side.name] if messages is not None else ():
+        for span in side.flight.spans:
             name, others = span.intent.name.lower(), ", ".join(span.gives_way_to)
             color = NOMINAL if span.waits else _INTENT_COLORS[span.intent]
             text = f"{side.of}{name}" + (f", gives way to {others}" if others else "")
             label = f"waits for {others}" if span.waits else name
-            lanes.bar(f"{side.of}right of way", (span.begin_s, span.end_s), color, text, label)
-    silent = [link for link in messages.links if link.silent] if messages is not None else []
-    for link in silent[:_SILENT_MAX]:
-        for ends in link.silent:
-            text = f"{link.receiver} received no message from {link.sender}"
-            lanes.bar(f"{link.receiver} misses {link.sender}", ends, FAULT, text)
+            ends = (span.begin_s + side.offset_s, span.end_s + side.offset_s)
+            lanes.bar(f"{side.of}right of way", ends, color, text, label)
     lanes.events(events, -zero_s)
     return lanes.figure()
 
@@ -218,16 +208,14 @@ def panels(side: Side) -> list[Panel]:
     ]  # fmt: skip
 
 
-def fleet_panels(
-    fleet: Fleet, sides: Sequence[Side], messages: FleetMessages, pairs: Sequence[PairSeries]
-) -> list[Panel]:
+def fleet_panels(fleet: Fleet, sides: Sequence[Side], pairs: Sequence[PairSeries]) -> list[Panel]:
     """Return the figures of a fleet; the first is the main picture."""
     axis = fleet_axis(fleet)
     return [
         Panel("room", "All paths in the room", _ROOM, space.room_3d(sides)),
         Panel(
             "timeline", "Who did what, and who waited for whom", _LANES,
-            timeline(sides, axis, fleet.events, messages=messages),
+            timeline(sides, axis, fleet.events),
         ),
         Panel("plan", "Paths from above", _ROOM, space.plan(sides)),
         Panel("pairs", "Distance of each pair", _NEAR, series.distances(pairs, axis)),
@@ -237,8 +225,7 @@ def fleet_panels(
 
 _LANES = (
     "Two lanes for each member: its phase, and the intent that it sent to the others. Orange: it flew and "
-    "gave way to a neighbour. Red, if any: a member received no message from a neighbour for longer than "
-    "allowed. Touch or point at a bar to read it."
+    "gave way to a neighbour. Touch or point at a bar to read it."
 )
 _ROOM = (
     "True paths, or the vehicles' own estimates where the log has no true states. Dotted: the pads. Circle: "

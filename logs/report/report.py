@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from flightstack.config.options import repeated
-from logs.reader.fleet_messages import FleetMessages, load_messages
 from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
 from logs.report import tables
 from logs.report.derived import Side, side_of
@@ -40,10 +39,6 @@ _FAULTS = "Injected by the scenario; in the figures a red strip on top."
 _NEAR = "Measured in every physics step while both flew."
 _EVENTS = "wide events"  # CSS classes of the tables of events
 _WAITS = "Times in which a member flew and gave way to neighbours, by its own messages."
-_WAYS = (
-    "Used: messages that a tick of the receiver used. The others were lost, or a newer one replaced them. "
-    "Silent: time beyond the maximum age of a message, while the sender flew."
-)
 
 
 def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -> dict[str, Path]:
@@ -122,18 +117,17 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
     from logs.report.figures import fleet_panels
 
     told = fleet.metadata.get(FLEET, {})
-    messages, pairs = load_messages(fleet), pair_series(fleet)
     sides = [
         Side(name, flight, verdict.members[name], [], fleet.shift_s(flight))
         for name, flight in fleet.flights.items()
     ]
-    picture, *figures = fleet_panels(fleet, sides, messages, pairs)
+    picture, *figures = fleet_panels(fleet, sides, pair_series(fleet))
     source = " and ".join(dict.fromkeys(SOURCES[each.judged_from] for each in verdict.members.values()))
     sources = [
         (f"Configuration of {name}", flight.attachments.get(ATTACHMENT), f"{name}.toml")
         for name, flight in fleet.flights.items()
     ]
-    result = tables.members_table(sides, messages, pages) + tables.fleet_result_table(verdict)
+    result = tables.members_table(sides, pages) + tables.fleet_result_table(verdict)
     return Page(
         told.get("scenario", fleet.path.stem),
         _fleet_headline(verdict),
@@ -149,9 +143,8 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
             *figures,
             [
                 Panel("near", "How near they came", _NEAR, tables.pairs_table(fleet)),
-                Panel("waits", "Who waited for whom", _WAITS, tables.waits_table(messages)),
+                Panel("waits", "Who waited for whom", _WAITS, tables.waits_table(sides)),
             ],
-            Panel("words", "Messages between members", _WAYS, tables.messages_table(messages)),
             Panel(
                 "events", "Events of all", "Times since the log began; each is a link.",
                 tables.events_table(fleet.events), style=_EVENTS,
@@ -160,7 +153,7 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
             Panel("versions", "Versions", "", tables.versions_table(fleet.metadata)),
             *_configuration("Configurations", sources, fleet.path),
         ],
-        _fleet_warnings(fleet, verdict, messages),
+        _fleet_warnings(fleet, verdict),
     )  # fmt: skip
 
 
@@ -219,13 +212,12 @@ def warnings(flight: Flight, verdict: Verdict) -> list[str]:
     return texts
 
 
-def _fleet_warnings(fleet: Fleet, verdict: FleetVerdict, words: FleetMessages) -> list[str]:
+def _fleet_warnings(fleet: Fleet, verdict: FleetVerdict) -> list[str]:
     texts = [
         f"{name}: {text}"
         for name, flight in fleet.flights.items()
         for text in warnings(flight, verdict.members[name])
     ]
-    texts += words.problems
     if not pairs_known(fleet):
         texts.append(
             "the simulator did not follow all pairs to the end: a collision or an ellipsoid violation cannot "

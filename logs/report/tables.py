@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from flightstack.core.mission.machine import parse
-from logs.reader.fleet_messages import FleetMessages, waited_s
-from logs.reader.flight_data import Event, Fleet, Flight, Floats, Steps, Timing, phase_name
+from logs.reader.flight_data import Event, Fleet, Flight, Floats, Span, Steps, Timing, phase_name
 from logs.report.derived import (
     Errors,
     Side,
@@ -239,13 +238,13 @@ _OF_MEMBERS = {"lowest h outside the pad": 0, "touchdown error": 0, "touchdown s
                "touchdown speed, horizontal": 2, "time to land": 1}  # fmt: skip  # digits
 
 
-def members_table(sides: Sequence[Side], messages: FleetMessages, pages: Mapping[str, Path]) -> str:
+def members_table(sides: Sequence[Side], pages: Mapping[str, Path]) -> str:
     rows = []
     for side in sides:
         name, v = side.name, side.verdict
         place = html('<a href="{}">{}</a>').format(pages[name].name, name) if name in pages else name
         numbers = [_found(side, what, digits) for what, digits in _OF_MEMBERS.items()]
-        waited = number(waited_s(messages.spans[name]), 1)
+        waited = number(sum(span.end_s - span.begin_s for _, span in _waits([side])), 1)
         rows.append((place, v.outcome.value, YES_NO[v.violation], *numbers, waited, v.reason))
     head = ("vehicle", "outcome", "barrier violated", "lowest h [mm]", "error [mm]", "down [m/s]",
             "sideways [m/s]", "landed after [s]", "waited [s]", "reason")  # fmt: skip
@@ -285,25 +284,14 @@ def pairs_table(fleet: Fleet) -> str:
     return table(head, rows, numbers=range(1, 6), empty="The log has no simulator records of pairs.")
 
 
-def waits_table(words: FleetMessages) -> str:
-    spans = [(name, span) for name, each in words.spans.items() for span in each if span.waits]
+def waits_table(sides: Sequence[Side]) -> str:
+    waits = [(span.begin_s + side.offset_s, side.name, span) for side, span in _waits(sides)]
     rows = [
-        (time_link(span.begin_s, f"{span.begin_s:.2f}"), name, ", ".join(span.gives_way_to),
-         f"{span.end_s - span.begin_s:.2f}")
-        for name, span in sorted(spans, key=lambda each: each[1].begin_s)
-    ]  # fmt: skip
+        (time_link(at_s, f"{at_s:.2f}"), name, ", ".join(s.gives_way_to), f"{s.end_s - s.begin_s:.2f}")
+        for at_s, name, s in sorted(waits)
+    ]
     return table(("from [s]", "who", "for whom", "for [s]"), rows, numbers=(0, 3), empty="No member waited.")
 
 
-def messages_table(words: FleetMessages) -> str:
-    rows = []
-    for link in words.links:
-        lost = max(0, link.sent - link.used)
-        share = f"{100.0 * lost / link.sent:.1f}" if link.sent else "–"
-        silent_s = sum(until_s - begin_s for begin_s, until_s in link.silent)
-        rows.append(
-            (f"{link.sender} to {link.receiver}", str(link.sent), str(link.used), share,
-             number(link.late_max_s, 0, 1e3), number(link.gap_max_s, 0, 1e3), number(silent_s, 2))
-        )  # fmt: skip
-    head = ("from, to", "sent", "used", "not used [%]", "latest [ms]", "longest gap [ms]", "silent [s]")
-    return table(head, rows, numbers=range(1, 7), empty="The log has no messages between members.")
+def _waits(sides: Sequence[Side]) -> list[tuple[Side, Span]]:
+    return [(side, span) for side in sides for span in side.flight.spans if span.waits]
