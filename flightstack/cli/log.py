@@ -88,7 +88,7 @@ def export(
 
 @log.command()
 @arguments
-def verdict(log_file: Log, member: shared.Member = None, as_json: JsonVerdict = False) -> None:
+def verdict(log_file: Log, as_json: JsonVerdict = False) -> None:
     """Judge the flight in a LOG from the true states, or a real flight from the vehicle's own estimate.
 
     A fleet has landed when all its members have landed.
@@ -97,7 +97,7 @@ def verdict(log_file: Log, member: shared.Member = None, as_json: JsonVerdict = 
     """
     from logs.verdict.verdict import judged, result
 
-    values = result(*judged(log_file, member))
+    values = result(*judged(log_file))
     show_verdict(values, as_json=as_json)
     sys.exit(LANDED if values["outcome"] == "landed" else NOT_LANDED)
 

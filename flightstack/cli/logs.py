@@ -69,7 +69,6 @@ def record(
 @arguments
 def report(
     log: Annotated[Path, Option("LOG", exists=True)],
-    member: shared.Member = None,
     out: Annotated[Path | None, Option(
         "--out", "HTML file; default: next to the log, report.html for flight.mcap.", path="file"
     )] = None,
@@ -84,7 +83,7 @@ def report(
     from logs.report.report import write_report
     from logs.verdict.verdict import judged, result
 
-    fleet, verdict = judged(log, member)
+    fleet, verdict = judged(log)
     values = result(fleet, verdict, write_report(fleet, verdict, out))
     show_verdict(values, as_json=as_json)
     if not as_json:
@@ -101,7 +100,6 @@ def view(
     web: Annotated[
         bool, Option("--web", "Serve Rerun to a browser of this machine, instead of opening a window.")
     ] = False,
-    member: shared.Member = None,
     force: Force = False,
 ) -> None:  # fmt: skip
     """Show a LOG in Rerun: the scene in 3-D, curves and events (docs/how_to/viewing.md).
@@ -113,7 +111,7 @@ def view(
     """
     from logs.view.view import Recording, open_viewer
 
-    recording = Recording(log_file, member)
+    recording = Recording(log_file)
     if save is not None:
         with new_file(save, force=force) as part:
             recording.save(part)

@@ -80,9 +80,9 @@ def load_flight(path: Path | str, member: str | None = None) -> Flight:
     return next(iter(_read(LogFile(path, member).single()).flights.values()))
 
 
-def load_fleet(path: Path | str, member: str | None = None) -> Fleet:
-    """Read the flights of all members, or of one member, in one pass over the log."""
-    return _read(LogFile(path, member))
+def load_fleet(path: Path | str) -> Fleet:
+    """Read the flights of all members in one pass over the log."""
+    return _read(LogFile(path))
 
 
 def _read(whole: LogFile) -> Fleet:

@@ -32,7 +32,7 @@ from logs.verdict.verdict import (
     pairs_known,
 )
 
-__all__ = ["ReportError", "write_page", "write_report"]
+__all__ = ["ReportError", "write_report"]
 
 _FILES = ((ATTACHMENT, "Configuration of the onboard process"), (SCENARIO, "Scenario, whole"))
 _FAULTS = "Injected by the scenario; in the figures a red strip on top."
@@ -46,31 +46,22 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
 
     The key "" is the main page. Raises ReportError: the plotting library is not installed.
     """
-    (first, flight), *others = fleet.flights.items()
-    if not others:
-        return {"": write_page(flight, verdict.members[first], out)}
     need_libraries()
-    target = _beside(fleet.path) if out is None else out
+    target, (first, *others) = _beside(fleet.path) if out is None else out, fleet.flights
+    if not others:
+        return {"": write(target, flight_page(fleet.flights[first], verdict.members[first]))}
     members = {
         name: target.with_name(f"{target.stem}_{name.replace('/', '_')}{target.suffix}")
         for name in fleet.flights
     }
     for name, place in members.items():
-        write_page(fleet.flights[name], verdict.members[name], place, of=target.name)
+        write(place, flight_page(fleet.flights[name], verdict.members[name], target.name))
     return {"": write(target, fleet_page(fleet, verdict, members)), **members}
 
 
-def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: str | None = None) -> Path:
-    """Write the page of a flight with its verdict, by default beside its log; ``of``: page of its fleet."""
-    need_libraries()
-    of_member = f"_{flight.label.replace('/', '_')}" if flight.label else ""
-    target = out if out is not None else _beside(flight.path, of_member)
-    return write(target, flight_page(flight, verdict, of))
-
-
-def _beside(log: Path, of_member: str = "") -> Path:
+def _beside(log: Path) -> Path:
     """Return the default path of a log's page: that of ``sitl`` and ``fly``, or the log's own name."""
-    return log.with_name(f"{'report' if log.name == 'flight.mcap' else log.stem}{of_member}.html")
+    return log.with_name(f"{'report' if log.name == 'flight.mcap' else log.stem}.html")
 
 
 def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page:

@@ -39,7 +39,6 @@ import numpy as np
 from flightstack.common.text import labels, named, outline
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Bools, Fleet, Flight, Floats
-from logs.reader.reader import LogFile
 from logs.schema import FLEET, LOSSES
 from logs.schema.events import ContactBit
 from logs.schema.rows import FleetPairRow
@@ -171,15 +170,10 @@ def judge_fleet(fleet: Fleet) -> FleetVerdict:
     return fleet_verdict(members, fleet.pairs.values(), fleet.ids, complete=pairs_known(fleet))
 
 
-def judged(log: Path, member: str | None = None) -> tuple[Fleet, FleetVerdict]:
-    """Read and judge a log; a single member has the same verdict as in its fleet."""
-    LogFile(log, member)  # raises LogError if the member does not exist
+def judged(log: Path) -> tuple[Fleet, FleetVerdict]:
+    """Read and judge a log."""
     fleet = load_fleet(log)
-    verdict = judge_fleet(fleet)
-    if member is None:
-        return fleet, verdict
-    alone = replace(fleet, flights={member: fleet.flights[member]})
-    return alone, replace(verdict, members={member: verdict.members[member]})
+    return fleet, judge_fleet(fleet)
 
 
 def pairs_known(fleet: Fleet) -> bool:

@@ -61,8 +61,8 @@ _CURVES = (
 
 
 class Recording:
-    def __init__(self, log: Path, member: str | None = None) -> None:
-        self._fleet = load_fleet(log, member)
+    def __init__(self, log: Path) -> None:
+        self._fleet = load_fleet(log)
         first = next(iter(self._fleet.flights.values()))
         self.problem = "; ".join(first.damage)
         told = self._fleet.metadata.get(FLEET, run_of(first))

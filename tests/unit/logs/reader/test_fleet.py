@@ -12,7 +12,7 @@ from logs.schema import schemas
 from logs.schema.events import pack_log
 from logs.schema.rows import FleetPairRow, LogRow
 from logs.verdict.types import TRUTH, Outcome, Verdict
-from logs.verdict.verdict import fleet_verdict, judge, judge_fleet, judged, result
+from logs.verdict.verdict import fleet_verdict, judge, judge_fleet, result
 from tests.synthetic_flight import landing, write_log
 
 pytestmark = pytest.mark.xdist_group("fleet_log")
@@ -109,7 +109,7 @@ def test_one_object_has_all_members(fleet):
     told = result(read, judge_fleet(read))
     assert (told["scenario"], told["seed"], told["filter"]) == ("fleet_3", 1, "robust")
     assert list(told["vehicles"]) == list(MEMBERS)
-    assert told["vehicles"]["cf3"] == result(*judged(fleet.log, "cf3"))
+    assert told["vehicles"]["cf3"]["outcome"] == "landed"
     assert (told["collisions"], told["ellipsoid_violations"]) == (0, 0)
     assert told["ellipsoid_min"] == fleet.verdict.ellipsoid_min
 

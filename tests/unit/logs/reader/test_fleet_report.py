@@ -91,30 +91,21 @@ def test_the_page_of_all_links_those_of_the_members(told):
 
 
 @pytest.mark.xdist_group("fleet_log")
-def test_the_command_writes_all_or_one(fleet, told):
-    done = run("report", fleet.log, "--member", "cf3", "--json")
-    assert json.loads(done.stdout)["report"] == str(fleet.log.with_name("report_cf3.html"))
-    done = run("report", fleet.log, "--member", "cf4")
-    assert done.exit_code == 2
+def test_the_verdict_is_printed_with_a_line_of_each_member(fleet):
     table = run("log", "verdict", fleet.log)
     assert table.exit_code == 0
     assert "cf3: touched " in table.output
-    one = json.loads(run("log", "verdict", fleet.log, "--member", "cf3", "--json").stdout)
-    assert one == told["vehicles"]["cf3"] | {"report": None}
 
 
 @pytest.fixture(scope="module")
-def save(fleet, tmp_path_factory):
-    """Return a function that writes the recording of the fleet, or of a member, and returns its path."""
+def saved(fleet, tmp_path_factory):
+    """Return the path of the fleet's recording."""
     pytest.importorskip("rerun", reason="needs the extra [view]")  # loading takes a second
     from logs.view.view import Recording
 
-    def recorded(*member):
-        out = tmp_path_factory.mktemp("view") / "fleet.rrd"
-        Recording(fleet.log, *member).save(out)
-        return out
-
-    return recorded
+    out = tmp_path_factory.mktemp("view") / "fleet.rrd"
+    Recording(fleet.log).save(out)
+    return out
 
 
 def chunks(rrd):
@@ -140,8 +131,7 @@ def values(rrd, entity, column):
 
 @pytest.mark.xdist_group("fleet_log")
 @pytest.mark.slow
-def test_each_member_is_in_the_scene_at_its_place(fleet, save):
-    saved = save()
+def test_each_member_is_in_the_scene_at_its_place(fleet, saved):
     entities = {chunk.entity_path for chunk in chunks(saved)}
     read_log = fleet.read
     for member in MEMBERS:
@@ -159,11 +149,3 @@ def test_each_member_is_in_the_scene_at_its_place(fleet, save):
             steps.h_m.tolist(), nan_ok=True
         )
     assert not {e for e in entities if e.startswith(("/world/vehicle", "/world/target", "/safety", "/phase"))}
-
-
-@pytest.mark.xdist_group("fleet_log")
-@pytest.mark.slow
-def test_a_member_alone_is_as_a_single_flight(save):
-    entities = {chunk.entity_path for chunk in chunks(save("cf2"))}
-    assert {"/world/vehicle/body", "/safety/h/controller", "/phase", "/events", "/run"} <= entities
-    assert not {e for e in entities if "cf" in e}
