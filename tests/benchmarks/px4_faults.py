@@ -21,7 +21,6 @@ from flightstack.common.processes import Child, LaunchError
 from flightstack.config.files import path_of
 from tests.flight_suite.companion import Companion, Radio, companion
 from tests.flight_suite.room import Room, on_px4
-from tests.processes.started import StartedChild
 from tests.px4_place import PX4_PLACE, px4_place
 
 SCENARIO = "large"
@@ -101,7 +100,7 @@ def fly(place: Path, phase: str, act: Act, folder: Path) -> str:
             "--until-clients",
             "2",
         ]
-        recorder = StartedChild("record", words, folder)
+        recorder = Child("record", words, folder)
         stack.callback(recorder.end, 30.0)
         recorder.wait_ready()
         room = stack.enter_context(on_px4(folder, place, SCENARIO, 1, recorder=socket))

@@ -19,7 +19,6 @@ from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.scenarios.scenario import Scenario, load, text
-from tests.processes.started import StartedChild
 
 
 class Lost(Enum):
@@ -122,11 +121,9 @@ def simulated(folder: Path, scenario_name: str = SCENARIO) -> Iterator[Room]:
     common = ["--scenario", scenario_name, "--seed", "1", "--duration", "300"]
     try:
         words = ["--connect", target_at, "--url", "udpin:127.0.0.1:0"]
-        vehicle = StartedChild("vehicle", ["vehicle", *common, *words], folder)
+        vehicle = Child("vehicle", ["vehicle", *common, *words], folder)
         children.append(vehicle)
-        target = StartedChild(
-            "target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder
-        )
+        target = Child("target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder)
         children.append(target)
         url = vehicle.wait_ready().replace("udpin", "udpout")
         target.wait_ready()
@@ -202,7 +199,7 @@ def on_px4(
         target_at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
 
         def start(verb: str, *words: str) -> Child:
-            child = StartedChild(verb, [verb, *common, *words], folder)
+            child = Child(verb, [verb, *common, *words], folder)
             stack.callback(child.end)
             child.wait_ready()
             return child
