@@ -182,17 +182,11 @@ class Words:
     """
 
     def __init__(self, team: Scenario, seed: int) -> None:
-        link, rate_hz = team.exchange, team.rate_hz
-        silent, apart = frozenset(link.silent), frozenset(link.apart)
-        broken_tick = math.ceil(link.broken_from_s * rate_hz - 1e-9)
-        ticks = max(1, math.ceil(link.delay_s * rate_hz - 1e-9))
-        numbers = range(1, len(team.members) + 1)
-        self._ways: list[list[_Way]] = []
-        for hearer in numbers:
-            broken = {n for n in numbers if n in silent or (n in apart) != (hearer in apart)}
-            since = {n: broken_tick if n in broken else math.inf for n in numbers}
-            since[hearer] = 0  # no member receives its own messages
-            self._ways.append([_Way(seed, n, hearer, link.loss, since[n]) for n in numbers])
+        link, numbers = team.exchange, range(1, len(team.members) + 1)
+        ticks = max(1, math.ceil(link.delay_s * team.rate_hz - 1e-9))
+        self._loss = link.loss
+        # random numbers of each receiver by sender
+        self._chances = [[stream(seed_of(seed, n), f"words.{m}") for m in numbers] for n in numbers]
         self._under_way: deque[list[list[Any]]] = deque([[] for _ in numbers] for _ in range(ticks - 1))
 
     def __call__(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
@@ -200,34 +194,17 @@ class Words:
 
         ``told``: message of each member, or None.
         """
-        self._under_way.append(
-            [
-                [
-                    word
-                    for word, way in zip(told, ways, strict=True)
-                    if not way.loses(tick) and word is not None
-                ]
-                for ways in self._ways
-            ]
-        )
+        del tick
+        found: list[list[T]] = []
+        for receiver, chances in enumerate(self._chances):
+            # drawn in each tick, so that the random numbers do not depend on the messages
+            lost = [self._loss > 0.0 and chance.random() < self._loss for chance in chances]
+            lost[receiver] = True  # no member receives its own messages
+            found.append(
+                [word for word, loses in zip(told, lost, strict=True) if word is not None and not loses]
+            )
+        self._under_way.append(found)
         return self._under_way.popleft()
-
-
-class _Way:
-    """Link from one sender to one receiver; it loses random messages, and from a given tick on all."""
-
-    def __init__(self, seed: int, teller: int, hearer: int, loss: float, broken_tick: float) -> None:
-        self._loss, self._broken_tick = loss, broken_tick
-        self._chance = stream(seed_of(seed, hearer), f"words.{teller}")
-
-    def loses(self, tick: int) -> bool:
-        """Whether the message of a tick is lost.
-
-        Call it in each tick, so that the random draws do not depend on the messages.
-        """
-        if self._loss > 0.0 and self._chance.random() < self._loss:
-            return True
-        return tick >= self._broken_tick
 
 
 def warm_up_room(team: Scenario) -> None:

@@ -245,11 +245,6 @@ class ExchangeLink:
 
     delay_s: Annotated[float, span(0.0, 1.0)] = 0.0  # time from a tick to the arrival of its messages
     loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability of loss for each message and receiver
-    # numbers of members whose messages are lost from broken_from_s on
-    silent: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
-    # numbers of members that exchange messages only among themselves from broken_from_s on
-    apart: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
-    broken_from_s: Annotated[float, span(0.0, 3600.0)] = 0.0  # time from which ``silent`` and ``apart`` hold
 
 
 def apart_m(one: Line | None, other: Line | None) -> float:

@@ -14,7 +14,7 @@ from logs.verdict.types import Outcome
 from logs.verdict.verdict import FleetVerdict
 from sim.campaign.rows import judge_landing
 from sim.chance import stream
-from sim.runners.landing import land, warm_up
+from sim.runners.landing import Exchange, land, warm_up
 from sim.scenarios.scenario import Scenario, load
 from sim.scenarios.tables import ExchangeLink
 from tests.fault_grid.fleet import Way, broken
@@ -60,15 +60,15 @@ class Counts:
             self.others_violated += number != who and member.violation is not False
 
 
-def failing(whole: Scenario, kind: str, seed: int) -> tuple[Scenario, int]:
-    """Return the team of a seed, and the number of the failed member; 0: no member failed."""
+def failing(whole: Scenario, kind: str, seed: int) -> tuple[Scenario, Exchange | None, int]:
+    """Return team and messages of a seed, and the number of the failed member; 0: no member failed."""
     way = KINDS[kind]
     if way is None:
-        return replace(whole, exchange=LATE), 0
+        return replace(whole, exchange=LATE), None, 0
     chance = stream(seed, "broken")
     who = int(chance.integers(1, len(whole.members) + 1))
     at_s = round(float(chance.uniform(FROM_S, UNTIL_S)), 2)
-    return broken(whole, way, who, at_s), who
+    return *broken(whole, seed, way, who, at_s), who
 
 
 def line(kind: str, found: Counts) -> str:
@@ -102,7 +102,7 @@ def main() -> None:
     for kind in asked.only:
         found = Counts()
         for seed in range(asked.first, asked.first + asked.runs):
-            team, who = failing(whole, kind, seed)
-            found.add(judge_landing(land(team, seed)), who)
+            team, exchange, who = failing(whole, kind, seed)
+            found.add(judge_landing(land(team, seed, exchange=exchange)), who)
             gc.collect()
         print(line(kind, found), flush=True)

@@ -13,7 +13,6 @@ from sim.runners.landing import Exchange, land
 from sim.runners.room import Words
 from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import Scenario, load
-from sim.scenarios.tables import ExchangeLink
 
 WHO, LIE_M = 2, 0.5
 MOMENTS_S = {"crossing": 1.5, "approach to land": 3.6, "touchdown": 4.3}
@@ -29,40 +28,33 @@ class Way(StrEnum):
     STOPS = "its robot stops suddenly"
 
 
-def _lying(exchange: Words, from_tick: int) -> Exchange:
-    """Return a message exchange that falsifies one member's position from a tick on."""
-
-    def tell(tick: int, messages: Sequence[MemberStatus | None]) -> Sequence[Sequence[MemberStatus]]:
-        told, own = list(messages), messages[WHO - 1]
-        if tick >= from_tick and own is not None:
-            x, y, z = own.position_enu_m
-            told[WHO - 1] = own._replace(position_enu_m=(x, y + LIE_M, z))
-        return exchange(tick, told)
-
-    return tell
-
-
 def fly(way: Way, at_s: float, seed: int) -> FleetVerdict:
     """Fly one cell of the grid; return the verdict on the fleet."""
-    team, exchange = broken(load("fleet_3"), way, WHO, at_s), None
-    if way is Way.LIES:
-        exchange = _lying(Words(team, seed), round(at_s * team.rate_hz))
+    team, exchange = broken(load("fleet_3"), seed, way, WHO, at_s)
     return judge_landing(land(team, seed, exchange=exchange))
 
 
-def broken(team: Scenario, way: Way, who: int, at_s: float) -> Scenario:
-    """Return the team in which one member fails permanently."""
-    if way is Way.LIES:
-        return team
+def broken(team: Scenario, seed: int, way: Way, who: int, at_s: float) -> tuple[Scenario, Exchange]:
+    """Return the team in which one member fails permanently, and the exchange of its messages."""
     if way is Way.STOPS:
-        return _with_fault(team, who, Fault(What.ROBOT, Kind.STUCK, start_s=at_s))
-    if way is Way.CUT:
-        return replace(team, exchange=ExchangeLink(apart=(who,), broken_from_s=at_s))
-    team = replace(team, exchange=ExchangeLink(silent=(who,), broken_from_s=at_s))
-    if way is Way.SILENT:
-        return team
-    # the member's autopilot ends the flight by its fail-safe
-    return _with_fault(team, who, Fault(What.LINK_IN, Kind.OFF, start_s=at_s))
+        team = _with_fault(team, who, Fault(What.ROBOT, Kind.STUCK, start_s=at_s))
+    if way is Way.KILLED:  # the member's autopilot ends the flight by its fail-safe
+        team = _with_fault(team, who, Fault(What.LINK_IN, Kind.OFF, start_s=at_s))
+    words, from_tick = Words(team, seed), round(at_s * team.rate_hz)
+
+    def tell(tick: int, messages: Sequence[MemberStatus | None]) -> Sequence[Sequence[MemberStatus]]:
+        told, own = list(messages), messages[who - 1]
+        if way is Way.LIES and tick >= from_tick and own is not None:
+            x, y, z = own.position_enu_m
+            told[who - 1] = own._replace(position_enu_m=(x, y + LIE_M, z))
+        heard = words(tick, told)
+        if tick < from_tick or way not in (Way.KILLED, Way.SILENT, Way.CUT):
+            return heard
+        if way is Way.CUT:
+            heard[who - 1] = []
+        return [[message for message in found if message.id != who] for found in heard]
+
+    return team, tell
 
 
 def _with_fault(team: Scenario, who: int, fault: Fault) -> Scenario:
