@@ -43,6 +43,15 @@ def quaternion_from_axes(axes: tuple[float, ...]) -> tuple[float, float, float, 
     return (w, x, y, z)
 
 
+class Body(NamedTuple):
+    """True motion of the vehicle; the position is that of the centre of mass."""
+
+    position_enu_m: Vec3
+    velocity_enu_m_s: Vec3
+    quaternion: tuple[float, float, float, float]  # attitude (w, x, y, z) of body FLU in world ENU
+    angular_velocity_flu_rad_s: Vec3
+
+
 class Estimate(NamedTuple):
     """State that the simulated on-board estimator reports."""
 

@@ -30,7 +30,7 @@ from sim.autopilot.telemetry import degrees_e7
 from sim.plant.params import Params
 from sim.plant.rotors import speed_limit
 from sim.plant.sensors import Imu, MeasurementChannel, NoiseRows
-from sim.plant.states import Truth, rotation_axes
+from sim.plant.states import Body, rotation_axes
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.tables import OdometryLink, StartKind
 from sim.vehicle.physics import (
@@ -42,17 +42,6 @@ from sim.vehicle.physics import (
     push,
     surround,
 )
-
-SUPPLY_MS = 1000  # time for which random numbers are drawn in advance: at least 340, one is used every 5 ms
-
-
-class Body(NamedTuple):
-    """True state of the vehicle; the position is the position of the centre of mass."""
-
-    position_enu_m: Vec3
-    velocity_enu_m_s: Vec3
-    quaternion: tuple[float, float, float, float]  # attitude (w, x, y, z) of body FLU in world ENU
-    angular_velocity_flu_rad_s: Vec3
 
 
 @jitted
@@ -83,7 +72,7 @@ def start_position(scenario: Scenario, params: Params, pad_enu_m: Vec3) -> Vec3:
     return (pad_enu_m[0] + scenario.start.offset_m[0], pad_enu_m[1] + scenario.start.offset_m[1], z)
 
 
-class Px4Plant:
+class Px4Plant(Physics):
     """One vehicle at rest on the floor, and its deck; set ``wanted`` before ``advance``."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
@@ -92,40 +81,15 @@ class Px4Plant:
                 f"scenario {scenario.name!r}: found {len(scenario.fault)} [[fault]], allowed are none: "
                 "faults act in the simulated firmware and links; take a scenario without them"
             )
-        self._physics = physics = Physics(scenario, seed)
-        self.params, self.plant, self._world = physics.params, physics.plant, physics.world
-        self._vehicle = physics.vehicle
-        physics.record.motor_share[:] = 1.0
-        physics.ground_ms[0] = physics.since_ms[0] = 0
+        super().__init__(scenario, seed)
+        self.record.motor_share[:] = 1.0
+        self._ground_ms[0] = self._since_ms[0] = 0
         self.wanted = np.zeros(4)  # commanded rotor speeds of M1..M4, rpm
-        self._ms = self._supplied_ms = 0
         self._world.set_vehicle(start_position(scenario, self.params, self._world.deck_position))
 
-    def set_deck(
-        self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float
-    ) -> None:
-        """Set the true pose and velocity of the pad centre; it moves on an arc until the next call."""
-        self._world.set_deck(position_enu_m, yaw_rad, velocity_enu_m_s, yaw_rate_rad_s)
-
-    def advance(self, steps: int) -> None:
-        """Run ``steps`` physics steps of 1 ms."""
-        end_ms = self._ms + steps
-        while self._ms < end_ms:
-            if self._ms >= self._supplied_ms:
-                self._physics.top_up()
-                self._supplied_ms = self._ms + SUPPLY_MS
-            stop_ms = min(end_ms, self._supplied_ms)
-            fly_commanded(self._vehicle, self.wanted, self._ms, stop_ms)
-            self._ms = stop_ms
-        self._physics.judge_once_airborne(self._ms)
-
-    def body(self) -> Body:
-        b = self._physics.body()
-        return Body(b[:3], b[3:6], b[6:10], b[10:13])
-
-    def truth(self) -> Truth:
-        """Return the current true state, and extremes and contacts since the last call; reset the latter."""
-        return self._physics.truth(self._ms)
+    def _fly(self, end_ms: int) -> int:
+        fly_commanded(self.cell, self.wanted, self._ms, end_ms)
+        return end_ms
 
 
 STEP_MS = 4  # time between two IMU readings, ms

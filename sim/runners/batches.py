@@ -90,7 +90,7 @@ class Batches:
         self._objects = objects = Objects(controller)
         self._numbers = objects.numbers(strategy)
         self._cells: Any = (
-            node.vehicle.physics.vehicle, cell(self._rules), node.autopilot.flight.watches.cell,
+            node.vehicle.cell, cell(self._rules), node.autopilot.flight.watches.cell,
             objects.handle,
         )  # fmt: skip
         self._memory = objects.state, objects.spare

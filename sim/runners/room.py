@@ -34,7 +34,7 @@ from sim.plant.states import rotation_axes
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.judge import Shape, Team, overlapping
-from sim.vehicle.physics import Physics, VehicleRecord
+from sim.vehicle.physics import VehicleRecord
 from sim.vehicle.vehicle import VehicleSim
 from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 
@@ -53,17 +53,12 @@ def _feel(vehicle: Cell[VehicleRecord], jets: F64, own: int) -> None:
     feel(v.downwash, jets, own, body.position, rotation_axes(body.quaternion))
 
 
-def blow(vehicles: Sequence[Physics], jets: F64) -> None:
-    """Apply to each vehicle the current rotor jets of all others, until the next call.
-
-    ``jets``: output, the N vehicles' jets, (N, JET).
-    """
-    if len(vehicles) < 2:
-        return
-    for number, each in enumerate(vehicles):
-        _blow(each.vehicle, jets[number])
-    for number, each in enumerate(vehicles):
-        _feel(each.vehicle, jets, number)
+def blow(team: Sequence[VehicleSim], jets: F64) -> None:
+    """Apply to each vehicle the current jets (N, JET) of all other vehicles, until the next call."""
+    for number, each in enumerate(team):
+        _blow(each.cell, jets[number])
+    for number, each in enumerate(team):
+        _feel(each.cell, jets, number)
 
 
 T = TypeVar("T")
@@ -88,9 +83,8 @@ class Room:
 
     def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
         self._members, self._grid, self._feed = members, grid, feed
-        self._physics = [member.vehicle.physics for member in members]
-        self._jets = np.zeros((len(members), JET))
-        shapes = [Shape.of(each.params) for each in self._physics]
+        self._vehicles, self._jets = [member.vehicle for member in members], np.zeros((len(members), JET))
+        shapes = [Shape.of(each.params) for each in self._vehicles]
         self._both = list(combinations(members, 2))
         # all pairs, (1, 2) first; ``found`` fills in their smallest distances
         none = FleetPairRow(0, 0, 0, math.inf, math.inf, math.inf, 0, 0, NEVER)
@@ -99,7 +93,7 @@ class Room:
         self._before, self._flew = self._states(), self._flying()
         # a single vehicle has no pair, and needs no compiled code for pairs
         for one, other in overlapping(shapes, self._before[:, :3]) if self._pairs else ():
-            place = ", ".join(f"{each:.2f}" for each in members[one].vehicle.body()[:3])
+            place = ", ".join(f"{each:.2f}" for each in members[one].vehicle.body().position_enu_m)
             raise ValueError(
                 f"{members[one].name} and {members[other].name} begin inside each other, at ({place}) m; "
                 "give them other start places"
@@ -109,7 +103,8 @@ class Room:
 
     def begin(self) -> None:
         """Update the jets before a tick."""
-        blow(self._physics, self._jets)
+        if self._pairs:
+            blow(self._vehicles, self._jets)
 
     def end(self, tick: int, epoch_ns: int) -> None:
         """Evaluate a tick that all vehicles have flown; write the distances about ten times per second.
@@ -164,14 +159,12 @@ class Room:
 
     def _states(self) -> F64:
         """Return position (m) and velocity (m/s) of all vehicles, (N, 6), ENU."""
-        return np.array([member.vehicle.body()[:6] for member in self._members])
+        return np.array([np.concatenate(each.body()[:2]) for each in self._vehicles])
 
     def _flying(self) -> I64:
         """Whether each vehicle flies, (N,): motors running, off the ground and off a pad."""
-        vehicles = [member.vehicle for member in self._members]
-        return np.array(
-            [each.motors_running and not (each.on_pad or each.on_ground) for each in vehicles], "i8"
-        )
+        flies = [each.motors_running and not (each.on_pad or each.on_ground) for each in self._vehicles]
+        return np.array(flies, "i8")
 
 
 class Words:
@@ -210,9 +203,10 @@ class Words:
 def warm_up_room(team: Scenario) -> None:
     """Compile the code of the room, or load it from the cache."""
     warm_up_vehicle(team)
-    two = [VehicleSim(each, 0).physics for each in team.members[:2]]
-    blow(two, np.zeros((len(two), JET)))
-    overlapping([Shape.of(each.params) for each in two], np.zeros((len(two), 3)))
+    if len(team.members) > 1:
+        two = [VehicleSim(each, 0) for each in team.members[:2]]
+        blow(two, np.zeros((2, JET)))
+        overlapping([Shape.of(each.params) for each in two], np.zeros((2, 3)))
 
 
 class MemberWords:

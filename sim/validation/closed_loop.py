@@ -140,8 +140,9 @@ def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int
         if k > start:
             vehicle.advance(int(times_ms[k] - times_ms[k - 1]))
         body = vehicle.body()
-        track.position_m[k] = body[:3]
-        track.up[k] = 1.0 - 2.0 * (body[7] * body[7] + body[8] * body[8])
+        _, x, y, _ = body.quaternion
+        track.position_m[k] = body.position_enu_m
+        track.up[k] = 1.0 - 2.0 * (x * x + y * y)
         track.duty[k] = vehicle.duty
         track.battery_v[k] = vehicle.battery_v
     track.position_m[:, 2] -= up

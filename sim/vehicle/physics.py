@@ -7,13 +7,15 @@ numbers in advance and applies faults.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 
 import numpy as np
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Cell, Motors, Record, Values, Vector, cell, new, reader, scalars
+from flightstack.compiled.records import F64, Cell, Motors, Record, Vector, cell, new, reader, scalars
 from flightstack.core.numeric import numeric, twin, wrapped
 from flightstack.core.safety.barrier import barrier_h
+from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
 from sim.firmware.estimator import predict
 from sim.firmware.stack import FirmwareRecord, control, listen, oversee, running
@@ -29,7 +31,8 @@ from sim.plant.air import (
     set_up_downwash,
     vary,
 )
-from sim.plant.params import STEP_S, Body, Params, Plant, able_to_hover, load
+from sim.plant.params import STEP_S, Params, Plant, able_to_hover, load
+from sim.plant.params import Body as BodyParams
 from sim.plant.rotors import (
     BatteryModel,
     BatteryRecord,
@@ -44,7 +47,7 @@ from sim.plant.rotors import (
     turn_rotors,
 )
 from sim.plant.sensors import ImuRecord, measure
-from sim.plant.states import TRUTH, Truth, rotation_axes, truth_of
+from sim.plant.states import TRUTH, Body, Truth, rotation_axes, truth_of
 from sim.robot import TargetModel
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.judge import GAP_MS, NONE_MS, ContactRecord, JudgeRecord, judge, note_contact
@@ -67,7 +70,7 @@ class DragRecord(Record):
     weight: float  # weight of the vehicle, N
 
 
-def set_up_drag(drag: DragRecord, body: Body, weight_n: float) -> None:
+def set_up_drag(drag: DragRecord, body: BodyParams, weight_n: float) -> None:
     drag.xy, drag.along, drag.weight = body.drag_n_s_m[0], body.drag_n_s_m[2] - body.drag_n_s_m[0], weight_n
     drag.moment, drag.damping = body.drag_above_com_m * body.drag_n_s_m[0], body.rate_damping_n_m_s
 
@@ -187,8 +190,8 @@ def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
 
 
 AIRBORNE_AFTER_MS = 200  # time without contact after which the vehicle counts as airborne
+SUPPLY_MS = 320  # time for which random numbers are drawn in advance: the IMU uses six every 2 ms
 TUMBLED = ContactBit.TUMBLED.value
-_VEHICLE = ContactBit.VEHICLE.value
 
 
 @numeric
@@ -235,8 +238,8 @@ def read_truth(vehicle: Cell[VehicleRecord], now_ms: int, row: F64) -> None:
     write_truth(vehicle[0], now_ms, row)
 
 
-class Physics:
-    """Body and surroundings of one vehicle; times are simulated times in ms.
+class Physics(ABC):
+    """Body and surroundings of one vehicle, and their simulated time.
 
     ``params``: replaces the vehicle file's parameters; ``plant``: replaces the plant drawn from the seed.
     """
@@ -250,76 +253,87 @@ class Physics:
             plant = able_to_hover(plant, params, reserve) if reserve > 0.0 else plant
         self.plant = plant  # ratios of this vehicle's true parameters to the nominal parameters
         mass_kg = params.body.mass_kg * plant.mass
-        self.weight_n = mass_kg * params.contact.gravity_m_s2
-        # record: state of the 1 ms steps, one contiguous array; vehicle: the same array for compiled code
+        self._weight_n = mass_kg * params.contact.gravity_m_s2
+        # record: state of the 1 ms steps, one contiguous array; cell: the same array for compiled code
         self.record = r = new(VehicleRecord)
-        self.vehicle = cell(r)
+        self.cell = cell(r)
+        self._ms = self._supplied_ms = 0  # simulated time; time up to which random numbers are drawn
         # each of these objects stores its state in its part of ``record``
-        self.world = World(params, mass_kg, scenario.target, r.world)
-        self.rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
+        self._world = World(params, mass_kg, scenario.target, r.world)
+        self._rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
         pad_radius = scenario.target.pad_radius_m
         set_up_ground(r.ground, params.rotor, scenario.vehicle.ground_effect_gain, pad_radius)
         # rotor speed in hover without wind, rpm
-        self.hover_rpm = params.rotor.rpm(self.weight_n / 4.0 / plant.thrust)
-        self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery, plant.battery_charge)
-        self.wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
+        self._hover_rpm = params.rotor.rpm(self._weight_n / 4.0 / plant.thrust)
+        self._battery = BatteryModel(params.battery, self._hover_rpm, r.battery, plant.battery_charge)
+        self._wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
         shape, step_s = params.torque_noise, WIND_EVERY_MS * STEP_S
         self._torque_noise = CorrelatedNoise(
             shape.rms_n_m, shape.time_s, seed, "torque.noise", step_s, r.torque_noise
         )
-        set_up_drag(r.drag, params.body, self.weight_n)
+        set_up_drag(r.drag, params.body, self._weight_n)
         set_up_downwash(r.downwash, params.body, params.rotor, params.geometry)
-        self.barrier = judge = scenario.judged_by
+        self._barrier = judge = scenario.judged_by
         cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
-        # arrays with one element: start of the current contact, last contact with pad and with floor
-        self.since_ms, self.pad_ms, self.ground_ms = scalars(r.contact, "since_ms", "pad_ms", "ground_ms")
-        # arrays with one element: first touch, whether touches count, contact bits
-        self._touch_ms, self.judging, self._contacts = scalars(r.contact, "touch_ms", "judging", "bits")
-        for times in (self.since_ms, self.pad_ms, self.ground_ms, self._touch_ms):
-            times[0] = NONE_MS
+        r.contact.since_ms = r.contact.pad_ms = r.contact.ground_ms = r.contact.touch_ms = NONE_MS
+        # arrays with one element
+        self._since_ms, self._pad_ms, self._ground_ms, self._judging = scalars(
+            r.contact, "since_ms", "pad_ms", "ground_ms", "judging"
+        )
         self._read_body, self._row = reader(r.world.body), np.empty(TRUTH)
         self._read_row = reader(self._row)
         target = TargetModel(scenario.target, seed)
         pose = target.pose
-        self.world.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
+        self.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
 
-    def top_up(self) -> None:
-        """Draw the random numbers of wind and torque noise for at least 340 steps of each."""
-        self.wind.top_up()
+    def set_deck(
+        self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float
+    ) -> None:
+        """Set the true pose and velocity of the pad centre; it moves on an arc until the next call."""
+        self._world.set_deck(position_enu_m, yaw_rad, velocity_enu_m_s, yaw_rate_rad_s)
+
+    def advance(self, steps: int) -> None:
+        """Run ``steps`` physics steps of 1 ms."""
+        end_ms = self._ms + steps
+        while self._ms < end_ms:
+            if self._ms >= self._supplied_ms:
+                self._supplied_ms = self._supply()
+            self._ms = self._fly(min(end_ms, self._supplied_ms))
+        if not self._judging[0] and self.airborne:
+            self._judging[0] = True
+
+    def _supply(self) -> int:
+        """Draw random numbers in advance for the compiled code; return until when they suffice, ms."""
+        self._wind.top_up()
         self._torque_noise.top_up()
+        return self._ms + SUPPLY_MS
 
-    def on_pad(self, now_ms: int) -> bool:
+    @abstractmethod
+    def _fly(self, end_ms: int) -> int:
+        """Run steps up to ``end_ms`` or less; return the time that is reached, ms."""
+
+    @property
+    def on_pad(self) -> bool:
         """Whether the vehicle touches the pad's top; a gap below 30 ms does not end the contact."""
-        return bool(now_ms - self.pad_ms[0] <= GAP_MS)
+        return bool(self._ms - self._pad_ms[0] <= GAP_MS)
 
-    def on_ground(self, now_ms: int) -> bool:
+    @property
+    def on_ground(self) -> bool:
         """Whether the vehicle touches the floor."""
-        return bool(now_ms - self.ground_ms[0] <= GAP_MS)
+        return bool(self._ms - self._ground_ms[0] <= GAP_MS)
 
-    def judge_from_here(self) -> None:
-        """Start the judged part of the flight and clear earlier contacts."""
-        self.judging[0] = True
-        self._touch_ms[0] = NONE_MS
-
-    def airborne(self, now_ms: int) -> bool:
+    @property
+    def airborne(self) -> bool:
         """Whether the vehicle has been without contact for ``AIRBORNE_AFTER_MS``."""
-        return bool(now_ms - max(self.pad_ms[0], self.ground_ms[0]) > AIRBORNE_AFTER_MS)
+        return bool(self._ms - max(self._pad_ms[0], self._ground_ms[0]) > AIRBORNE_AFTER_MS)
 
-    def judge_once_airborne(self, now_ms: int) -> None:
-        """Start the judged part of the flight once the vehicle has taken off."""
-        if not self.judging[0] and self.airborne(now_ms):
-            self.judging[0] = True
+    def body(self) -> Body:
+        """Return the current true motion."""
+        b = self._read_body()
+        return Body(b[:3], b[3:6], b[6:10], b[10:])
 
-    def collide(self) -> None:
-        """Record a collision with another vehicle."""
-        self._contacts[0] |= _VEHICLE
-
-    def body(self) -> Values:
-        """Position (3), velocity (3), quaternion (4, w first) and angular velocity (3), in record order."""
-        return self._read_body()
-
-    def truth(self, now_ms: int) -> Truth:
+    def truth(self) -> Truth:
         """Return the current true state, and extremes and contacts since the last call."""
-        read_truth(self.vehicle, now_ms, self._row)
+        read_truth(self.cell, self._ms, self._row)
         found = truth_of(self._read_row())
         return found._replace(contacts=int(found.contacts), motors_running=found.motors_running != 0.0)

@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 
 from flightstack.compiled.jit import is_kept, is_off, keep, telling
-from flightstack.compiled.records import Values, reader, scalars
+from flightstack.compiled.records import reader, scalars
 from flightstack.core.types import ZERO, Vec3
+from logs.schema.events import ContactBit
 from sim.chance import stream
 from sim.faults.vehicle_faults import BatteryFaults, Faults, MotorFaults
 from sim.firmware.geometric import axes_from_force
@@ -19,57 +20,53 @@ from sim.firmware.stack import Firmware
 from sim.firmware.supervisor import PERIOD_MS, STATES, State
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
 from sim.plant.sensors import NS_PER_MS, Imu, ms_from
-from sim.plant.states import Estimate, Truth, quaternion_from_axes, rotation_axes
+from sim.plant.states import Estimate, quaternion_from_axes, rotation_axes
 from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.tables import StartKind
+from sim.vehicle.judge import NONE_MS
 from sim.vehicle.mocap import MocapTape
 from sim.vehicle.physics import Physics, fly
 
 LANDED_AFTER_MS = 150  # time of contact after which the vehicle counts as landed
 _KEPT = "vehicle"  # name of the compiled flight code in the cache folder
 WARM_UP_MS = 100  # simulated time in which every firmware loop runs and motion capture arrives
-SUPPLY_MS = 320  # time for which IMU noise is drawn in advance; it has six values every 2 ms
 _STATE_TEXTS = tuple(str(state.value) for state in STATES)
+_COLLISION = ContactBit.VEHICLE.value
 _BROKEN = tuple(Fault(What.MOTOR, Kind.DEAD, motor=motor) for motor in range(1, 5))
 _LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
 
 
-class VehicleSim:
-    """One vehicle and its deck; ``params`` replaces the vehicle's file, ``plant`` the random plant."""
+class VehicleSim(Physics):
+    """One vehicle with its firmware, and its deck; arguments as for ``Physics``."""
 
     def __init__(
         self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None
     ) -> None:
-        self._physics = physics = Physics(scenario, seed, params, plant)
-        r, self._vehicle, self._world = physics.record, physics.vehicle, physics.world
-        # ratios of this vehicle's true parameters to the nominal parameters
-        self._params, self.plant, self._rotors = physics.params, physics.plant, physics.rotors
-        self._battery, self._wind = physics.battery, physics.wind
-        params = self._params
+        super().__init__(scenario, seed, params, plant)
+        r, params = self.record, self.params
         self._gravity = params.contact.gravity_m_s2
         self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed, r.imu)
         spec = scenario.vehicle
         self._firmware = Firmware(spec, params, r.firmware)
         self._newest_estimate = self._firmware.estimator.estimate
         self._mocap = MocapTape(spec.mocap, seed, r.mocap, r.world.body, spec.own)
-        motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, physics.hover_rpm)
+        motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, self._hover_rpm)
         # the owner of the MAVLink connection uses ``faults.link``
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
-        self._ms = self._supplied_ms = 0
         self._allowed, self._state = scalars(r.firmware.supervisor, "motors_allowed", "state")
         self._read_commands = reader(r.firmware.commands)
         # set-point that holds the hover at the start against weight and mean wind; zero for other starts
         self.trim_velocity_enu_m_s: Vec3 = ZERO
         # part of the radio's delay that is already simulated when a set-point is sent, ms
         self.sent_before_ms = 0
-        physics.judging[0] = scenario.start.kind is StartKind.HOVER
+        self._judging[0] = scenario.start.kind is StartKind.HOVER
         if scenario.start.kind is StartKind.HOVER:
             self._start_hover(scenario, seed)
         else:
             x, y = scenario.start.ground_position_m
             self._world.set_vehicle((x, y, -params.geometry.foot_bottom_m - 1e-5))
-            physics.ground_ms[0], physics.since_ms[0] = 0, -LANDED_AFTER_MS
+            self._ground_ms[0], self._since_ms[0] = 0, -LANDED_AFTER_MS
         self._settle()
 
     def _start_hover(self, scenario: Scenario, seed: int) -> None:
@@ -78,21 +75,21 @@ class VehicleSim:
         deck = self._world.deck_position
         position = (deck[0] + offset[0], deck[1] + offset[1], deck[2] + offset[2])
         wx, wy, wz = self._wind.mean_enu_m_s
-        drag_xy, _, drag_z = self._params.body.drag_n_s_m
+        drag_xy, _, drag_z = self.params.body.drag_n_s_m
         zx, zy, zz = 0.0, 0.0, 1.0
         fx = fy = fz = 0.0
         for _ in range(20):  # fixed-point iteration: drag depends on the tilt, the tilt on the drag
             along = (drag_z - drag_xy) * (wx * zx + wy * zy + wz * zz)
             fx, fy = -drag_xy * wx - along * zx, -drag_xy * wy - along * zy
-            fz = self._physics.weight_n - drag_xy * wz - along * zz
+            fz = self._weight_n - drag_xy * wz - along * zz
             length = math.sqrt(fx * fx + fy * fy + fz * fz)
             zx, zy, zz = fx / length, fy / length, fz / length
         self._world.set_vehicle(position, quaternion_from_axes(axes_from_force(fx, fy, fz, 1.0, 0.0)))
         m1, m2, m3, m4 = (
-            self._params.rotor.rpm(length / 4.0 / self.plant.thrust / share) for share in self.plant.motors
+            self.params.rotor.rpm(length / 4.0 / self.plant.thrust / share) for share in self.plant.motors
         )
         self._rotors.rpm = (m1, m2, m3, m4)
-        if self._params.rotor.volt_map is not None:
+        if self.params.rotor.volt_map is not None:
             self._battery.load(self._rotors.rpm)  # the first command depends on the voltage
         self._firmware.commands = self._rotors.rpm
         scale = self.plant.thrust
@@ -105,7 +102,7 @@ class VehicleSim:
         rng = stream(seed, "start")
         distance = rng.uniform(*scenario.start.distance_m)
         bearing = rng.uniform(-math.pi, math.pi)
-        height = rng.uniform(*scenario.start.h_m) + self._physics.barrier.height(distance)
+        height = rng.uniform(*scenario.start.h_m) + self._barrier.height(distance)
         return (distance * math.cos(bearing), distance * math.sin(bearing), height)
 
     def _settle(self) -> None:
@@ -117,41 +114,26 @@ class VehicleSim:
         bias = self._imu.accel_bias
         self._firmware.estimator.settle(world.position, world.velocity, axes, world.quaternion, bias)
 
-    def set_deck(
-        self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float
-    ) -> None:
-        """Set the true pose and velocity of the pad centre; it moves on an arc until the next call."""
-        self._world.set_deck(position_enu_m, yaw_rad, velocity_enu_m_s, yaw_rate_rad_s)
-
-    def advance(self, steps: int) -> None:
-        """Run ``steps`` physics steps of 1 ms."""
-        end_ms = self._ms + steps
-        while self._ms < end_ms:
-            if self._ms >= self._supplied_ms:
-                self._supply()
-            stop_ms = min(end_ms, self._supplied_ms)
-            if not self.faults.quiet:
-                stop_ms = min(stop_ms, self._fail())
-            fly(self._vehicle, self._ms, stop_ms)
-            self._ms = stop_ms
-        self._physics.judge_once_airborne(self._ms)
+    def _fly(self, end_ms: int) -> int:
+        if not self.faults.quiet:
+            end_ms = min(end_ms, self._fail())
+        fly(self.cell, self._ms, end_ms)
+        return end_ms
 
     def supplied_until(self, end_ms: int) -> bool:
         """Draw random numbers up to ``end_ms``; return False if this is not possible."""
         if end_ms > self._supplied_ms:
-            self._supply()
+            self._supplied_ms = self._supply()
         return end_ms <= self._supplied_ms
 
     def flown(self, now_ms: int) -> None:
         """Update this object after another function has called ``fly``."""
         self._ms = now_ms
 
-    def _supply(self) -> None:
-        """Draw random numbers in advance for the compiled code."""
+    def _supply(self) -> int:
         self._imu.top_up()
-        self._physics.top_up()
         self._mocap.top_up()
-        self._supplied_ms = min(self._ms + SUPPLY_MS, self._mocap.drawn_until_ms)
+        return min(super()._supply(), self._mocap.drawn_until_ms)
 
     def _fail(self) -> int:
         """Start and end faults, and apply the faults of vehicle state and motion capture.
@@ -160,7 +142,7 @@ class VehicleSim:
         """
         faults, mocap, now_ms = self.faults, self._mocap, self._ms
         now_ns = now_ms * NS_PER_MS
-        if now_ms % PERIOD_MS == 0 and faults.waits_for_takeoff and self._physics.airborne(now_ms):
+        if now_ms % PERIOD_MS == 0 and faults.waits_for_takeoff and self.airborne:
             faults.took_off(now_ns)
         if now_ns >= faults.next_ns:
             faults.run(now_ns)
@@ -180,7 +162,7 @@ class VehicleSim:
 
     def collide(self) -> None:
         """Simulate a collision with another vehicle: the propellers break, and no motor has thrust."""
-        self._physics.collide()
+        self.record.contact.bits |= _COLLISION
         self.faults.fail(_BROKEN, self._ms * NS_PER_MS)
 
     def arm(self) -> str | None:
@@ -236,12 +218,7 @@ class VehicleSim:
 
     def begin_judging(self) -> None:
         """Start the judged part of the flight: the next touch of the pad counts as the first touch."""
-        self._physics.judge_from_here()
-
-    @property
-    def physics(self) -> Physics:
-        """Body and surroundings, for a world with several vehicles."""
-        return self._physics
+        self._judging[0], self.record.contact.touch_ms = True, NONE_MS
 
     @property
     def time_s(self) -> float:
@@ -298,24 +275,10 @@ class VehicleSim:
         )
         return (m1, m2, m3, m4)
 
-    def body(self) -> Values:
-        """True position (3), velocity (3), quaternion (4, w first) and angular velocity (3)."""
-        return self._physics.body()
-
-    @property
-    def on_pad(self) -> bool:
-        """Whether the vehicle touches the pad's top; a gap below 30 ms does not end the contact."""
-        return self._physics.on_pad(self._ms)
-
-    @property
-    def on_ground(self) -> bool:
-        """Whether the vehicle touches the floor."""
-        return self._physics.on_ground(self._ms)
-
     @property
     def landed(self) -> bool:
         """Whether the vehicle has touched pad or floor for 0.15 s."""
-        lasts: bool = self._ms - self._physics.since_ms[0] >= LANDED_AFTER_MS
+        lasts: bool = self._ms - self._since_ms[0] >= LANDED_AFTER_MS
         return lasts and (self.on_pad or self.on_ground)
 
     def estimate(self) -> Estimate:
@@ -324,10 +287,6 @@ class VehicleSim:
         if self.faults.quiet:
             return newest
         return self.faults.own_state.report(self._ms * NS_PER_MS, newest)
-
-    def truth(self) -> Truth:
-        """Return the current true state, and extremes and contacts since the last call."""
-        return self._physics.truth(self._ms)
 
 
 def warm_up(scenario: Scenario) -> None:

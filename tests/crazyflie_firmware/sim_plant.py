@@ -50,11 +50,11 @@ class SimPlant:
 
     @property
     def position(self):
-        return self.vehicle.body()[:3]
+        return self.vehicle.body().position_enu_m
 
     @property
     def true_quaternion(self):
-        return self.vehicle.body()[6:10]
+        return self.vehicle.body().quaternion
 
     @property
     def estimate(self):

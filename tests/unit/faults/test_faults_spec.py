@@ -147,7 +147,7 @@ def test_motors_are_counted_from_one_and_zero_is_all():
     assert texts(sim) == ["Fault: motor 1 dead", "Fault: motor 2 dead", "Fault: motor 4 dead"]
     assert sim.inject_failure(MOTOR, OK, 2) is None
     assert texts(sim) == ["Fault over: motor 2 dead"]
-    assert sim._vehicle[0].motor_share.tolist() == [0.0, 1.0, 0.0, 0.0]
+    assert sim.cell[0].motor_share.tolist() == [0.0, 1.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(

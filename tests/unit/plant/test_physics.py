@@ -33,7 +33,7 @@ class FreePlant:
     def __init__(self, slow=False, **parts):
         self.sim = quiet_vehicle(slow, **parts)
         # parameters of the vehicle; drag, rotor maps etc. may be changed before the first step
-        self.record = self.sim._vehicle[0]
+        self.record = self.sim.cell[0]
         self.place()
         self.rotors(0.0)
 

@@ -44,7 +44,7 @@ def recorded(plant: Plant, by_mellinger=False):
         if tick >= GROUND_TICKS:
             sim.set_position(setpoint(tick), 0.0)
         sim.advance(10)
-        bodies.append(sim.body())
+        bodies.append(np.concatenate(sim.body()))
         duties.append(sim.duty)
         volts.append(sim.battery_v)
         setpoints.append(setpoint(tick) if tick >= GROUND_TICKS else (0.0, 0.0, 0.0))

@@ -131,13 +131,13 @@ def test_a_moving_set_point_is_followed_half_a_second_late(by_mellinger):
         sim.choose_mellinger()
     sim.advance(100)
     assert sim.arm() is None
-    x0, y0, _ = sim.body()[:3]
+    x0, y0, _ = sim.body().position_enu_m
     lags = []
     for tick in range(600):
         x = RAMP_M_S * max(0.0, tick - 400) / 100.0
         sim.set_position((x0 + x, y0, 1.0), 0.0)
         sim.advance(10)
-        lags.append(x0 + x - sim.body()[0])
-    assert sim.body()[2] == pytest.approx(1.0, abs=0.2)
-    assert sim.body()[1] == pytest.approx(y0, abs=0.05)
+        lags.append(x0 + x - sim.body().position_enu_m[0])
+    assert sim.body().position_enu_m[2] == pytest.approx(1.0, abs=0.2)
+    assert sim.body().position_enu_m[1] == pytest.approx(y0, abs=0.05)
     assert np.mean(lags[-60:]) / RAMP_M_S == pytest.approx(0.5, abs=0.08)
