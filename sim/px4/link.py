@@ -1,4 +1,4 @@
-"""TCP server of PX4's simulator; it accepts one PX4 at a time."""
+"""TCP connection to one PX4, over which the simulator exchanges MAVLink messages with it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import re
 import select
 import socket
-import struct
 from collections.abc import Iterable, Sequence
 from ipaddress import IPv4Address
 
@@ -42,17 +41,12 @@ def parse_endpoint(text: str, *, allow_unsigned: bool) -> tuple[str, int]:
     return host, port
 
 
-def _timeval(seconds: float) -> bytes:
-    return struct.pack("ll", int(seconds), round(seconds % 1.0 * 1e6))
-
-
 class Px4Link:
+    """A connection that PX4 has opened."""
+
     def __init__(self, connected: socket.socket) -> None:
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # The operating system's time-outs are used, because Python's need two system calls per message.
-        connected.settimeout(None)
-        connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(_SEND_MAX_S))
-        connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(SLICE_S))
+        connected.settimeout(_SEND_MAX_S)
         self._socket = connected
         # pymavlink's parser suffices: TCP loses and damages no bytes, and PX4 is the only sender
         self._mav = dialect.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
@@ -71,13 +65,11 @@ class Px4Link:
             raise LinkClosedError(f"sending to PX4 failed: {error}") from error
 
     def receive(self, timeout_s: float) -> Sequence[Message]:
-        """Return the messages, of MAVLink 1 and 2, received within ``timeout_s``, at most ``SLICE_S``."""
-        if timeout_s < SLICE_S and not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:
+        """Return the messages received within ``timeout_s``, at most ``SLICE_S``."""
+        if not select.select([self._socket], [], [], max(0.0, min(timeout_s, SLICE_S)))[0]:
             return ()
         try:
             data = self._socket.recv(_CHUNK)
-        except BlockingIOError:  # time-out without data
-            return ()
         except OSError as error:
             raise LinkClosedError(f"receiving from PX4 failed: {error}") from error
         if not data:
@@ -89,31 +81,4 @@ class Px4Link:
     def close(self) -> None:
         with contextlib.suppress(OSError):  # PX4 may already have closed the connection
             self._socket.shutdown(socket.SHUT_RDWR)
-        self._socket.close()
-
-
-class Px4Server:
-    def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._socket.bind((host, port))
-            self._socket.listen(1)  # a second PX4 waits until the first disconnects
-        except OSError as error:
-            self._socket.close()
-            raise OSError(
-                f"cannot listen on {host}:{port}: {error.strerror}; is another simulator running there?"
-            ) from error
-
-    @property
-    def port(self) -> int:
-        return int(self._socket.getsockname()[1])
-
-    def accept(self) -> Px4Link | None:
-        """Return the next connection; None: no PX4 has connected within ``SLICE_S``."""
-        if not select.select([self._socket], [], [], SLICE_S)[0]:
-            return None
-        return Px4Link(self._socket.accept()[0])
-
-    def close(self) -> None:
         self._socket.close()

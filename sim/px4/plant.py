@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.frames import body_from_world, frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from bridge.frames import body_from_world, frd_from_flu, ned_from_enu
 from bridge.mavlink.codec.messages import Message
 from bridge.mocap.checks import Passed
 from bridge.mocap.process import odometry
@@ -114,33 +113,15 @@ GPS_NOISE_M_S = (0.03, 0.03, 0.05)
 ACCEL_MAX_M_S2 = 156.8  # range of 16 g, stored as a 16 bit number in PX4 (SimulatorMavlink.cpp)
 GYRO_MAX_RAD_S = math.radians(1999.9)  # range of 2000 deg/s, stored as a 16 bit number in PX4
 
+SYSTEM_ID, COMPONENT_ID = 1, 200  # ids of the simulator; PX4 ignores both
 
-@dataclass(frozen=True, slots=True)
-class Slow:
-    """Readings of the slow sensors, magnetometer and barometer."""
+# bits of HIL_SENSOR.fields_updated; PX4 requires each group as a whole (SimulatorMavlink.hpp, SensorSource)
+ACCEL, GYRO, MAG, BARO = 0b111, 0b111000, 0b111000000, 0b1101000000000
 
-    mag_frd_gauss: Vec3
-    pressure_hpa: float
-    pressure_altitude_m: float
-    temperature_c: float
-
-
-@dataclass(frozen=True, slots=True)
-class Fix:
-    latitude_e7: int
-    longitude_e7: int
-    altitude_amsl_m: float
-    velocity_ned_m_s: Vec3
-
-
-@dataclass(frozen=True, slots=True)
-class Readings:
-    """New values at one IMU reading; None for a sensor without a new value."""
-
-    accel_frd_m_s2: Vec3
-    gyro_frd_rad_s: Vec3
-    slow: Slow | None
-    fix: Fix | None
+_EPH_CM, _EPV_CM, _SATELLITES = 2, 4, 20
+_INT16 = 32767
+_COG_UNKNOWN = 65535
+_COG_MIN_M_S = 0.2  # speed below which the course over ground is noise
 
 
 def field_ned_gauss() -> Vec3:
@@ -178,9 +159,12 @@ def _within(v: Vec3, limit: float) -> Vec3:
 
 
 class Px4Sensors:
-    """All sensors of one vehicle, which starts at rest; call ``read`` every ``STEP_MS``."""
+    """All sensors of one vehicle, which starts at rest; call ``read`` every ``STEP_MS``.
 
-    def __init__(self, params: Params, body: Body, seed: int) -> None:
+    ``mocap``: link of the motion capture that replaces satellites; None: satellites.
+    """
+
+    def __init__(self, params: Params, body: Body, seed: int, mocap: OdometryLink | None = None) -> None:
         raw = replace(params.imu, gyro_filter_hz=math.inf, accel_filter_hz=math.inf)
         gravity = params.contact.gravity_m_s2
         self._imu = Imu(raw, gravity, STEP_MS * 1e-3, seed)
@@ -188,36 +172,57 @@ class Px4Sensors:
         self._mag = NoiseRows((MAG_NOISE_GAUSS,) * 3, seed, "px4.mag")
         self._baro = NoiseRows((BARO_NOISE_HPA,), seed, "px4.baro")
         self._gps = NoiseRows((*GPS_NOISE_M, *GPS_NOISE_M_S), seed, "px4.gps")
+        self._poses = Px4Mocap(mocap, seed) if mocap is not None else None
         self._count = 0
 
-    def read(self, body: Body) -> Readings:
-        """Return the readings that are due now."""
-        count = self._count
+    def read(self, body: Body, now_us: int) -> list[Message]:
+        """Return the readings that are due now; HIL_SENSOR is the last, because it advances PX4's clock.
+
+        ``now_us``: PX4's clock.
+        """
+        count, messages = self._count, []
         self._count += 1
+        if self._poses is not None:
+            messages = self._poses.poll(body, count * STEP_MS * 1_000_000, now_us)
+        elif count % GPS_EVERY == GPS_EVERY - 1:  # PX4's clock runs by then
+            messages = [self._fix(body, now_us)]
         self._imu.measure(
             body.velocity_enu_m_s, body.angular_velocity_flu_rad_s, rotation_axes(body.quaternion)
         )
-        return Readings(
-            _within(frd_from_flu(self._imu.accel), ACCEL_MAX_M_S2),
-            _within(frd_from_flu(self._imu.gyro), GYRO_MAX_RAD_S),
-            self._read_slow(body) if count % SLOW_EVERY == 0 else None,
-            self._read_gps(body) if count % GPS_EVERY == GPS_EVERY - 1 else None,  # PX4's clock runs by then
-        )
+        accel = _within(frd_from_flu(self._imu.accel), ACCEL_MAX_M_S2)
+        gyro = _within(frd_from_flu(self._imu.gyro), GYRO_MAX_RAD_S)
+        fields: int = ACCEL | GYRO
+        slow: tuple[float, ...] = (0.0,) * 7
+        if count % SLOW_EVERY == 0:
+            fields, slow = fields | MAG | BARO, self._slow(body)
+        return [*messages, dialect.MAVLink_hil_sensor_message(now_us, *accel, *gyro, *slow, fields)]
 
-    def _read_slow(self, body: Body) -> Slow:
+    def _slow(self, body: Body) -> tuple[float, ...]:
+        """Return magnetic field (3, G), pressure and its difference (hPa), altitude (m), temperature (C)."""
         x, y, z = frd_from_flu(body_from_world(body.quaternion, _FIELD_ENU))
         nx, ny, nz = self._mag.take()
         height = body.position_enu_m[2]
         hpa = pressure_hpa(height) + self._baro.take()[0]
         temperature_c = temperature_k(height) - ZERO_CELSIUS_K
-        return Slow((x + nx, y + ny, z + nz), hpa, pressure_altitude_m(hpa), temperature_c)
+        return x + nx, y + ny, z + nz, hpa, 0.0, pressure_altitude_m(hpa), temperature_c
 
-    def _read_gps(self, body: Body) -> Fix:
+    def _fix(self, body: Body, now_us: int) -> Message:
         nx, ny, nz, nu, nv, nw = self._gps.take()
         x, y, z = body.position_enu_m
         vx, vy, vz = body.velocity_enu_m_s
-        latitude, longitude = degrees_e7(x + nx, y + ny)
-        return Fix(latitude, longitude, z + nz, ned_from_enu((vx + nu, vy + nv, vz + nw)))
+        north, east, down = ned_from_enu((vx + nu, vy + nv, vz + nw))
+        speed = math.hypot(north, east)
+        course = round(math.degrees(math.atan2(east, north)) % 360.0 * 100.0) % 36000
+        return dialect.MAVLink_hil_gps_message(
+            now_us, dialect.GPS_FIX_TYPE_RTK_FIXED, *degrees_e7(x + nx, y + ny), round((z + nz) * 1e3),
+            _EPH_CM, _EPV_CM, min(65534, round(speed * 100.0)), *map(_cm_s, (north, east, down)),
+            course if speed > _COG_MIN_M_S else _COG_UNKNOWN, _SATELLITES,
+        )  # fmt: skip
+
+
+def _cm_s(speed_m_s: float) -> int:
+    """Convert a speed to cm/s, limited to 16 bits."""
+    return max(-_INT16, min(_INT16, round(speed_m_s * 100.0)))
 
 
 RATE_MAX_HZ = 50.0  # maximum rate of poses, Hz; equal to the mocap bridge's
@@ -254,72 +259,3 @@ class Px4Mocap:
         attitude = (c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w)
         pose = Pose(now_us * 1000, "", (x, y, z), attitude, self._covariance)
         return odometry(Passed(pose, now_us * 1e-6, 0), now_us)
-
-
-SYSTEM_ID, COMPONENT_ID = 1, 200  # ids of the simulator; PX4 ignores both
-
-# bits of HIL_SENSOR.fields_updated; PX4 requires each group as a whole (SimulatorMavlink.hpp, SensorSource)
-ACCEL, GYRO, MAG, BARO = 0b111, 0b111000, 0b111000000, 0b1101000000000
-
-HIL_STATE_QUATERNION = 115
-_ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
-_LOCKSTEP = 1  # bit of HIL_ACTUATOR_CONTROLS.flags that shows lockstep
-_EPH_CM, _EPV_CM, _SATELLITES = 2, 4, 20
-_INT16 = 32767
-_COG_UNKNOWN = 65535
-_COG_MIN_M_S = 0.2  # speed below which the course over ground is noise
-
-
-class Answer(NamedTuple):
-    """Content of one HIL_ACTUATOR_CONTROLS message."""
-
-    time_us: int  # time on PX4's clock
-    controls: tuple[float, ...]  # outputs 1 to 16
-    armed: bool
-    lockstep: bool  # whether PX4's clock is the simulator's clock
-
-
-def answer_of(message: Message) -> Answer:
-    armed, lockstep = bool(message.mode & _ARMED), bool(message.flags & _LOCKSTEP)
-    return Answer(int(message.time_usec), tuple(message.controls), armed, lockstep)
-
-
-def hil_sensor(time_us: int, readings: Readings) -> Message:
-    """Return HIL_SENSOR with the new readings."""
-    slow = readings.slow
-    mag, hpa, altitude, celsius = (0.0, 0.0, 0.0), 0.0, 0.0, 0.0
-    if slow is not None:
-        mag, hpa = slow.mag_frd_gauss, slow.pressure_hpa
-        altitude, celsius = slow.pressure_altitude_m, slow.temperature_c
-    fields = ACCEL | GYRO | (MAG | BARO if slow is not None else 0)
-    return dialect.MAVLink_hil_sensor_message(
-        time_us, *readings.accel_frd_m_s2, *readings.gyro_frd_rad_s, *mag, hpa, 0.0, altitude, celsius, fields
-    )
-
-
-def hil_gps(time_us: int, fix: Fix) -> Message:
-    north, east, _ = fix.velocity_ned_m_s
-    speed = math.hypot(north, east)
-    course = round(math.degrees(math.atan2(east, north)) % 360.0 * 100.0) % 36000
-    return dialect.MAVLink_hil_gps_message(
-        time_us, dialect.GPS_FIX_TYPE_RTK_FIXED,
-        fix.latitude_e7, fix.longitude_e7, round(fix.altitude_amsl_m * 1e3), _EPH_CM, _EPV_CM,
-        min(65534, round(speed * 100.0)), *_int16(fix.velocity_ned_m_s, 100.0),
-        course if speed > _COG_MIN_M_S else _COG_UNKNOWN, _SATELLITES,
-    )  # fmt: skip
-
-
-def hil_state(time_us: int, body: Body, accel_frd_m_s2: Vec3, gravity_m_s2: float) -> Message:
-    """Return HIL_STATE_QUATERNION, the true state; PX4 only logs it."""
-    speed_cm_s = min(65535, round(math.hypot(*body.velocity_enu_m_s) * 100.0))
-    x, y, z = body.position_enu_m
-    return dialect.MAVLink_hil_state_quaternion_message(
-        time_us, ned_frd_from_enu_flu(body.quaternion), *frd_from_flu(body.angular_velocity_flu_rad_s),
-        *degrees_e7(x, y), round(z * 1e3), *_int16(ned_from_enu(body.velocity_enu_m_s), 100.0),
-        speed_cm_s, speed_cm_s, *_int16(accel_frd_m_s2, 1000.0 / gravity_m_s2),
-    )  # fmt: skip
-
-
-def _int16(v: Vec3, scale: float) -> tuple[int, int, int]:
-    a, b, c = (max(-_INT16, min(_INT16, round(x * scale))) for x in v)
-    return (a, b, c)

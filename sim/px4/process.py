@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
+import select
+import socket
 import sys
-from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
 
@@ -22,8 +22,8 @@ from logs.schema import Names
 from sim.clock import NS_PER_S, run_process
 from sim.options import Px4SimOptions
 from sim.plant.states import Truth
-from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
-from sim.px4.plant import STEP_MS, Px4Mocap, Px4Plant
+from sim.px4.link import SLICE_S, LinkClosedError, Px4Link, parse_endpoint
+from sim.px4.plant import STEP_MS, Px4Plant, Px4Sensors
 from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
 from sim.runners.log import VehicleLog
 from sim.runners.published_robot import RealTimeDeck
@@ -45,10 +45,8 @@ class Px4Node:
         self._clock, self._stop = clock, stop
         self._deck = deck
         self._deck_s = 0.0  # simulated time of all flights so far; the deck's clock must not jump back
-        self._touched = False
 
     def begin(self) -> None:
-        self._touched = False
         self.log.epoch_ns = self._clock.unix_ns()
 
     def end(self, flown_s: float) -> None:
@@ -71,14 +69,6 @@ class Px4Node:
         if self._deck is not None:
             self._move_deck(self._deck, flight, truth)
         self.log.feed.flush()
-        if not self._touched and math.isfinite(truth.first_touch_time_s):
-            self._touched = True
-            x, y, _ = truth.first_touch_relative_position_enu_m
-            down_m_s = -truth.first_touch_relative_velocity_enu_m_s[2]
-            _say(
-                f"touched the pad at {truth.first_touch_time_s:.3f} s, {x:+.3f} m east and {y:+.3f} m north "
-                f"of its centre, {down_m_s:.2f} m/s down"
-            )
 
     def _move_deck(self, deck: RealTimeDeck, flight: Px4Session, truth: Truth) -> None:
         now_ns = flight.steps * _NS_PER_STEP
@@ -93,22 +83,11 @@ def _warn(text: str) -> None:
     print(f"px4-sim: WARNING: {text}", file=sys.stderr, flush=True)
 
 
-def _say(text: str) -> None:
-    print(text, flush=True)
-
-
-# A flying vehicle has priority over other programs; a simulation that is too slow gives up the priority.
-_PRIORITY: Mapping[Event, Callable[[], object]] = {
-    Event.ARMED: ask_for_priority,
-    Event.DISARMED: give_up_priority,
-    Event.PAUSED: give_up_priority,
-}
-
-
 def _tell(event: Event, *, paced: bool) -> None:
-    _say(event.value)
-    if paced and event in _PRIORITY:
-        _PRIORITY[event]()
+    """Print an event; a paced simulation has priority over other programs while PX4 is armed."""
+    print(event.value, flush=True)
+    if paced:
+        (ask_for_priority if event is Event.ARMED else give_up_priority)()
 
 
 def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
@@ -132,8 +111,8 @@ def _run(scenario: Scenario, options: Px4SimOptions, stop: Stop, stack: ExitStac
             options.listen, options.connect, config_file=options.zenoh_config, prompt=True
         )
         stack.callback(session.close)
-    server = Px4Server(host, port)
-    stack.callback(server.close)
+    # a second PX4 waits until the first disconnects
+    server = stack.enter_context(socket.create_server((host, port), backlog=1))
     feed = Feed.connect(options.recorder, "vehicle", lossless=False)
     stack.callback(feed.close)
     deck = RealTimeDeck(session, options.namespace) if session is not None else None
@@ -141,17 +120,16 @@ def _run(scenario: Scenario, options: Px4SimOptions, stop: Stop, stack: ExitStac
     paced = SimulationClock(options.clock) if options.clock is not None else FastClock(speed or 1.0)
     node = Px4Node(deck, VehicleLog(feed, paced.unix_ns(), Names(options.namespace, 1)), paced, stop)
     stop.install()
-    _say(f"ready tcp:{host}:{server.port}")
+    print(f"ready tcp:{host}:{server.getsockname()[1]}", flush=True)
     quiet_garbage_collector()
     while not stop.is_set:
-        link = server.accept()
-        if link is None:
+        if not select.select([server], [], [], SLICE_S)[0]:
             continue
-        plant = Px4Plant(scenario, options.seed)
-        poses = Px4Mocap(scenario.vehicle.mocap, options.seed) if options.mocap else None
+        link, plant = Px4Link(server.accept()[0]), Px4Plant(scenario, options.seed)
+        mocap = scenario.vehicle.mocap if options.mocap else None
         flight = Px4Session(
-            link, plant, options.seed, stop, speed=speed, silent_max_s=options.silent_max_s,
-            tell=partial(_tell, paced=speed > 0.0), mocap=poses,
+            link, plant, Px4Sensors(plant.params, plant.body(), options.seed, mocap), stop, speed=speed,
+            silent_max_s=options.silent_max_s, tell=partial(_tell, paced=speed > 0.0),
         )  # fmt: skip
         if _serve(flight, link, node, stop, options.duration_s) or (options.once and flight.steps):
             break

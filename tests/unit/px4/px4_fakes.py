@@ -6,7 +6,6 @@ and its clock starts with the first one.
 
 from __future__ import annotations
 
-import math
 import socket
 import time
 
@@ -14,7 +13,6 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mav
 
 PATIENCE_S = 30.0
-AROUND_M = 6_371_000.0
 
 # position x forward, y right, and sense of rotation (1: counter-clockwise) of the motors 1 to 4
 QUAD_X = np.array([[1, 1, 1], [-1, -1, 1], [1, -1, -1], [-1, 1, -1]], dtype=float)
@@ -42,7 +40,7 @@ class FakePx4:
         self.mav.robust_parsing = True
         self._waiting = []
         self.first_us = None
-        self.truth = None
+        self.pose = None
         self.counts = {}
 
     def send(self, *messages):
@@ -54,7 +52,7 @@ class FakePx4:
     def hello(self, autopilot=mav.MAV_AUTOPILOT_PX4):
         self.send(
             mav.MAVLink_heartbeat_message(0, autopilot, 0, 0, 0, 3),
-            mav.MAVLink_command_long_message(0, 0, 511, 0, 115.0, 5000.0, 0, 0, 0, 0, 0),
+            mav.MAVLink_command_long_message(0, 0, 511, 0, 115.0, 5000.0, 0, 0, 0, 0, 0),  # is ignored
         )
 
     def next(self):
@@ -67,8 +65,8 @@ class FakePx4:
         message = self._waiting.pop(0)
         kind = message.get_type()
         self.counts[kind] = self.counts.get(kind, 0) + 1
-        if kind == "HIL_STATE_QUATERNION":
-            self.truth = message
+        if kind == "ODOMETRY":
+            self.pose = message
         return message
 
     def sensor(self):
@@ -104,11 +102,3 @@ def parameters_of(text):
     """Return the parameters in a text whose lines end in NAME=VALUE or NAME VALUE."""
     words = (line.removeprefix("export PX4_PARAM_").replace("=", " ").split() for line in text.splitlines())
     return {name: float(value) for *_, name, value in words}
-
-
-def true_place(fake):
-    """Return the true position of the vehicle relative to the origin: north, east, up, m."""
-    t = fake.truth
-    north = math.radians(t.lat * 1e-7 - 47.397742) * AROUND_M
-    east = math.radians(t.lon * 1e-7 - 8.545594) * AROUND_M * math.cos(math.radians(47.397742))
-    return north, east, t.alt * 1e-3

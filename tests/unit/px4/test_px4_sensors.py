@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mav
 
 from sim.autopilot.telemetry import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 from sim.plant.params import load
-from sim.px4.plant import Body, Px4Mocap, Px4Sensors, field_ned_gauss, pressure_altitude_m
+from sim.plant.states import Body
+from sim.px4.plant import Px4Mocap, Px4Sensors, field_ned_gauss, pressure_altitude_m
 from sim.scenarios.tables import OdometryLink
 from tests.examples import examples
 
@@ -48,9 +50,24 @@ def body(q=LEVEL, position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), rates=(0.0
     return Body(position, velocity, q, rates)
 
 
+SLOW_BITS = 0b1101111000000  # fields_updated of magnetometer and barometer
+
+
+def received(message):
+    """Return a message as PX4 receives it."""
+    (found,) = mav.MAVLink(None).parse_buffer(bytes(message.pack(mav.MAVLink(None, 1, 200))))
+    return found
+
+
 def many(state, count=500, seed=3):
+    """Return the HIL_SENSOR and the HIL_GPS messages of this many steps."""
     sensors = Px4Sensors(load(), state, seed)
-    return [sensors.read(state) for _ in range(count)]
+    found = [received(message) for k in range(count) for message in sensors.read(state, 4000 * k)]
+    return tuple([m for m in found if m.get_type() == kind] for kind in ("HIL_SENSOR", "HIL_GPS"))
+
+
+def accel(message):
+    return message.xacc, message.yacc, message.zacc
 
 
 def mean(rows):
@@ -63,11 +80,10 @@ def test_at_rest_in_any_attitude_accelerometer_and_magnetometer_show_the_world_t
     yaw, pitch, roll
 ):
     q = quaternion(yaw, pitch, roll)
-    readings = many(body(q), 50)
+    readings, _ = many(body(q), 50)
     ned_of_frd = NED_OF_ENU @ rotation(q) @ FRD
-    accel = mean(r.accel_frd_m_s2 for r in readings)
-    assert ned_of_frd @ accel == pytest.approx([0.0, 0.0, -G], abs=0.2)
-    mag = mean(r.slow.mag_frd_gauss for r in readings if r.slow is not None)
+    assert ned_of_frd @ mean(map(accel, readings)) == pytest.approx([0.0, 0.0, -G], abs=0.2)
+    mag = mean((r.xmag, r.ymag, r.zmag) for r in readings if r.fields_updated & SLOW_BITS)
     assert ned_of_frd @ mag == pytest.approx(field_ned_gauss(), abs=0.008)
 
 
@@ -76,44 +92,52 @@ def test_acceleration_is_that_of_the_velocity_with_weight_in_the_body():
     found = []
     for k in range(1, 201):
         v = 0.004 * k
-        found.append(sensors.read(body(velocity=(2.0 * v, 1.0 * v, 3.0 * v))).accel_frd_m_s2)
+        found.append(accel(sensors.read(body(velocity=(2.0 * v, 1.0 * v, 3.0 * v)), 4000 * k)[-1]))
     # nose east: forward is east, right is south
     assert mean(found) == pytest.approx([2.0, -1.0, -(G + 3.0)], abs=0.15)
 
 
 def test_rates_to_the_right_and_nose_up_are_positive_in_frd():
     rates_flu = (0.5, -0.4, -0.3)  # right side down, nose up, clockwise from above
-    found = mean(r.gyro_frd_rad_s for r in many(body(rates=rates_flu)))
+    found = mean((r.xgyro, r.ygyro, r.zgyro) for r in many(body(rates=rates_flu))[0])
     assert found == pytest.approx([0.5, 0.4, 0.3], abs=0.005)
 
 
 @pytest.mark.parametrize("height", [0.0, 1.0, 30.0])
 def test_barometer_shows_the_height(height):
-    slow = [r.slow for r in many(body(position=(0.0, 0.0, height)), 2000) if r.slow is not None]
-    assert mean([pressure_altitude_m(s.pressure_hpa)] for s in slow)[0] == pytest.approx(height, abs=0.02)
-    assert np.std([s.pressure_altitude_m for s in slow]) == pytest.approx(0.10, abs=0.02)  # 0.10 m are 1.2 Pa
+    slow = [m for m in many(body(position=(0.0, 0.0, height)), 2000)[0] if m.fields_updated & SLOW_BITS]
+    assert mean([pressure_altitude_m(s.abs_pressure)] for s in slow)[0] == pytest.approx(height, abs=0.02)
+    assert np.std([s.pressure_alt for s in slow]) == pytest.approx(0.10, abs=0.02)  # 0.10 m are 1.2 Pa
 
 
 @examples(15)
 @given(*[st.floats(-50.0, 50.0)] * 2, st.floats(0.0, 50.0), *[st.floats(-5.0, 5.0)] * 3)
 def test_fix_shows_position_and_velocity(x, y, z, vx, vy, vz):
-    fixes = [r.fix for r in many(body(position=(x, y, z), velocity=(vx, vy, vz)), 250) if r.fix is not None]
+    _, fixes = many(body(position=(x, y, z), velocity=(vx, vy, vz)), 250)
     assert len(fixes) == 10
     metres = 111_194.9  # length of a degree on a sphere of 6371 km
-    north = mean([(f.latitude_e7 * 1e-7 - ORIGIN_LATITUDE_DEG) * metres] for f in fixes)[0]
-    east = mean([(f.longitude_e7 * 1e-7 - ORIGIN_LONGITUDE_DEG) * metres] for f in fixes)[0]
+    north = mean([(f.lat * 1e-7 - ORIGIN_LATITUDE_DEG) * metres] for f in fixes)[0]
+    east = mean([(f.lon * 1e-7 - ORIGIN_LONGITUDE_DEG) * metres] for f in fixes)[0]
     east *= math.cos(math.radians(ORIGIN_LATITUDE_DEG))
     assert (north, east) == pytest.approx((y, x), abs=0.03)
-    assert mean([f.altitude_amsl_m] for f in fixes)[0] == pytest.approx(z, abs=0.04)
-    assert mean(f.velocity_ned_m_s for f in fixes) == pytest.approx([vy, vx, -vz], abs=0.1)
+    assert mean([f.alt * 1e-3] for f in fixes)[0] == pytest.approx(z, abs=0.04)
+    assert mean((f.vn, f.ve, f.vd) for f in fixes) == pytest.approx(np.array([vy, vx, -vz]) * 100.0, abs=10.0)
+    for f in fixes:
+        assert f.vel == pytest.approx(math.hypot(f.vn, f.ve), abs=1.5)
+        course = math.degrees(math.atan2(f.ve, f.vn)) % 360.0
+        assert f.cog == 65535 or math.remainder(f.cog / 100.0 - course, 360.0) == pytest.approx(0.0, abs=3.0)
+        assert f.fix_type >= 3
+        assert f.satellites_visible >= 6  # PX4's default of EKF2_REQ_NSATS is 6
 
 
-def test_rates_of_the_sensors():
-    readings = many(body(), 250)  # readings of one second
-    assert sum(r.slow is not None for r in readings) == 50
-    assert sum(r.fix is not None for r in readings) == 10
-    assert readings[0].slow is not None
-    assert readings[0].fix is None
+def test_rates_of_the_sensors_and_the_flags_of_what_is_new():
+    readings, fixes = many(body(), 250)  # readings of one second
+    flags = [m.fields_updated for m in readings]
+    assert flags.count(0b1101111111111) == 50  # all sensors except differential pressure
+    assert flags.count(0b111111) == 200
+    assert flags[0] == 0b1101111111111
+    assert [m.time_usec for m in readings] == list(range(0, 1_000_000, 4000))
+    assert [m.time_usec for m in fixes] == list(range(96_000, 1_000_000, 100_000))
 
 
 SOUND = OdometryLink(100.0)
