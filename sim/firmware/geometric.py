@@ -1,6 +1,6 @@
-"""Geometric attitude control below the paper's velocity controller or the Crazyflie's position controller.
+"""The paper's velocity controller, and the geometric attitude control below it.
 
-The paper's velocity controller is eq. 8: tau_p = -K_v (v - u*) + m G. The stock Mellinger controller rejects
+The velocity controller is eq. 8: tau_p = -K_v (v - u*) + m G. The stock Mellinger controller rejects
 velocity set-points, so the paper must have added this control law. It uses the nominal mass and thrust scale
 instead of this vehicle's. With the paper's K_v = 0.5 N s/m on 32 g the velocity gain is 16 1/s, but the
 attitude bandwidth is only about 8 1/s: the loop is under-damped by design.
@@ -16,16 +16,6 @@ As in the firmware, eR lacks the factor 1/2 of the literature, so kR has twice t
 on roll and pitch rate is the raw difference at 500 Hz. It acts as inertia (200 counts equal 2.4e-5 kg m^2,
 more than the body's inertia). Outputs are limited to 32000 counts and truncated to integers. The firmware
 inverts pitch internally, which cancels in FLU moments.
-
-The Crazyflie's Mellinger controller with its default gains (``mellinger_update``) accepts only position
-set-points:
-
-    F = m a + kp e + kd de/dt + ki int(e),   e = set-point minus estimate, thrust = F along body z
-
-It follows firmware controller_mellinger.c of release 2025.12. As in the firmware, the integrals are bounded
-(a vehicle heavier than ``MASS_KG`` stays below its set-point) and grow while the set-point is out of reach.
-Zero thrust sets the moments to zero and resets the integrals. When the supervisor levels out, the height of
-the newest set-point is held.
 """
 
 from __future__ import annotations
@@ -33,7 +23,7 @@ from __future__ import annotations
 import math
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import Record, Vector, new
+from flightstack.compiled.records import Record, new
 from flightstack.core.types import Vec3
 from sim.firmware.mixer import counts_per_n
 from sim.firmware.setpoint import SensedState, SetpointRecord
@@ -41,7 +31,7 @@ from sim.plant.params import CONTROL_STEP_S, Params
 from sim.plant.states import Nine, nine
 
 # Paper V: K1 = diag(7, 7, 0.5)e4, K2 = diag(2, 2, 0.2)e4. The roll and pitch gains are the firmware's
-# defaults; the firmware's yaw gains are ``YAW_K_R`` and ``YAW_K_W``.
+# defaults; the firmware's yaw gains are 6e4 and 1.2e4.
 K_R_XY = 70000.0  # counts per unit of eR
 K_R_Z = 5000.0
 K_W_XY = 20000.0  # counts per rad/s
@@ -58,8 +48,6 @@ class AttitudeRecord(Record):
     wx: float  # roll rate in the last call, rad/s; NaN before the first call
     wy: float
     integral_z: float
-    k_r_z: float  # yaw gains, counts per unit of eR and per rad/s
-    k_w_z: float
 
 
 @jitted
@@ -77,7 +65,7 @@ def attitude_moments(a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy
     a.integral_z = max(-I_RANGE_Z, min(I_RANGE_Z, a.integral_z - ez * CONTROL_STEP_S))
     mx = -K_R_XY * ex - K_W_XY * wx - K_D_OMEGA_RP * ax
     my = -K_R_XY * ey - K_W_XY * wy - K_D_OMEGA_RP * ay
-    mz = -a.k_r_z * ez - a.k_w_z * wz + K_I_Z * a.integral_z
+    mz = -K_R_Z * ez - K_W_Z * wz + K_I_Z * a.integral_z
     mx = max(-MOMENT_MAX, min(MOMENT_MAX, mx))
     my = max(-MOMENT_MAX, min(MOMENT_MAX, my))
     mz = max(-MOMENT_MAX, min(MOMENT_MAX, mz))
@@ -143,7 +131,6 @@ class PaperLoop:
         r.weight = self._weight = params.body.mass_kg * params.contact.gravity_m_s2
         r.counts_per_n = counts_per_n(params, self._weight)
         r.attitude.wx = math.nan
-        r.attitude.k_r_z, r.attitude.k_w_z = K_R_Z, K_W_Z
 
     def reset(self) -> None:
         paper_reset(self.record)
@@ -158,59 +145,3 @@ class PaperLoop:
         scale = counts_per_n / self.record.counts_per_n
         fx, fy, fz = scale * force[0], scale * force[1], scale * force[2]
         return (fx / K_V_N_S_M, fy / K_V_N_S_M, (fz - self._weight) / K_V_N_S_M)
-
-
-MASS_KG = 0.029  # platform_defaults_cf2.h: CF_MASS; agrees with the hover thrust of recorded flights
-MASS_THRUST = 132000.0  # thrust counts per newton: massThrust
-GRAVITY_M_S2 = 9.81  # value in the firmware's physicalConstants.h
-KP_XY, KD_XY, KI_XY = 0.4, 0.2, 0.05  # horizontal gains, N/m, N s/m, N/(m s)
-KP_Z, KD_Z, KI_Z = 1.25, 0.4, 0.05
-POSITION_I_RANGE_XY, POSITION_I_RANGE_Z = 2.0, 0.4  # limits of the integrals, m s
-YAW_K_R, YAW_K_W = 60000.0, 12000.0  # yaw gains kR_z, kw_z
-
-
-class MellingerRecord(Record):
-    integral: Vector  # integral of the position error, m s
-    attitude: AttitudeRecord
-
-
-@jitted
-def mellinger_update(
-    m: MellingerRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
-) -> tuple[float, Counts]:
-    """Return ``(thrust counts per motor, moment counts)``; ``level``: command zero roll and pitch."""
-    p, v, i = sensed.position, sensed.velocity, m.integral
-    ex, ey, ez = setpoint.x - p[0], setpoint.y - p[1], setpoint.z - p[2]
-    i[0] = max(-POSITION_I_RANGE_XY, min(POSITION_I_RANGE_XY, i[0] + ex * CONTROL_STEP_S))
-    i[1] = max(-POSITION_I_RANGE_XY, min(POSITION_I_RANGE_XY, i[1] + ey * CONTROL_STEP_S))
-    i[2] = max(-POSITION_I_RANGE_Z, min(POSITION_I_RANGE_Z, i[2] + ez * CONTROL_STEP_S))
-    fx = fy = 0.0
-    fz = MASS_KG * GRAVITY_M_S2 + KP_Z * ez + KD_Z * (setpoint.vz - v[2]) + KI_Z * i[2]
-    if not level:
-        fx = KP_XY * ex + KD_XY * (setpoint.vx - v[0]) + KI_XY * i[0]
-        fy = KP_XY * ey + KD_XY * (setpoint.vy - v[1]) + KI_XY * i[1]
-    axes = nine(sensed.axes)
-    counts = (fx * axes[6] + fy * axes[7] + fz * axes[8]) * MASS_THRUST
-    desired = axes_from_force(fx, fy, fz, setpoint.cos_yaw, setpoint.sin_yaw)
-    rates = sensed.rates
-    moments = attitude_moments(m.attitude, axes, desired, rates[0], rates[1], rates[2])
-    if counts <= 0.0:
-        mellinger_reset(m)
-        return 0.0, (0, 0, 0)
-    return counts, moments
-
-
-@jitted
-def mellinger_reset(m: MellingerRecord) -> None:
-    m.integral[:] = 0.0
-    m.attitude.integral_z = 0.0
-
-
-class MellingerLoop:
-    def __init__(self, record: MellingerRecord | None = None) -> None:
-        self.record = r = new(MellingerRecord) if record is None else record
-        r.attitude.wx = math.nan
-        r.attitude.k_r_z, r.attitude.k_w_z = YAW_K_R, YAW_K_W
-
-    def reset(self) -> None:
-        mellinger_reset(self.record)

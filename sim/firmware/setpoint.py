@@ -16,10 +16,9 @@ _ROW = struct.Struct(f"={WIDTH}d")
 
 
 class Setpoint(NamedTuple):
-    """A velocity or position set-point in the world (ENU, m/s, m) with a yaw; ``stop``: motors off.
+    """A velocity or position set-point in the world (ENU, m/s, m) with a yaw.
 
-    With a position, the velocity is a feed-forward term, which only the Mellinger controller uses. ``stop``
-    is the firmware's null set-point.
+    ``stop``: motors off, the firmware's null set-point.
     """
 
     vx: float = 0.0

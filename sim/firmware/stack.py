@@ -8,16 +8,7 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Motors, Record, reader
 from flightstack.core.types import Vec3
 from sim.firmware.estimator import Estimator, EstimatorRecord
-from sim.firmware.geometric import (
-    MellingerLoop,
-    MellingerRecord,
-    PaperLoop,
-    PaperRecord,
-    mellinger_reset,
-    mellinger_update,
-    paper_reset,
-    paper_update,
-)
+from sim.firmware.geometric import PaperLoop, PaperRecord, paper_reset, paper_update
 from sim.firmware.mixer import OFF, MapRecord, counts_per_n, moments_of, motor_speeds, set_up_map
 from sim.firmware.pid import CascadeRecord, PidLoop, cascade_reset, cascade_update
 from sim.firmware.setpoint import STOP, Inbox, InboxRecord, Setpoint, SetpointRecord, receive
@@ -29,7 +20,7 @@ from sim.scenarios.tables import VehicleSpec, VelocityLoop
 BATTERY_MIN_V = 3.2  # lowest voltage for arming (platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE)
 TILT_MAX_COS = 0.5  # cosine of the largest tilt for arming, 60 degrees
 
-PAPER, PID, MELLINGER = 0, 1, 2
+PAPER, PID = 0, 1
 
 
 class FirmwareRecord(Record):
@@ -40,10 +31,9 @@ class FirmwareRecord(Record):
     setpoint: SetpointRecord
     supervisor: SupervisorRecord
     gravity: float
-    loop: int  # velocity loop: PAPER, PID or MELLINGER
+    loop: int  # velocity loop: PAPER or PID
     paper: PaperRecord
     pid: CascadeRecord
-    mellinger: MellingerRecord
     thrust_map: MapRecord
     commands: Motors  # rotor speed commands, rpm
 
@@ -74,9 +64,6 @@ def forget(f: FirmwareRecord) -> None:
     if f.loop == PAPER:
         paper_reset(f.paper)
         f.paper.attitude.wx = math.nan
-    elif f.loop == MELLINGER:
-        mellinger_reset(f.mellinger)
-        f.mellinger.attitude.wx = math.nan
     else:
         cascade_reset(f.pid)
 
@@ -91,8 +78,6 @@ def control(f: FirmwareRecord, rpm_max: float) -> None:
         return
     if f.loop == PAPER:
         thrust, moments = paper_update(f.paper, f.estimator.sensed, f.setpoint, f.supervisor.level)
-    elif f.loop == MELLINGER:
-        thrust, moments = mellinger_update(f.mellinger, f.estimator.sensed, f.setpoint, f.supervisor.level)
     else:
         thrust, moments = cascade_update(f.pid, f.estimator.sensed, f.setpoint, f.supervisor.level)
     m1, m2, m3, m4 = motor_speeds(f.thrust_map, thrust, moments, rpm_max)
@@ -114,7 +99,6 @@ class Firmware:
         paper, pid = PaperLoop(params, record.paper), PidLoop(params, record.pid)
         record.loop = {VelocityLoop.PAPER: PAPER, VelocityLoop.PID: PID}[spec.velocity_loop]
         self.controller: PaperLoop | PidLoop = paper if record.loop == PAPER else pid
-        self._mellinger = MellingerLoop(record.mellinger)
         period_s = 1.0 / spec.mocap.rate_hz
         self.estimator = Estimator(period_s, CONTROL_STEP_S, gravity, record.estimator, spec.known_drag_1_s)
         self.supervisor = Supervisor(record.supervisor)
@@ -140,11 +124,6 @@ class Firmware:
         per_n = counts_per_n(self._params, thrust_n, battery_v)
         return self.controller.trim(force, per_n, moments_of(each))
 
-    def choose_mellinger(self) -> None:
-        """Select the Mellinger controller (firmware parameter stabilizer.controller)."""
-        self.record.loop = MELLINGER
-        self._mellinger.reset()
-
     def start_flying(self, setpoint: Setpoint) -> None:
         """Start armed and in the air at time zero."""
         self._inbox.set(setpoint, 0)
@@ -167,7 +146,6 @@ class Firmware:
         if refused is None and fresh:  # earlier set-points no longer apply
             self._inbox.set(STOP, now_ms)
             self.controller.reset()
-            self._mellinger.reset()
         return refused
 
     def disarm(self, now_ms: int) -> None:

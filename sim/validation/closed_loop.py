@@ -4,10 +4,7 @@ The simulated vehicle starts at the recorded position and receives the recorded 
 times. Quantities that differ between airframes and days are identified from the first seconds of the
 recording: battery voltage, ratio of motor thrust to the vehicle file, and differences between the motors. The
 vehicle file has all other parameters. The on-board estimate gets random errors as in recorded flights.
-
-The real vehicles received positions without velocities, except during take-off and landing, where the
-firmware's commander adds velocities. Simulated Mellinger flights climb and hover as recorded only with these
-velocities.
+Only flights with the PID controller are flown; the simulated firmware has no other one for positions.
 """
 
 from __future__ import annotations
@@ -30,7 +27,6 @@ from sim.vehicle.vehicle import VehicleSim
 SETTLE_S = 0.2  # time on the floor before the first set-point, s
 AWAY_M = 100.0  # distance of the ground robot to the east, out of reach
 SATURATED = 1.0 - 1e-6  # duty cycle from which a motor counts as saturated
-SIDEWAYS_M = 0.005  # horizontal change of the set-point that ends the take-off
 KNOWN_S = 8.0  # length of the compared time from which the airframe is identified, s
 
 
@@ -54,7 +50,6 @@ class Flown(NamedTuple):
 class ClosedLoop:
     """A recorded flight and its simulation."""
 
-    controller: str  # controller of the firmware: pid or mellinger
     thrust: float  # ratio of this airframe's motor thrust to that of the vehicle file
     recorded: Flown
     simulated: Flown
@@ -70,13 +65,13 @@ class Track(NamedTuple):
 
 
 def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
-    """Fly the set-points of a flight; return None without set-points or if they do not start on the ground.
+    """Fly the set-points of a flight; return None without set-points of the PID from the ground on.
 
     Only the usable pieces are compared. The noise is drawn from ``seed`` and the name of the flight.
     """
     r = flight.recording
     span = _commanded(r)
-    if not flight.usable or span is None or r.setpoint_position_m is None:
+    if not flight.usable or not r.by_pid or span is None or r.setpoint_position_m is None:
         return None
     compared = np.zeros(len(r.time_s), dtype=bool)
     for piece in flight.pieces:
@@ -91,7 +86,6 @@ def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
     if simulated is None:
         return None
     return ClosedLoop(
-        "pid" if r.by_pid else "mellinger",
         plant.thrust,
         _flown(r, recorded, compared),
         _flown(r, simulated, compared),
@@ -124,19 +118,16 @@ def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int
         vehicle=VehicleSpec(velocity_loop=VelocityLoop.PID, own=StateError()),
     )
     vehicle = VehicleSim(scenario, seed, params, plant)
-    if not r.by_pid:
-        vehicle.choose_mellinger()
     vehicle.advance(round(SETTLE_S / STEP_S))
     if vehicle.arm() is not None:
         return None
     setpoints = r.setpoint_position_m + np.array((0.0, 0.0, up))
     yaw_rad = np.zeros(len(r.time_s)) if r.setpoint_yaw_rad is None else np.nan_to_num(r.setpoint_yaw_rad)
-    ahead = _fed_forward(r, span)
     times_ms = np.rint((r.time_s - r.time_s[start]) / STEP_S).astype(int)
     track = Track(*(np.full((len(r.time_s), *shape), np.nan) for shape in ((3,), (), (4,), ())))
     for k in range(start, stop):
         if np.isfinite(setpoints[k]).all():
-            vehicle.set_position(tuple(setpoints[k].tolist()), float(yaw_rad[k]), tuple(ahead[k].tolist()))
+            vehicle.set_position(tuple(setpoints[k].tolist()), float(yaw_rad[k]))
         if k > start:
             vehicle.advance(int(times_ms[k] - times_ms[k - 1]))
         body = vehicle.body()
@@ -171,18 +162,6 @@ def _airframe(r: Recording, start: int, compared: Mask, params: Params) -> Plant
     # charge used in the take-off
     charge += current_a * (r.time_s[first].mean() - r.time_s[start]) / battery.charge_a_s
     return Plant(thrust=thrust, motors=(m1, m2, m3, m4), battery_charge=charge)
-
-
-def _fed_forward(r: Recording, span: slice) -> Floats:
-    """Return the take-off's velocity set-points; they are zero from the first horizontal step on."""
-    assert r.setpoint_position_m is not None
-    out = np.zeros_like(r.setpoint_position_m)
-    setpoints = r.setpoint_position_m[span]
-    sideways = np.abs(setpoints[:, :2] - setpoints[0, :2]).max(axis=1) > SIDEWAYS_M
-    end = int(np.argmax(sideways)) if sideways.any() else len(setpoints)
-    if end > 2:
-        out[span.start : span.start + end, 2] = np.gradient(setpoints[:end, 2], r.time_s[span][:end])
-    return np.nan_to_num(out)
 
 
 def _up(r: Recording) -> Floats:

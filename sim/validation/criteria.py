@@ -8,7 +8,6 @@ One object holds the results of a comparison, for ``--json`` and the page.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from itertools import pairwise
@@ -338,8 +337,7 @@ def _horizon(used: Sequence[Compared], place: int) -> dict[str, Any]:
 
 
 def _closed_loop(used: Sequence[Compared]) -> dict[str, Any]:
-    flown = Counter(flight.closed_loop.controller for flight in used if flight.closed_loop is not None)
-    return {"flights": dict(flown)} | {
+    return {"flights": sum(flight.closed_loop is not None for flight in used)} | {
         name: {side: _numbers(used, f"closed_loop.{side}.{name}") for side in SIDES}
         for name in ("tracking_rms_m", *Flown._fields)
     }

@@ -77,9 +77,6 @@ def closed_loop(told: Summary) -> go.Figure | None:
     figure = make_subplots(
         rows=2, cols=3, subplot_titles=[text for text, *_ in _FLOWN], vertical_spacing=0.16
     )
-    colors = dict(
-        zip(sorted({one["closed_loop"]["controller"] for one in flights}), (FLOWN, TRUE), strict=False)
-    )
     for place, (_, key, scale, limits) in enumerate(_FLOWN):
         where = {"row": place // 3 + 1, "col": place % 3 + 1}
         recorded, simulated = ([scale * one["closed_loop"][side][key] for one in flights] for side in _SIDES)
@@ -91,13 +88,10 @@ def closed_loop(told: Summary) -> go.Figure | None:
                 x=[low, high], y=[factor * low, factor * high], mode="lines", line=style | {"width": 1},
                 hoverinfo="skip", showlegend=False, **where,
             )  # fmt: skip
-        for controller, color in colors.items():
-            chosen = [i for i, one in enumerate(flights) if one["closed_loop"]["controller"] == controller]
-            figure.add_scatter(
-                x=[recorded[i] for i in chosen], y=[simulated[i] for i in chosen], mode="markers",
-                marker={"color": color, "size": 7}, text=[flights[i]["name"] for i in chosen],
-                name=controller, legendgroup=controller, showlegend=place == 0, **where,
-            )  # fmt: skip
+        figure.add_scatter(
+            x=recorded, y=simulated, mode="markers", marker={"color": FLOWN, "size": 7},
+            text=[one["name"] for one in flights], showlegend=False, **where,
+        )  # fmt: skip
         figure.update_xaxes(title_text="recorded", range=[low, high], **where)
         figure.update_yaxes(title_text="simulated" if where["col"] == 1 else "", range=[low, high], **where)
     return _titled(layout(figure, 700))

@@ -177,7 +177,7 @@ def _flights(summary: Summary) -> str:
         errors = [h["position_m"]["model"] for h in (one["open_loop"] or {}).get("horizons", [])]
         mm = " / ".join("" if error is None else f"{1000.0 * error:.0f}" for error in errors)
         closed, sensed = one["closed_loop"], one["sensing"]
-        rows.append((one["name"], f"{one['used_s']:.1f}", closed["controller"] if closed else "", mm,
-                     both(closed, "horizontal_m"), both(sensed, "position", "delay_s")))  # fmt: skip
-    head = ("flight", "used [s]", "controller", "open loop [mm]", "tracking [mm]", "delay [ms]")
-    return table(head, rows, numbers=(1, 3, 4, 5))
+        rows.append((one["name"], f"{one['used_s']:.1f}", mm, both(closed, "horizontal_m"),
+                     both(sensed, "position", "delay_s")))  # fmt: skip
+    head = ("flight", "used [s]", "open loop [mm]", "tracking [mm]", "delay [ms]")
+    return table(head, rows, numbers=(1, 2, 3, 4))

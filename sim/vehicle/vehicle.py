@@ -190,14 +190,11 @@ class VehicleSim(Physics):
         vx, vy, vz = velocity_enu_m_s
         self._firmware.send(Setpoint(vx, vy, vz, yaw_rad), self._ms - self.sent_before_ms)
 
-    def set_position(self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3 = ZERO) -> None:
-        """Send a position set-point with a feed-forward velocity; it is delayed as in ``set_velocity``."""
-        setpoint = Setpoint(*velocity_enu_m_s, yaw_rad, position=position_enu_m)
-        self._firmware.send(setpoint, self._ms - self.sent_before_ms)
-
-    def choose_mellinger(self) -> None:
-        """Select the Mellinger controller; it accepts only position set-points."""
-        self._firmware.choose_mellinger()
+    def set_position(self, position_enu_m: Vec3, yaw_rad: float) -> None:
+        """Send a position set-point to the PID loop; it is delayed as in ``set_velocity``."""
+        self._firmware.send(
+            Setpoint(yaw_rad=yaw_rad, position=position_enu_m), self._ms - self.sent_before_ms
+        )
 
     def take_pose(self, position_enu_m: Vec3, quaternion: tuple[float, float, float, float]) -> None:
         """Use an external pose as measurement; the scenario must set ``known_drag_1_s``."""

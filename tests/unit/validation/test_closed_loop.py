@@ -30,13 +30,11 @@ def setpoint(tick):
 
 
 @cache
-def recorded(plant: Plant, by_mellinger=False):
+def recorded(plant: Plant):
     """Return a simulated flight as a ``Recording``, with the columns of a real one."""
     spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, own=StateError())
     start = Start(StartKind.GROUND, ground_position_m=(3.0, 0.0))
     sim = VehicleSim(scenario(start=start, vehicle=spec), 5, ROOM, plant)
-    if by_mellinger:
-        sim.choose_mellinger()
     bodies, duties, volts, setpoints = [], [], [], []
     for tick in range(TICKS):
         if tick == GROUND_TICKS:
@@ -51,22 +49,19 @@ def recorded(plant: Plant, by_mellinger=False):
     body, higher = np.array(bodies), np.array((0.0, 0.0, MARKERS_M))
     setpoints = np.array(setpoints)
     setpoints[GROUND_TICKS:] += higher
-    flown = np.zeros(TICKS) if by_mellinger else np.full(TICKS, 0.5)
     return Recording(
         "made", 0.01 * np.arange(TICKS), body[:, :3] + higher, body[:, 3:6], body[:, 6:10], body[:, 10:13],
         np.array(duties), np.array(volts), setpoint_position_m=setpoints, setpoint_yaw_rad=np.zeros(TICKS),
-        thrust_command=flown,
+        thrust_command=np.full(TICKS, 0.5),
     )  # fmt: skip
 
 
 AIRFRAME = Plant(motors=(0.93, 1.02, 1.0, 1.05), thrust=0.97, battery_charge=0.6)
 
 
-@pytest.mark.parametrize("by_mellinger", [False, True])
-def test_the_simulators_own_flight_is_found_again(by_mellinger):
-    found = fly(screen(recorded(AIRFRAME, by_mellinger)), ROOM, 0)
+def test_the_simulators_own_flight_is_found_again():
+    found = fly(screen(recorded(AIRFRAME)), ROOM, 0)
     assert found is not None
-    assert found.controller == ("mellinger" if by_mellinger else "pid")
     assert found.thrust == pytest.approx(0.97, abs=0.01)
     a, b = found.recorded, found.simulated
     assert a.horizontal_m > 0.2  # the vehicle is half a second behind at 0.6 m/s
@@ -97,11 +92,12 @@ def test_a_plant_of_less_thrust_is_named():
     "change",
     [
         {"setpoint_position_m": None},
+        {"thrust_command": np.zeros(TICKS)},
         {"setpoint_position_m": np.zeros((TICKS, 3))},
         {"setpoint_position_m": np.full((TICKS, 3), np.nan)},
         {"setpoint_position_m": np.ones((TICKS, 3)), "duty": np.full((TICKS, 4), 0.8)},
     ],
-    ids=["no column", "none sent", "not a number", "begins in the air"],
+    ids=["no column", "another controller", "none sent", "not a number", "begins in the air"],
 )
 def test_without_set_points_from_the_ground_on_nothing_is_flown(change):
     assert fly(screen(replace(recorded(AIRFRAME), **change)), ROOM, 0) is None

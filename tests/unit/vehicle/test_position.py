@@ -1,4 +1,4 @@
-"""Tests position set-points: PID position loop, Mellinger controller, map of thrust counts to volts."""
+"""Tests position set-points, which the PID cascade follows."""
 
 import math
 
@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.compiled.records import new
-from sim.firmware.geometric import MASS_KG, MASS_THRUST, MellingerLoop, mellinger_update
 from sim.firmware.pid import TILT_MAX_DEG, PidLoop, cascade_update
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
 from sim.plant.params import load
@@ -16,7 +15,6 @@ from sim.scenarios.tables import Start, StartKind, VehicleSpec, VelocityLoop
 from tests.unit.vehicle.vehicle_sim_helpers import vehicle
 
 PARAMS = load()
-WEIGHT = MASS_KG * 9.81
 
 
 def sensed_at(position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), yaw=0.0):
@@ -73,62 +71,15 @@ class TestPidPosition:
         assert (loop.record.z.integral, loop.record.vz.integral) == (0.0, 0.0)
 
 
-def mellinger(loop, sensed, setpoint, level=False):
-    return mellinger_update(loop.record, sensed, record(setpoint), level)
-
-
-class TestMellinger:
-    @given(st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.tuples(*[st.floats(-0.3, 0.3)] * 3))
-    def test_the_first_tick_by_hand(self, error, velocity):
-        """The gains give the force; for a level body its upward part is all thrust."""
-        counts, (mx, my, mz) = mellinger(
-            MellingerLoop(), sensed_at(velocity=velocity), Setpoint(position=error)
-        )
-        step = 0.002
-        fx, fy = (0.4 * e - 0.2 * v + 0.05 * step * e for e, v in zip(error[:2], velocity[:2], strict=True))
-        fz = WEIGHT + 1.25 * error[2] - 0.4 * velocity[2] + 0.05 * step * error[2]
-        if fz <= 0.0:
-            assert (counts, mx, my, mz) == (0.0, 0, 0, 0)
-            return
-        assert counts == pytest.approx(fz * MASS_THRUST)
-        z = np.array([fx, fy, fz]) / math.sqrt(fx * fx + fy * fy + fz * fz)
-        y = np.cross(z, (1.0, 0.0, 0.0))
-        y /= np.linalg.norm(y)
-        x = np.cross(y, z)
-        e_r = (z[1] - y[2], x[2] - z[0], y[0] - x[1])  # attitude error: vector of Rd' R - R' Rd at R = 1
-        expected = [
-            np.clip(-gain * e, -32000.0, 32000.0) for gain, e in zip((7e4, 7e4, 6e4), e_r, strict=True)
-        ]
-        assert (mx, my, mz) == pytest.approx(expected, abs=1.5)
-
-    def test_the_velocity_is_fed_forward(self):
-        loop, moving = MellingerLoop(), (0.3, 0.2, -0.1)
-        counts, moments = mellinger(
-            loop, sensed_at(velocity=moving), Setpoint(*moving, position=(0.0, 0.0, 0.0))
-        )
-        assert counts == pytest.approx(WEIGHT * MASS_THRUST)
-        assert moments == (0, 0, 0)
-
-    def test_the_integral_of_the_height_is_bounded(self):
-        """A vehicle heavier than its nominal mass stays below its set-point, as in recorded flights."""
-        loop = MellingerLoop()
-        for _ in range(5000):
-            counts, _ = mellinger(loop, sensed_at(), Setpoint(position=(0.0, 0.0, 0.1)))
-        assert counts == pytest.approx((WEIGHT + 1.25 * 0.1 + 0.05 * 0.4) * MASS_THRUST)
-
-
 RAMP_M_S = 0.5
 
 
-@pytest.mark.parametrize("by_mellinger", [False, True])
-def test_a_moving_set_point_is_followed_half_a_second_late(by_mellinger):
-    """Without velocity set-points the lags are 1 / kp and kd / kp, plus drag, minus Mellinger's integral."""
+def test_a_moving_set_point_is_followed_half_a_second_late():
+    """Without velocity set-points the lag is 1 / kp, plus drag."""
     sim = vehicle(
         start=Start(StartKind.GROUND, ground_position_m=(3.0, 0.0)),
         vehicle=VehicleSpec("crazyflie21_room", VelocityLoop.PID),
     )
-    if by_mellinger:
-        sim.choose_mellinger()
     sim.advance(100)
     assert sim.arm() is None
     x0, y0, _ = sim.body().position_enu_m
