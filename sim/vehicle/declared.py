@@ -7,7 +7,8 @@ values with the scenario, so that the proof is valid for its flights.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
+from operator import attrgetter
 from typing import NamedTuple
 
 from flightstack.core.parameters.flight import FlightConfig
@@ -43,28 +44,37 @@ class _Row(NamedTuple):
     """Comparison of a value that the configuration declares with the value of the scenario."""
 
     key: str  # key in the configuration, TABLE.KEY
-    declared: float
-    there: str  # key in the scenario
-    found: float
-    room: float  # remaining margin; negative if the scenario exceeds the declared value
+    there: str  # key in the scenario, or a text that names several
     unit: str
-    remedy: str  # change that makes the margin positive; it names the number
+    found: float | None = None  # value in the scenario; None: that of the key ``there``
+    share: float = 1.0  # smallest declared fraction of the value
+    near: float | None = None  # largest difference of a value that must be equal; None: more is allowed, too
+    room: float | None = None  # margin, if it is not that of share or difference
+    remedy: str = ""  # change that makes this margin positive
+
+    def check(self, scenario: Scenario) -> Check:
+        declared = float(attrgetter(self.key)(scenario.onboard))
+        found = float(attrgetter(self.there)(scenario)) if self.found is None else self.found
+        needed = self.share * found
+        room = declared - needed
+        change = f"to {_rounded_up(needed):g} or more, or lower {self.there.rstrip(',')}"
+        if self.near is not None:
+            room, change = self.near - abs(declared - found), f"to {found:.3g}"
+        return Check(
+            f"declared, {self.key}",
+            f"the configuration declares the values of the scenario ({self.there})",
+            (room if self.room is None else self.room) + 1e-12,
+            self.unit,
+            f"onboard.{self.key} is {declared:.3g}, {self.there} is {found:.3g}",
+            self.remedy or f"set onboard.{self.key} {change}",
+            Need.PROOF,
+        )
 
 
 def declared(scenario: Scenario) -> list[Check]:
     """Return the checks of a scenario, in addition to those of its configuration."""
-    return [
-        Check(
-            f"declared, {row.key}",
-            f"the configuration declares the values of the scenario ({row.there})",
-            row.room + 1e-12,
-            row.unit,
-            f"onboard.{row.key} is {row.declared:.3g}, {row.there} is {row.found:.3g}",
-            row.remedy,
-            Need.PROOF,
-        )
-        for row in (*_rows(scenario), *(_links(scenario) if scenario.onboard.filter != "paper" else ()))
-    ] + [_judged(scenario), _feet(scenario), _starts(scenario), *_flown(scenario)]
+    rows = [row.check(scenario) for row in _rows(scenario)]
+    return [*rows, _judged(scenario), _feet(scenario), _starts(scenario), *_flown(scenario)]
 
 
 def outside(scenarios: Iterable[Scenario]) -> str:
@@ -93,13 +103,6 @@ def not_proven(scenario: Scenario) -> str:
     return f"not proven for this scenario (flightstack check): {', '.join(found)}" if found else ""
 
 
-def _at_most(key: str, declared: float, there: str, found: float, unit: str, share: float = 1.0) -> _Row:
-    """Return a comparison with margin >= 0 if the declared value is at least ``share * found``."""
-    needed = share * found
-    remedy = f"set onboard.{key} to {_rounded_up(needed):g} or more, or lower {there.rstrip(',')}"
-    return _Row(key, declared, there, found, declared - needed, unit, remedy)
-
-
 def _rounded_up(value: float) -> float:
     """Return a positive value, rounded up to three digits."""
     if value <= 0.0:
@@ -108,87 +111,55 @@ def _rounded_up(value: float) -> float:
     return math.ceil(value * 10.0**digits - 1e-9) / 10.0**digits
 
 
-def _near(key: str, declared: float, there: str, found: float, most: float, unit: str) -> _Row:
-    remedy = f"set onboard.{key} to {found:.3g}"
-    return _Row(key, declared, there, found, most - abs(declared - found), unit, remedy)
-
-
-def _rows(scenario: Scenario) -> Iterator[_Row]:
-    """Yield the comparisons of declared with simulated robot, feet and altitude, for every filter."""
-    config, target, start = scenario.onboard, scenario.target, scenario.start
-    touchdown, envelope = config.touchdown, config.envelope
-    feet_m = -load(scenario.vehicle.airframe).geometry.foot_bottom_m
-    yield _at_most(
-        "touchdown.target_speed_max_m_s", touchdown.target_speed_max_m_s,
-        "target.speed_m_s", target.speed_m_s, "m/s",
-    )  # fmt: skip
-    yield _near(
-        "touchdown.feet_below_reference_m", touchdown.feet_below_reference_m,
-        "vehicle.airframe", feet_m, config.contact.gap_m, "m",
-    )  # fmt: skip
-    yield _at_most(
-        "envelope.target_acceleration_max_m_s2", envelope.target_acceleration_max_m_s2,
-        "target.acceleration_max_m_s2, speed_m_s times turn_rate_rad_s, or heave",
-        _acceleration_m_s2(target), "m/s^2", 1.0 / (1.0 + SPEED_SHARE),
-    )  # fmt: skip
+def _rows(scenario: Scenario) -> list[_Row]:
+    """Return the comparisons of robot, feet and altitude, and, except for the paper, of vehicle, wind, links."""
+    config, target, start, spec = scenario.onboard, scenario.target, scenario.start, scenario.vehicle
     drawn_m = start.h_m[1] + scenario.judged_by.peak_height_m
-    yield _at_most(
-        "limits.altitude_max_m", config.limits.altitude_max_m, "start.offset_m or start.h_m, above the pad,",
-        drawn_m if start.offset_m is None else start.offset_m[2], "m",
-    )  # fmt: skip
-
-
-def _links(scenario: Scenario) -> Iterator[_Row]:
-    """Yield the comparisons of vehicle, wind and links; a configuration of the paper's filter has none."""
-    config, target, spec, link = scenario.onboard, scenario.target, scenario.vehicle, scenario.odometry
-    envelope, sent, state, mocap = config.envelope, config.target, config.own, spec.mocap
-    yield _at_most(
-        "robust.tracking_error_m_s", config.robust.tracking_error_m_s,
-        "wind.gust_rms_m_s", scenario.wind.gust_rms_m_s, "m/s", GUST_SHARE,
-    )  # fmt: skip
-    yield _at_most(
-        "envelope.lag_spread", envelope.lag_spread,
-        "vehicle.motor_lag_spread, or mass_spread plus thrust_spread,",
-        max(spec.motor_lag_spread, spec.mass_spread + spec.thrust_spread), "",
-    )  # fmt: skip
-    radio_s = RADIO_SHARE * envelope.lag_spread * config.velocity_loop.lag_xy_s
-    yield _Row(
-        "velocity_loop.lag_xy_s", config.velocity_loop.lag_xy_s,
-        f"at most {radio_s:.3g} s of it may be the radio's, vehicle.setpoint_delay_s",
-        spec.setpoint_delay_s, radio_s - spec.setpoint_delay_s, "s",
-        f"lower vehicle.setpoint_delay_s to {radio_s:g} or less, or identify the loop with the radio "
-        "(flightstack identify)",
-    )  # fmt: skip
-    yield _at_most(
-        "envelope.target_climb_max_m_s", envelope.target_climb_max_m_s,
-        "target.heave_amplitude_m times 2 pi heave_rate_hz",
-        math.tau * target.heave_rate_hz * target.heave_amplitude_m, "m/s",
-    )  # fmt: skip
-    yield _Row(
-        "envelope.target_rate_hz", envelope.target_rate_hz, "odometry.rate_hz", link.rate_hz,
-        link.rate_hz - envelope.target_rate_hz, "Hz",
-        f"set onboard.envelope.target_rate_hz to {link.rate_hz:g} or less, or raise odometry.rate_hz",
-    )  # fmt: skip
-    if (error := link.error) is None:
-        yield _near("target.delay_s", sent.delay_s, "odometry.delay_s", link.delay_s, DELAY_M_S, "s")
-        yield _at_most(
-            "target.position_noise_m", sent.position_noise_m,
-            "odometry.position_noise_m", link.position_noise_m, "m", NOISE_SHARE,
-        )  # fmt: skip
-        yield _at_most(
-            "target.velocity_noise_m_s", sent.velocity_noise_m_s,
-            "odometry.velocity_noise_m_s", link.velocity_noise_m_s, "m/s", NOISE_SHARE,
-        )  # fmt: skip
-    elif error.tape is None:
-        yield _near("target.delay_s", sent.delay_s, "odometry.error.delay_s", error.delay_s, DELAY_M_S, "s")
-    if (error := spec.own) is None:
-        yield _near("own.delay_s", state.delay_s, "vehicle.mocap.delay_s", mocap.delay_s, DELAY_M_S, "s")
-        yield _at_most(
-            "own.position_noise_m", state.position_noise_m,
-            "vehicle.mocap.position_noise_m", mocap.position_noise_m, "m", NOISE_SHARE,
-        )  # fmt: skip
-    elif error.tape is None:
-        yield _near("own.delay_s", state.delay_s, "vehicle.own.delay_s", error.delay_s, DELAY_M_S, "s")
+    rows = [
+        _Row("touchdown.target_speed_max_m_s", "target.speed_m_s", "m/s"),
+        _Row("touchdown.feet_below_reference_m", "vehicle.airframe", "m",
+             -load(spec.airframe).geometry.foot_bottom_m, near=config.contact.gap_m),
+        _Row("envelope.target_acceleration_max_m_s2",
+             "target.acceleration_max_m_s2, speed_m_s times turn_rate_rad_s, or heave", "m/s^2",
+             _acceleration_m_s2(target), 1.0 / (1.0 + SPEED_SHARE)),
+        _Row("limits.altitude_max_m", "start.offset_m or start.h_m, above the pad,", "m",
+             drawn_m if start.offset_m is None else start.offset_m[2]),
+    ]  # fmt: skip
+    if config.filter == "paper":  # its configuration declares no vehicle, wind or links
+        return rows
+    radio_s = RADIO_SHARE * config.envelope.lag_spread * config.velocity_loop.lag_xy_s
+    link_hz = scenario.odometry.rate_hz
+    rows += [
+        _Row("robust.tracking_error_m_s", "wind.gust_rms_m_s", "m/s", share=GUST_SHARE),
+        _Row("envelope.lag_spread", "vehicle.motor_lag_spread, or mass_spread plus thrust_spread,", "",
+             max(spec.motor_lag_spread, spec.mass_spread + spec.thrust_spread)),
+        _Row("velocity_loop.lag_xy_s",
+             f"at most {radio_s:.3g} s of it may be the radio's, vehicle.setpoint_delay_s", "s",
+             spec.setpoint_delay_s, room=radio_s - spec.setpoint_delay_s,
+             remedy=f"lower vehicle.setpoint_delay_s to {radio_s:g} or less, or identify the loop with the "
+                    "radio (flightstack identify)"),
+        _Row("envelope.target_climb_max_m_s", "target.heave_amplitude_m times 2 pi heave_rate_hz", "m/s",
+             math.tau * target.heave_rate_hz * target.heave_amplitude_m),
+        _Row("envelope.target_rate_hz", "odometry.rate_hz", "Hz",
+             room=link_hz - config.envelope.target_rate_hz,
+             remedy=f"set onboard.envelope.target_rate_hz to {link_hz:g} or less, or raise odometry.rate_hz"),
+    ]  # fmt: skip
+    # errors of the link, table of the configuration, tables of the scenario with noise and with errors
+    links = (
+        (scenario.odometry.error, "target", "odometry", "odometry.error"),
+        (spec.own, "own", "vehicle.mocap", "vehicle.own"),
+    )
+    for error, table, link, errors in links:
+        if error is not None:
+            if error.tape is None:
+                rows.append(_Row(f"{table}.delay_s", f"{errors}.delay_s", "s", near=DELAY_M_S))
+            continue
+        rows.append(_Row(f"{table}.delay_s", f"{link}.delay_s", "s", near=DELAY_M_S))
+        rows.append(_Row(f"{table}.position_noise_m", f"{link}.position_noise_m", "m", share=NOISE_SHARE))
+        if table == "target":
+            key = "velocity_noise_m_s"
+            rows.append(_Row(f"{table}.{key}", f"{link}.{key}", "m/s", share=NOISE_SHARE))
+    return rows
 
 
 def _judged(scenario: Scenario) -> Check:

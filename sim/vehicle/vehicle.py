@@ -192,9 +192,8 @@ class VehicleSim(Physics):
 
     def set_position(self, position_enu_m: Vec3, yaw_rad: float) -> None:
         """Send a position set-point to the PID loop; it is delayed as in ``set_velocity``."""
-        self._firmware.send(
-            Setpoint(yaw_rad=yaw_rad, position=position_enu_m), self._ms - self.sent_before_ms
-        )
+        setpoint = Setpoint(yaw_rad=yaw_rad, position=position_enu_m)
+        self._firmware.send(setpoint, self._ms - self.sent_before_ms)
 
     def take_pose(self, position_enu_m: Vec3, quaternion: tuple[float, float, float, float]) -> None:
         """Use an external pose as measurement; the scenario must set ``known_drag_1_s``."""
