@@ -112,7 +112,7 @@ def _rounded_up(value: float) -> float:
 
 
 def _rows(scenario: Scenario) -> list[_Row]:
-    """Return the comparisons of robot, feet and altitude, and, except for the paper, of vehicle, wind, links."""
+    """Return the comparisons of robot, feet and altitude, and except for the paper of vehicle and links."""
     config, target, start, spec = scenario.onboard, scenario.target, scenario.start, scenario.vehicle
     drawn_m = start.h_m[1] + scenario.judged_by.peak_height_m
     rows = [
