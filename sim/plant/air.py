@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Motors, Record, Vector, new
+from flightstack.compiled.records import F64, Motors, Record, Vector
 from flightstack.core.types import Vec3
 from sim.chance import stream
 from sim.plant.params import Body, Geometry, Rotor, WindShape
@@ -53,29 +53,19 @@ def vary(n: NoiseRecord) -> None:
             n.now[i] = n.decay[i] * n.now[i] + n.kick[i] * take(n.tape)
 
 
-class CorrelatedNoise:
-    """Correlated noise from one random stream.
+def set_up_noise(n: NoiseRecord, rms: Vec3, time_s: Vec3, seed: int, purpose: str, step_s: float) -> Tape:
+    """Initialise the record of correlated noise; return its tape, which needs new numbers every 340 steps.
 
     ``rms``: standard deviation of each axis, all zero for no noise; ``time_s``: correlation times;
-    ``purpose``: name of the stream; ``step_s``: time between calls of ``vary``;
-    ``record``: record that stores the state.
+    ``purpose``: name of the random stream; ``step_s``: time between calls of ``vary``.
     """
-
-    def __init__(
-        self, rms: Vec3, time_s: Vec3, seed: int, purpose: str, step_s: float,
-        record: NoiseRecord | None = None,
-    ) -> None:  # fmt: skip
-        self.record = r = new(NoiseRecord) if record is None else record
-        self._tape = Tape(seed, purpose, r.tape)
-        r.on = any(axis > 0.0 for axis in rms)
-        for i, (axis, time) in enumerate(zip(rms, time_s, strict=True)):
-            decay = math.exp(-step_s / time)  # the discretisation is exact
-            r.decay[i], r.kick[i] = decay, axis * math.sqrt(1.0 - decay**2)
-            r.now[i] = axis * take(r.tape)  # first value from the stationary distribution
-
-    def top_up(self) -> None:
-        """Draw numbers for at least 340 steps."""
-        self._tape.top_up()
+    tape = Tape(seed, purpose, n.tape)
+    n.on = any(axis > 0.0 for axis in rms)
+    for i, (axis, time) in enumerate(zip(rms, time_s, strict=True)):
+        decay = math.exp(-step_s / time)  # the discretisation is exact
+        n.decay[i], n.kick[i] = decay, axis * math.sqrt(1.0 - decay**2)
+        n.now[i] = axis * take(n.tape)  # first value from the stationary distribution
+    return tape
 
 
 class WindRecord(Record):
@@ -95,38 +85,20 @@ def blow(w: WindRecord) -> None:
             w.now[i] = w.steady[i] + w.gust.now[i]
 
 
-class WindModel:
-    """Wind at the vehicle: ``x``, ``y``, ``z`` in m/s, world ENU.
+def set_up_wind(w: WindRecord, wind: Wind, shape: WindShape, seed: int, step_s: float) -> Tape:
+    """Initialise the record; return the tape of the gusts (``set_up_noise``).
 
     ``wind``: mean, gust rms, direction towards which the mean blows (None: drawn from the seed); ``shape``:
-    correlation times, ratio of vertical to horizontal gust rms; ``step_s``: time between calls of ``step``;
-    ``record``: record that stores the model's state.
+    correlation times, ratio of vertical to horizontal gust rms; ``step_s``: time between calls of ``blow``.
     """
-
-    def __init__(
-        self, wind: Wind, shape: WindShape, seed: int, step_s: float, record: WindRecord | None = None
-    ) -> None:
-        self.record = r = new(WindRecord) if record is None else record
-        drawn = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
-        direction = drawn if wind.direction_rad is None else wind.direction_rad
-        self.mean_enu_m_s: Vec3 = (
-            wind.mean_m_s * math.cos(direction),
-            wind.mean_m_s * math.sin(direction),
-            0.0,
-        )
-        r.steady[:] = self.mean_enu_m_s
-        rms_h, rms_v = wind.gust_rms_m_s, wind.gust_rms_m_s * shape.vertical_share
-        times = (shape.horizontal_time_s, shape.horizontal_time_s, shape.vertical_time_s)
-        self._gust = CorrelatedNoise((rms_h, rms_h, rms_v), times, seed, "wind.gust", step_s, r.gust)
-        r.now[:] = r.steady + r.gust.now
-
-    def top_up(self) -> None:
-        """Draw noise for at least 340 steps."""
-        self._gust.top_up()
-
-    def step(self) -> None:
-        self.top_up()
-        blow(self.record)
+    drawn = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
+    direction = drawn if wind.direction_rad is None else wind.direction_rad
+    w.steady[:] = wind.mean_m_s * math.cos(direction), wind.mean_m_s * math.sin(direction), 0.0
+    rms_h, rms_v = wind.gust_rms_m_s, wind.gust_rms_m_s * shape.vertical_share
+    times = (shape.horizontal_time_s, shape.horizontal_time_s, shape.vertical_time_s)
+    tape = set_up_noise(w.gust, (rms_h, rms_h, rms_v), times, seed, "wind.gust", step_s)
+    w.now[:] = w.steady + w.gust.now
+    return tape
 
 
 AIR_KG_M3 = 1.204  # air density at 20 degrees C and sea level

@@ -16,12 +16,9 @@ Over the pad's edge, the fraction of a rotor's disc that is over the pad is line
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-
-import numpy as np
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Motors, Record, new, scalars
+from flightstack.compiled.records import F64, Motors, Record
 from sim.plant.params import Battery, Plant, Rotor
 from sim.plant.states import Nine
 
@@ -93,41 +90,24 @@ def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
     ) + r.reaction * (d2 + d4 - d1 - d3)
 
 
-class Rotors:
-    """The rotors of one vehicle.
+def set_up_rotors(r: RotorRecord, rotor: Rotor, plant: Plant, slow: bool, step_s: float) -> None:
+    """Initialise the record of resting rotors.
 
     ``plant``: ratios of thrust (and torque) and lag; ``slow``: use the slow, asymmetric lag instead of the
-    first-order lag; ``step_s``: time between calls of ``turn_rotors``; ``record``: record that stores
-    the state.
+    first-order lag; ``step_s``: time between calls of ``turn_rotors``.
     """
-
-    def __init__(
-        self, rotor: Rotor, plant: Plant, slow: bool, step_s: float, record: RotorRecord | None = None
-    ) -> None:
-        self.record = r = new(RotorRecord) if record is None else record
-        self._rpm = r.rpm
-        r.p1 = rotor.thrust_linear_n_rpm * plant.thrust
-        r.p2 = rotor.thrust_square_n_rpm2 * plant.thrust
-        r.q1 = rotor.torque_linear_n_m_rpm * plant.thrust
-        r.q2 = rotor.torque_square_n_m_rpm2 * plant.thrust
-        r.arm = rotor.arm_m
-        r.gyro = rotor.inertia_kg_m2 * RAD_S_PER_RPM
-        r.reaction = r.gyro / step_s
-        r.gain = -math.expm1(-step_s / (rotor.lag_s * plant.motor_lag))
-        r.slow_rise = -math.expm1(-step_s * rotor.slow_rise_1_s / plant.motor_lag)
-        r.slow_fall = step_s * rotor.slow_fall_1_rpm_s / plant.motor_lag
-        r.slow = slow
-        r.ground_factors[:], r.share[:] = 1.0, plant.motors
-
-    @property
-    def rpm(self) -> Four:
-        """Speeds of M1..M4, rpm."""
-        m1, m2, m3, m4 = self._rpm.tolist()
-        return (m1, m2, m3, m4)
-
-    @rpm.setter
-    def rpm(self, rpm: Sequence[float]) -> None:
-        self._rpm[:] = rpm
+    r.p1 = rotor.thrust_linear_n_rpm * plant.thrust
+    r.p2 = rotor.thrust_square_n_rpm2 * plant.thrust
+    r.q1 = rotor.torque_linear_n_m_rpm * plant.thrust
+    r.q2 = rotor.torque_square_n_m_rpm2 * plant.thrust
+    r.arm = rotor.arm_m
+    r.gyro = rotor.inertia_kg_m2 * RAD_S_PER_RPM
+    r.reaction = r.gyro / step_s
+    r.gain = -math.expm1(-step_s / (rotor.lag_s * plant.motor_lag))
+    r.slow_rise = -math.expm1(-step_s * rotor.slow_rise_1_s / plant.motor_lag)
+    r.slow_fall = step_s * rotor.slow_fall_1_rpm_s / plant.motor_lag
+    r.slow = slow
+    r.ground_factors[:], r.share[:] = 1.0, plant.motors
 
 
 class BatteryRecord(Record):
@@ -177,48 +157,18 @@ def speed_limit(b: BatteryRecord) -> float:
     return b.speed_at_zero_v_rpm + b.speed_per_volt_rpm * b.voltage_v
 
 
-class BatteryModel:
-    """Battery of the vehicle, a single cell.
-
-    ``hover_rpm``: rotor speed at the hover current; ``record``: record that stores the state; ``charge``:
-    state of charge at the start, 0 to 1.
-    """
-
-    def __init__(
-        self, battery: Battery, hover_rpm: float, record: BatteryRecord | None = None, charge: float = 1.0
-    ) -> None:
-        self.record = b = new(BatteryRecord) if record is None else record
-        self._voltage = scalars(b, "voltage_v")[0]
-        b.hover_power = 4.0 * hover_rpm**3
-        b.charge_a_s, b.full_v, b.empty_v = battery.charge_a_s, battery.full_v, battery.empty_v
-        b.resistance_ohm = battery.resistance_ohm
-        b.idle_current_a, b.hover_current_a = battery.idle_current_a, battery.hover_current_a
-        b.speed_at_zero_v_rpm = battery.speed_at_zero_v_rpm
-        b.speed_per_volt_rpm = battery.speed_per_volt_rpm
-        b.used_a_s = (1.0 - charge) * battery.charge_a_s
-        rest_v = battery.full_v - (battery.full_v - battery.empty_v) * (1.0 - charge)
-        b.sag_v = battery.resistance_ohm * battery.idle_current_a
-        b.voltage_v = rest_v - b.sag_v
-
-    def load(self, rpm: Sequence[float]) -> float:
-        """Apply the load of these rotor speeds; return the voltage under load, V."""
-        drain(self.record, np.array(rpm), 0.0)
-        return self.voltage_v
-
-    @property
-    def voltage_v(self) -> float:
-        """Voltage under load, V."""
-        return float(self._voltage[0])
-
-    @property
-    def rpm_max(self) -> float:
-        """Rotor speed at full duty cycle, rpm."""
-        return speed_limit(self.record)
-
-    @property
-    def rpm_no_duty(self) -> float:
-        """Result of ``speed_at_no_duty``, rpm."""
-        return speed_at_no_duty(self.record)
+def set_up_battery(b: BatteryRecord, battery: Battery, hover_rpm: float, charge: float) -> None:
+    """Initialise the record; ``hover_rpm``: rotor speed at the hover current; ``charge``: 0 to 1."""
+    b.hover_power = 4.0 * hover_rpm**3
+    b.charge_a_s, b.full_v, b.empty_v = battery.charge_a_s, battery.full_v, battery.empty_v
+    b.resistance_ohm = battery.resistance_ohm
+    b.idle_current_a, b.hover_current_a = battery.idle_current_a, battery.hover_current_a
+    b.speed_at_zero_v_rpm = battery.speed_at_zero_v_rpm
+    b.speed_per_volt_rpm = battery.speed_per_volt_rpm
+    b.used_a_s = (1.0 - charge) * battery.charge_a_s
+    rest_v = battery.full_v - (battery.full_v - battery.empty_v) * (1.0 - charge)
+    b.sag_v = battery.resistance_ohm * battery.idle_current_a
+    b.voltage_v = rest_v - b.sag_v
 
 
 HEIGHT_MIN_M = 0.020

@@ -30,7 +30,7 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell, cell, new
 from sim.flights.screening import Screened
 from sim.plant.params import STEP_S, Params, Plant
-from sim.plant.rotors import Rotors, turn_rotors
+from sim.plant.rotors import set_up_rotors, turn_rotors
 from sim.vehicle.physics import VehicleRecord, push, set_up_drag
 from sim.world.bodies import move_body
 
@@ -214,7 +214,7 @@ class Model:
         self._params, self._gravity = params, params.contact.gravity_m_s2
         self._record = r = new(VehicleRecord)
         self._vehicle = cell(r)
-        Rotors(params.rotor, Plant(), False, STEP_S, r.rotors)
+        set_up_rotors(r.rotors, params.rotor, Plant(), False, STEP_S)
         set_up_drag(r.drag, params.body, params.body.mass_kg * self._gravity)
         r.world.wrench.mass, r.world.wrench.inertia[:] = params.body.mass_kg, params.body.inertia_kg_m2
         r.motor_share[:] = 1.0

@@ -21,27 +21,27 @@ from sim.firmware.estimator import predict
 from sim.firmware.stack import FirmwareRecord, control, listen, oversee, running
 from sim.firmware.supervisor import PERIOD_MS
 from sim.plant.air import (
-    CorrelatedNoise,
     DownwashRecord,
     NoiseRecord,
-    WindModel,
     WindRecord,
     blow,
     press,
     set_up_downwash,
+    set_up_noise,
+    set_up_wind,
     vary,
 )
 from sim.plant.params import STEP_S, Params, Plant, able_to_hover, load
 from sim.plant.params import Body as BodyParams
 from sim.plant.rotors import (
-    BatteryModel,
     BatteryRecord,
     GroundRecord,
     RotorRecord,
-    Rotors,
     drain,
     ground_effect,
+    set_up_battery,
     set_up_ground,
+    set_up_rotors,
     speed_at_no_duty,
     speed_limit,
     turn_rotors,
@@ -258,18 +258,18 @@ class Physics(ABC):
         self.record = r = new(VehicleRecord)
         self.cell = cell(r)
         self._ms = self._supplied_ms = 0  # simulated time; time up to which random numbers are drawn
-        # each of these objects stores its state in its part of ``record``
         self._world = World(params, mass_kg, scenario.target, r.world)
-        self._rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
+        set_up_rotors(r.rotors, params.rotor, plant, scenario.vehicle.slow_motors, STEP_S)
         pad_radius = scenario.target.pad_radius_m
         set_up_ground(r.ground, params.rotor, scenario.vehicle.ground_effect_gain, pad_radius)
         # rotor speed in hover without wind, rpm
         self._hover_rpm = params.rotor.rpm(self._weight_n / 4.0 / plant.thrust)
-        self._battery = BatteryModel(params.battery, self._hover_rpm, r.battery, plant.battery_charge)
-        self._wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
+        set_up_battery(r.battery, params.battery, self._hover_rpm, plant.battery_charge)
+        (self._battery_v,) = scalars(r.battery, "voltage_v")
         shape, step_s = params.torque_noise, WIND_EVERY_MS * STEP_S
-        self._torque_noise = CorrelatedNoise(
-            shape.rms_n_m, shape.time_s, seed, "torque.noise", step_s, r.torque_noise
+        self._tapes = (
+            set_up_wind(r.wind, scenario.wind, params.wind, seed, step_s),
+            set_up_noise(r.torque_noise, shape.rms_n_m, shape.time_s, seed, "torque.noise", step_s),
         )
         set_up_drag(r.drag, params.body, self._weight_n)
         set_up_downwash(r.downwash, params.body, params.rotor, params.geometry)
@@ -280,7 +280,7 @@ class Physics(ABC):
         self._since_ms, self._pad_ms, self._ground_ms, self._judging = scalars(
             r.contact, "since_ms", "pad_ms", "ground_ms", "judging"
         )
-        self._read_body, self._row = reader(r.world.body), np.empty(TRUTH)
+        self._row = np.empty(TRUTH)
         self._read_row = reader(self._row)
         target = TargetModel(scenario.target, seed)
         pose = target.pose
@@ -304,8 +304,8 @@ class Physics(ABC):
 
     def _supply(self) -> int:
         """Draw random numbers in advance for the compiled code; return until when they suffice, ms."""
-        self._wind.top_up()
-        self._torque_noise.top_up()
+        for tape in self._tapes:
+            tape.top_up()
         return self._ms + SUPPLY_MS
 
     @abstractmethod
@@ -329,8 +329,7 @@ class Physics(ABC):
 
     def body(self) -> Body:
         """Return the current true motion."""
-        b = self._read_body()
-        return Body(b[:3], b[3:6], b[6:10], b[10:])
+        return self._world.body()
 
     def truth(self) -> Truth:
         """Return the current true state, and extremes and contacts since the last call."""

@@ -19,6 +19,7 @@ from sim.firmware.setpoint import STOP, Setpoint
 from sim.firmware.stack import Firmware
 from sim.firmware.supervisor import PERIOD_MS, STATES, State
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
+from sim.plant.rotors import drain, speed_at_no_duty, speed_limit
 from sim.plant.sensors import NS_PER_MS, Imu, ms_from
 from sim.plant.states import Estimate, quaternion_from_axes, rotation_axes
 from sim.scenarios.fault_spec import Fault, Kind, What
@@ -71,10 +72,10 @@ class VehicleSim(Physics):
 
     def _start_hover(self, scenario: Scenario, seed: int) -> None:
         """Place the vehicle at rest in the air, with rotors and firmware trimmed for the mean wind."""
-        offset = scenario.start.offset_m or self._draw_offset(scenario, seed)
+        r, offset = self.record, scenario.start.offset_m or self._draw_offset(scenario, seed)
         deck = self._world.deck_position
         position = (deck[0] + offset[0], deck[1] + offset[1], deck[2] + offset[2])
-        wx, wy, wz = self._wind.mean_enu_m_s
+        wx, wy, wz = r.wind.steady.tolist()
         drag_xy, _, drag_z = self.params.body.drag_n_s_m
         zx, zy, zz = 0.0, 0.0, 1.0
         fx = fy = fz = 0.0
@@ -85,16 +86,15 @@ class VehicleSim(Physics):
             length = math.sqrt(fx * fx + fy * fy + fz * fz)
             zx, zy, zz = fx / length, fy / length, fz / length
         self._world.set_vehicle(position, quaternion_from_axes(axes_from_force(fx, fy, fz, 1.0, 0.0)))
-        m1, m2, m3, m4 = (
+        r.rotors.rpm[:] = [
             self.params.rotor.rpm(length / 4.0 / self.plant.thrust / share) for share in self.plant.motors
-        )
-        self._rotors.rpm = (m1, m2, m3, m4)
+        ]
         if self.params.rotor.volt_map is not None:
-            self._battery.load(self._rotors.rpm)  # the first command depends on the voltage
-        self._firmware.commands = self._rotors.rpm
+            drain(r.battery, r.rotors.rpm, 0.0)  # the first command depends on the voltage
+        r.firmware.commands[:] = r.rotors.rpm
         scale = self.plant.thrust
         force = (fx / scale, fy / scale, fz / scale)
-        trim = self._firmware.trim(force, self.plant.motors, self._battery.voltage_v)
+        trim = self._firmware.trim(force, self.plant.motors, self.battery_v)
         self.trim_velocity_enu_m_s = trim
         self._firmware.start_flying(Setpoint(*trim))
 
@@ -107,12 +107,10 @@ class VehicleSim(Physics):
 
     def _settle(self) -> None:
         """Run the estimator at the start until its estimate has converged."""
-        world = self._world
-        axes = rotation_axes(world.quaternion)
-        g = self._gravity
-        self._imu.settle(world.velocity, (g * axes[2], g * axes[5], g * axes[8]))
-        bias = self._imu.accel_bias
-        self._firmware.estimator.settle(world.position, world.velocity, axes, world.quaternion, bias)
+        position, velocity, quaternion, _ = self.body()
+        axes, g = rotation_axes(quaternion), self._gravity
+        self._imu.settle(velocity, (g * axes[2], g * axes[5], g * axes[8]))
+        self._firmware.estimator.settle(position, velocity, axes, quaternion, self._imu.accel_bias)
 
     def _fly(self, end_ms: int) -> int:
         if not self.faults.quiet:
@@ -167,7 +165,7 @@ class VehicleSim(Physics):
 
     def arm(self) -> str | None:
         """Arm the vehicle. Return None if accepted or already armed, else the reason of the rejection."""
-        return self._firmware.arm(self._ms, self._battery.voltage_v)
+        return self._firmware.arm(self._ms, self.battery_v)
 
     def disarm(self, force: bool) -> str | None:
         """Disarm and stop the motors; without ``force`` only in contact. Return the reason of a rejection."""
@@ -223,7 +221,7 @@ class VehicleSim(Physics):
     @property
     def battery_v(self) -> float:
         """Battery voltage under load, V."""
-        return self._battery.voltage_v
+        return float(self._battery_v[0])
 
     @property
     def armed(self) -> bool:
@@ -258,14 +256,14 @@ class VehicleSim(Physics):
     @property
     def motor_commands(self) -> tuple[float, float, float, float]:
         """Speed commands of M1..M4 divided by the highest speed at the current voltage, 0 to 1."""
-        limit = self._battery.rpm_max
+        limit = speed_limit(self.record.battery)
         m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self._firmware.commands)
         return (m1, m2, m3, m4)
 
     @property
     def duty(self) -> tuple[float, float, float, float]:
         """Duty cycles of M1..M4, 0 to 1, for a motor map without battery compensation."""
-        at_zero, limit = self._battery.rpm_no_duty, self._battery.rpm_max
+        at_zero, limit = speed_at_no_duty(self.record.battery), speed_limit(self.record.battery)
         m1, m2, m3, m4 = (
             min(1.0, max(0.0, (c - at_zero) / (limit - at_zero))) for c in self._firmware.commands
         )

@@ -11,14 +11,13 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import Cell, cell, new, reader, writer
+from flightstack.compiled.records import cell, new, reader, writer
 from flightstack.core.types import Vec3
-from logs.schema.events import ContactBit
 from sim.plant.params import STEP_S, Params
+from sim.plant.states import Body
 from sim.scenarios.tables import TargetSpec
 from sim.world.bodies import arc_of_step
-from sim.world.step import PAD_CONTACTS, ReachRecord, WorldRecord, physics_step, set_up_rest, tumbled
+from sim.world.step import PAD_CONTACTS, ReachRecord, WorldRecord, set_up_rest
 
 MARGIN_M = 1e-3  # margin for rounding errors, m
 _LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # file names on Linux, macOS, Windows
@@ -63,11 +62,6 @@ def _cylinder(model: mujoco.MjModel, geoms: npt.NDArray[np.bool_]) -> tuple[floa
     )
 
 
-@jitted
-def _step(world: Cell[WorldRecord]) -> None:
-    physics_step(world[0])
-
-
 class World:
     """The vehicle's rigid body and the deck.
 
@@ -84,7 +78,6 @@ class World:
         measure_reach(model, r.reach)
         r.wrench.mass, r.wrench.inertia[:] = mass_kg, model.body("vehicle").inertia
         set_up_rest(r.rest, params, target.pad_radius_m)
-        self._cell = cell(r)
         self._read_body, self._set_body = reader(r.body), writer(r.body)
         self._read_deck, self._set_deck = reader(r.deck), writer(r.deck)
         cell(r.mujoco)[0] = (
@@ -111,36 +104,10 @@ class World:
         """Set the deck's state; it then moves on an arc with constant forward speed, climb and turn rate."""
         self._set_deck(*position, *velocity, yaw, rate, *arc_of_step(rate))
 
-    def step(self, force: Vec3, torque: Vec3) -> int:
-        """Advance by one step.
-
-        ``force``: force on the centre of mass, weight included, world frame, N; ``torque``: body frame, N m.
-        Returns the contact bits of the state before the step, and the tumble bit of the state after it.
-        """
-        wrench = self.record.wrench
-        wrench.force[:], wrench.torque[:] = force, torque
-        _step(self._cell)
-        return int(self.record.contacts) | (ContactBit.TUMBLED if tumbled(self.quaternion) else 0)
-
-    @property
-    def position(self) -> Vec3:
-        """Position of the vehicle's centre of mass, ENU, m."""
-        return self._read_body()[:3]
-
-    @property
-    def velocity(self) -> Vec3:
-        """Velocity of the vehicle's centre of mass, ENU, m/s."""
-        return self._read_body()[3:6]
-
-    @property
-    def quaternion(self) -> tuple[float, float, float, float]:
-        """Attitude (w, x, y, z) of body FLU in world ENU."""
-        return self._read_body()[6:10]
-
-    @property
-    def rates(self) -> Vec3:
-        """Angular velocity in the body frame, rad/s."""
-        return self._read_body()[10:]
+    def body(self) -> Body:
+        """Return the motion of the vehicle."""
+        b = self._read_body()
+        return Body(b[:3], b[3:6], b[6:10], b[10:])
 
     @property
     def deck_position(self) -> Vec3:

@@ -10,11 +10,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.parameters import INT32, Parameters
 from bridge.mavlink.server.profile import FlightMode
+from flightstack.compiled.records import new
 from sim.autopilot.autopilot import px4_parameters
 from sim.autopilot.flight import Watches
 from sim.autopilot.telemetry import degrees_e7
 from sim.plant.params import load
-from sim.plant.rotors import BatteryModel, drain
+from sim.plant.rotors import BatteryRecord, drain, set_up_battery, speed_limit
 from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle, Rig, set_int, set_real
 from tests.unit.mavlink.server.served import NAN, OFFBOARD, as_int
 
@@ -149,7 +150,7 @@ def charge(voltage_v: float, throttle: float) -> float:
 def test_charge_of_the_simulated_cell_is_read_right_in_hover() -> None:
     params = load().battery
     hover_rpm, used = 18_700.0, 0.3
-    cell = BatteryModel(params, hover_rpm)
-    cell.record.used_a_s = used * params.charge_a_s
-    drain(cell.record, np.full(4, hover_rpm), 0.01)
-    assert charge(cell.voltage_v, hover_rpm / cell.rpm_max) == pytest.approx(1.0 - used, abs=0.03)
+    cell = new(BatteryRecord)
+    set_up_battery(cell, params, hover_rpm, 1.0 - used)
+    drain(cell, np.full(4, hover_rpm), 0.01)
+    assert charge(cell.voltage_v, hover_rpm / speed_limit(cell)) == pytest.approx(1.0 - used, abs=0.03)

@@ -58,8 +58,7 @@ class FreePlant:
     @property
     def state(self):
         """Position, velocity, quaternion, body rates and rotor speeds: 17 values."""
-        w = self.sim._world
-        return np.array([*w.position, *w.velocity, *w.quaternion, *w.rates, *self.sim._rotors.rpm])
+        return np.array([*np.concatenate(self.sim.body()), *self.record.rotors.rpm])
 
 
 BODY = load().body

@@ -11,6 +11,7 @@ from sim.plant.params import load
 from sim.scenarios.tables import TargetSpec
 from sim.world.step import HOLDS, WAIT_STEPS, carried
 from sim.world.world import World
+from tests.unit.plant.worlds import advance
 
 PARAMS = load()
 MASS, G = PARAMS.body.mass_kg, PARAMS.contact.gravity_m_s2
@@ -45,11 +46,11 @@ def stand(deck, seconds=3.0, wait_steps=WAIT_STEPS, place=(0.02, -0.01), force=W
     rows = []
     for step in range(round(1000 * seconds)):
         deck.place(w, step)
-        bits = w.step(force(step) if callable(force) else force, torque)
-        at = np.array(w.position) - np.array(w.deck_position)
+        bits = advance(w, force(step) if callable(force) else force, torque)
+        at = np.array(w.body().position_enu_m) - np.array(w.deck_position)
         c, s = math.cos(w.record.deck.yaw), math.sin(w.record.deck.yaw)
         on_pad = (c * at[0] + s * at[1], c * at[1] - s * at[0], at[2])
-        rows.append((bits, on_pad, w.velocity, w.quaternion, w.rates, int(w.record.rest.steps)))
+        rows.append((bits, on_pad, *w.body()[1:], int(w.record.rest.steps)))
     return w, rows
 
 
@@ -84,7 +85,7 @@ def test_moves_as_with_the_contact_of_mujoco(name):
         assert v == pytest.approx(v_m, abs=0.012)  # MuJoCo follows a step of the velocity in two steps
         assert abs(np.dot(q, q_m)) > 1.0 - 1e-6
         assert rates == pytest.approx(rates_m, abs=0.05)
-    assert np.linalg.norm(w.quaternion) == pytest.approx(1.0, abs=1e-12)
+    assert np.linalg.norm(w.body().quaternion) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_does_not_creep_under_a_steady_wind():

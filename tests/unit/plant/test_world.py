@@ -11,6 +11,7 @@ from sim.plant.params import load
 from sim.scenarios.tables import TargetSpec
 from sim.world.step import apart
 from sim.world.world import World
+from tests.unit.plant.worlds import advance
 
 pytestmark = pytest.mark.slow
 
@@ -18,7 +19,6 @@ PARAMS = load()
 MASS = PARAMS.body.mass_kg
 G = PARAMS.contact.gravity_m_s2
 WEIGHT = (0.0, 0.0, -MASS * G)
-NO_TORQUE = (0.0, 0.0, 0.0)
 GEOMETRY = PARAMS.geometry
 STANDING = -GEOMETRY.foot_bottom_m
 
@@ -31,7 +31,7 @@ def touched(position, quaternion=(1.0, 0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0),
     w = world()
     w.set_vehicle(position, quaternion, velocity)
     for _ in range(steps):
-        bits = w.step(WEIGHT, NO_TORQUE)
+        bits = advance(w, WEIGHT)
         if bits & ~ContactBit.TUMBLED.value:
             return bits
     return 0
@@ -53,10 +53,10 @@ def test_propellers_count_as_body():
     q = (math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0)  # the front propellers touch first
     w = world()
     w.set_vehicle((1.0, 0.0, 0.06), q)
-    while not (bits := w.step(WEIGHT, NO_TORQUE)):
+    while not (bits := advance(w, WEIGHT)):
         pass
     assert bits == ContactBit.GROUND.value
-    assert w.position[2] > 0.03  # the feet do not touch the ground yet
+    assert w.body().position_enu_m[2] > 0.03  # the feet do not touch the ground yet
 
 
 @pytest.mark.parametrize(("tilt_deg", "tumbled"), [(55.0, False), (65.0, True)])
@@ -64,7 +64,7 @@ def test_tumbled_is_a_tilt_beyond_sixty_degrees(tilt_deg, tumbled):
     half = math.radians(tilt_deg) / 2
     w = world()
     w.set_vehicle((0.0, 0.0, 10.0), (math.cos(half), math.sin(half), 0.0, 0.0))
-    assert bool(w.step(WEIGHT, NO_TORQUE) & ContactBit.TUMBLED) is tumbled
+    assert bool(advance(w, WEIGHT) & ContactBit.TUMBLED) is tumbled
 
 
 def tilted(angle, axis=(0.0, 1.0, 0.0)):
@@ -98,7 +98,7 @@ def test_apart_means_no_contact_wherever_and_however_the_vehicle_is(spec):
         r = w.record
         reach_m, free = (r.reach.robot, r.reach.robot_top), apart(r.reach, r.body, r.deck)
         r.reach.robot = r.reach.robot_top = math.inf  # MuJoCo runs in every step
-        bits = w.step((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        bits = advance(w, (0.0, 0.0, 0.0))
         r.reach.robot, r.reach.robot_top = reach_m
         assert not (free and bits & ~ContactBit.TUMBLED.value), position
         seen[free] += 1
@@ -132,8 +132,8 @@ def tumble_past(spec, aside_m, searching):
     rows = []
     for k in range(1500):
         lift = 0.0 if k < 700 else 0.5  # thrust later moves the vehicle upwards
-        bits = w.step((0.0, 0.0, lift - 0.3), (0.0, 0.0, 0.0))
-        rows.append((bits, w.position, w.velocity, w.quaternion, w.rates, w.deck_position))
+        bits = advance(w, (0.0, 0.0, lift - 0.3))
+        rows.append((bits, *w.body(), w.deck_position))
     return rows
 
 
