@@ -22,7 +22,7 @@ from flightstack.core.types import Vec3
 from sim.chance import stream
 from sim.plant.params import load
 from sim.plant.sensors import BLOCK, NS, MeasurementChannel
-from sim.plant.state_error import DELAY, TURN, WIDTH, PastRecord, mismeasured, state_errors
+from sim.plant.state_error import DELAY, TURN, WIDTH, PastRecord, mismeasured_path, state_errors
 from sim.scenarios.tables import PathKind, StateError, TargetLink, TargetSpec
 
 DRIVE_LAG_S = 0.1  # first-order lag of the drive, s; not documented by ROBOTIS, assumed 0.05 to 0.15 s
@@ -317,7 +317,7 @@ class TargetError:
         self._left = np.empty((0, WIDTH))
         self._past = new(PastRecord)
         self._past.rate = rate_hz
-        self._cell, self._late = cell(self._past), self._past.late
+        self._cell, self._late = cell(self._past), np.empty((1, 6))
 
     def apply(self, pad: Sequence[float]) -> tuple[Sequence[float], float, Sequence[float]]:
         """Return the measured position (ENU, m), heading (rad) and velocity in the body frame (m/s).
@@ -326,9 +326,9 @@ class TargetError:
         """
         if not len(self._left):
             self._left = self._rows.take(BLOCK)
-        row, self._left = self._left[0], self._left[1:]
-        mismeasured(self._cell, np.array(pad[1:4]), np.array(pad[8:11]), row)
-        x, y, z, vx, vy, vz = self._late.tolist()
+        rows, self._left = self._left[:1], self._left[1:]
+        mismeasured_path(self._cell, np.array([pad[1:4]]), np.array([pad[8:11]]), rows, self._late)
+        (x, y, z, vx, vy, vz), row = self._late[0].tolist(), rows[0]
         yaw = pad[4] - pad[11] * float(row[DELAY]) + float(row[TURN + 2])
         c, s = math.cos(yaw), math.sin(yaw)
         return (x, y, z), yaw, (c * vx + s * vy, c * vy - s * vx, vz)

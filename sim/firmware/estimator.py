@@ -25,7 +25,7 @@ from functools import cache
 import numpy as np
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Cell, Record, Vector, cell, new, reader, scalars
+from flightstack.compiled.records import F64, Record, Vector, new, reader, scalars
 from flightstack.core.types import Vec3
 from sim.firmware.setpoint import SensedState
 from sim.plant.states import Estimate
@@ -230,16 +230,6 @@ def turn_estimate(s: SensedState, dx: float, dy: float, dz: float) -> None:
     q[0], q[1], q[2], q[3] = w * scale, x * scale, y * scale, z * scale
 
 
-@jitted
-def _correct(estimator: Cell[EstimatorRecord], x: float, y: float, z: float, yaw: float) -> None:
-    correct(estimator[0], x, y, z, yaw)
-
-
-@jitted
-def _correct_tilt(estimator: Cell[EstimatorRecord], quaternion: F64) -> None:
-    correct_tilt(estimator[0], quaternion)
-
-
 class Estimator:
     """State estimator of one vehicle; ``sensed`` is the result.
 
@@ -254,7 +244,6 @@ class Estimator:
     ) -> None:  # fmt: skip
         self.record = r = new(EstimatorRecord) if record is None else record
         self.sensed = s = r.sensed
-        self._cell = cell(r)
         (self._age_s,) = scalars(r, "since_sample_s")
         self._read = reader(s, skipping="axes")
         r.kp, r.kv, accel = axis_gains(mocap_period_s, ACCEL_XY_M_S2, gravity_m_s2)
@@ -285,13 +274,13 @@ class Estimator:
 
     def correct(self, x: float, y: float, z: float, yaw: float) -> None:
         """Correct the estimate with a motion-capture sample; the sample's age is ignored."""
-        _correct(self._cell, x, y, z, yaw)
+        correct(self.record, x, y, z, yaw)
 
     def take_pose(self, position: Vec3, quaternion: tuple[float, float, float, float]) -> None:
         """Correct the estimate with an external pose; unlike ``correct``, also correct roll and pitch."""
         w, x, y, z = quaternion
         self.correct(*position, math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
-        _correct_tilt(self._cell, np.array(quaternion))
+        correct_tilt(self.record, np.array(quaternion))
 
     def know_drag(self, drag_1_s: Vec3) -> None:
         """Set the firmware's parameters ``kalman.dragB_*``: drag along the body axes, 1/s."""

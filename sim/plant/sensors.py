@@ -34,27 +34,14 @@ def ms_from(time_ns: int) -> int:
     return -(-time_ns // NS_PER_MS)
 
 
-class Normals:
-    """Standard normal numbers that are drawn in blocks."""
-
-    def __init__(self, seed: int, purpose: str) -> None:
-        self._rng = stream(seed, purpose)
-        self._left: list[float] = []
-
-    def block(self) -> F64:
-        """Return noise of the next samples, one row each, in the order of use; as few blocks as possible."""
-        drawn: F64 = self._rng.standard_normal(BLOCK)
-        return drawn[::-1]
-
-    def take(self) -> float:
-        """Return the next random number; a new block is drawn when the last one is used up."""
-        if not self._left:
-            self._left = self.block()[::-1].tolist()
-        return self._left.pop()
+def normals(rng: np.random.Generator) -> F64:
+    """Return a block of standard normal numbers."""
+    drawn: F64 = rng.standard_normal(BLOCK)
+    return drawn[::-1]
 
 
 class NoiseRows:
-    """Noise for samples of several values; each value with noise uses one number of ``Normals``.
+    """Noise for samples of several values; each value with noise uses one standard normal number.
 
     ``sigmas``: standard deviation of each value; ``purpose``: name of the random stream.
     """
@@ -62,7 +49,7 @@ class NoiseRows:
     def __init__(self, sigmas: Sequence[float], seed: int, purpose: str) -> None:
         self._sigmas = np.array(sigmas, dtype=np.float64)
         self._noisy = self._sigmas != 0.0
-        self._normals = Normals(seed, purpose)
+        self._rng = stream(seed, purpose)
         self._left: list[list[float]] = []
 
     def take(self) -> list[float]:
@@ -76,7 +63,7 @@ class NoiseRows:
         width = int(self._noisy.sum())
         if width == 0:
             return np.full((BLOCK, len(self._sigmas)), NO_NOISE)
-        blocks = [self._normals.block() for _ in range(width // math.gcd(width, BLOCK))]
+        blocks = [normals(self._rng) for _ in range(width // math.gcd(width, BLOCK))]
         numbers = np.concatenate(blocks).reshape(-1, width)
         rows = np.full((len(numbers), len(self._sigmas)), NO_NOISE)
         rows[:, self._noisy] = self._sigmas[self._noisy] * numbers
@@ -98,19 +85,19 @@ def take(tape: TapeRecord) -> float:
 
 
 class Tape:
-    """Supplies compiled code, which cannot draw random numbers, with the numbers of ``Normals``."""
+    """Supplies compiled code, which cannot draw random numbers, with normal numbers."""
 
     def __init__(self, seed: int, purpose: str, record: TapeRecord) -> None:
-        self._normals = Normals(seed, purpose)
+        self._rng = stream(seed, purpose)
         self._next, self._numbers = cell(record)["next"], record.numbers
-        self._numbers[:BLOCK] = self._normals.block()
-        self._numbers[BLOCK:] = self._normals.block()
+        self._numbers[:BLOCK] = normals(self._rng)
+        self._numbers[BLOCK:] = normals(self._rng)
 
     def top_up(self) -> None:
         """Draw until at least ``BLOCK`` numbers are available."""
         if self._next[0] >= BLOCK:
             self._numbers[:BLOCK] = self._numbers[BLOCK:]
-            self._numbers[BLOCK:] = self._normals.block()
+            self._numbers[BLOCK:] = normals(self._rng)
             self._next -= BLOCK
 
 

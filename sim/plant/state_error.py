@@ -91,12 +91,6 @@ def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None
 
 
 @jitted
-def mismeasured(past: Cell[PastRecord], position: F64, velocity: F64, row: F64) -> None:
-    """Call ``mismeasure`` from interpreted Python."""
-    mismeasure(past[0], position, velocity, row)
-
-
-@jitted
 def mismeasured_path(
     past: Cell[PastRecord], positions: F64, velocities: F64, rows: F64, measured: F64
 ) -> None:

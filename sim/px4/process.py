@@ -21,7 +21,6 @@ from logs.recorder.feed import Feed
 from logs.schema import Names
 from sim.clock import NS_PER_S, run_process
 from sim.options import Px4SimOptions
-from sim.plant.states import Truth
 from sim.px4.link import SLICE_S, LinkClosedError, Px4Link, parse_endpoint
 from sim.px4.plant import STEP_MS, Px4Plant, Px4Sensors
 from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
@@ -67,16 +66,9 @@ class Px4Node:
         truth = flight.plant.truth()
         self.log.truth(flight.steps // _LOG_EVERY, now_ns, truth)
         if self._deck is not None:
-            self._move_deck(self._deck, flight, truth)
+            now_s, log = self._deck_s + flight.steps * STEP_S, partial(self.log.target, now_ns)
+            self._deck.move(flight.plant, truth, now_s, log, _warn)
         self.log.feed.flush()
-
-    def _move_deck(self, deck: RealTimeDeck, flight: Px4Session, truth: Truth) -> None:
-        now_ns = flight.steps * _NS_PER_STEP
-        now_s, log = self._deck_s + flight.steps * STEP_S, partial(self.log.target, now_ns)
-        state = deck.move(now_s, truth, log, _warn)
-        if state is not None:
-            place, velocity = state.position_enu_m, state.velocity_enu_m_s
-            flight.plant.set_deck(place, state.yaw_rad, velocity, state.yaw_rate_rad_s)
 
 
 def _warn(text: str) -> None:

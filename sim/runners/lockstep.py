@@ -138,7 +138,7 @@ class LockstepVehicle:
             if self.answers:
                 self._robot.await_credit(tick)
             deck = self._robot.take(tick)
-            node.move_deck(deck)
+            node.vehicle.set_deck(*deck[:4])
             node.log.target(now_ns, deck.payload)
         if self.over:
             node.vehicle.sent_before_ms = 0

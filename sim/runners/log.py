@@ -7,7 +7,7 @@ the log of the same flight with separate processes, so that one judge reads both
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from itertools import chain
 from typing import Any
@@ -24,8 +24,7 @@ from logs.recorder.feed import Feed
 from logs.schema import Names, schemas
 from logs.schema.events import ContactBit, Severity, pack_log
 from logs.schema.rows import TrueStateRow
-from sim.plant import states
-from sim.plant.states import truth_of
+from sim.plant.states import TRUTH, truth_of
 
 _LEVELS: dict[int, Severity] = {
     dialect.MAV_SEVERITY_EMERGENCY: Severity.FATAL,
@@ -80,18 +79,10 @@ class VehicleLog(EventLog):
         self._contact_s: dict[int, float] = {}
         self._targets = 0
 
-    def truth(self, tick: int, now_ns: int, truth: states.Truth) -> None:
+    def truth(self, tick: int, now_ns: int, truth: TrueStateRow) -> None:
         """Write the true state; also write each new contact with the ground or deck as an event."""
         stamp_ns = self.epoch_ns + now_ns
-        w, x, y, z = truth.quaternion
-        row = TrueStateRow(
-            stamp_ns, tick, truth.position_enu_m, truth.velocity_enu_m_s, (x, y, z, w),
-            truth.angular_velocity_flu_rad_s, truth.rotor_rpm, truth.pad_position_enu_m,
-            truth.pad_velocity_enu_m_s, truth.pad_yaw_rad, truth.h_m, truth.h_min_m,
-            truth.h_min_outside_pad_m, truth.contacts, truth.first_touch_relative_position_enu_m,
-            truth.first_touch_relative_velocity_enu_m_s, truth.first_touch_time_s, truth.motors_running,
-            truth.battery_v, truth.wind_enu_m_s,
-        )  # fmt: skip
+        row = truth._replace(stamp_ns=stamp_ns, tick=tick)
         self.feed.write(self._truth, stamp_ns, stamp_ns, tick, row.pack())
         if truth.contacts:
             self._contacts(now_ns, truth.contacts)
@@ -112,8 +103,8 @@ class VehicleLog(EventLog):
                 self._contact_s[bit] = now_s
 
 
-# names of the fields that are both in the vehicle's true state and in the logged one
-_SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in states.Truth._fields)
+# names of the fields that are both in a true state and in the arrays of a flight
+_SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in TrueStateRow._fields)
 
 
 @dataclass(frozen=True)
@@ -143,7 +134,7 @@ class Notes(VehicleLog):
         self._config, self._pad_radius_m = config, pad_radius_m
         self._steps: list[tuple[int, int, float, float]] = []
         self._truth_ticks: list[tuple[int, int]] = []
-        self._truths: list[states.Truth] = []  # true states since the newest block
+        self._truths: list[TrueStateRow] = []  # true states since the newest block
         self._blocks: list[Floats] = []  # blocks of true states, one row each
         self._events: list[Event] = []
 
@@ -157,7 +148,7 @@ class Notes(VehicleLog):
         for event in out.events:
             self.note(tick.now_s, event.level, "controller", event.text)
 
-    def truth(self, tick: int, now_ns: int, truth: states.Truth) -> None:
+    def truth(self, tick: int, now_ns: int, truth: TrueStateRow) -> None:
         """Record a true state."""
         self._truth_ticks.append((tick, now_ns))
         self._truths.append(truth)
@@ -181,8 +172,8 @@ class Notes(VehicleLog):
 
     def _close_block(self) -> None:
         if self._truths:
-            columns = [_rows(values) for values in zip(*self._truths, strict=True)]
-            self._blocks.append(np.column_stack(columns))
+            numbers = np.fromiter(chain.from_iterable(map(_numbers, self._truths)), np.float64)
+            self._blocks.append(numbers.reshape(-1, TRUTH))
             self._truths = []
 
     def event(self, now_ns: int, level: int, text: str) -> None:
@@ -215,7 +206,6 @@ class Notes(VehicleLog):
         return Truth(
             t_s=_seconds(times_ns),
             tick=np.array(ticks),
-            orientation=np.roll(of.quaternion.T, -1, axis=1),  # order of the components: x, y, z, w
             contacts=of.contacts.astype(np.int64),
             motors_running=of.motors_running.astype(np.bool_),
             **columns,
@@ -227,10 +217,11 @@ def _seconds(times_ns: Sequence[int]) -> Floats:
     return np.asarray(np.array(times_ns, dtype=np.int64) * 1e-9, dtype=np.float64)
 
 
-def _rows(values: Sequence[Any]) -> Floats:
-    """Return an array of floats or of equally long tuples; four times as fast as ``np.array``."""
-    if isinstance(values[0], tuple):
-        width = len(values[0])
-        flat = np.fromiter(chain.from_iterable(values), np.float64, len(values) * width)
-        return flat.reshape(-1, width)
-    return np.array(values, dtype=np.float64)
+def _numbers(truth: TrueStateRow) -> Iterator[float]:
+    """Yield the ``TRUTH`` values of a state, without its time."""
+    yield math.nan
+    for value in truth[2:]:
+        if isinstance(value, tuple):
+            yield from value
+        else:
+            yield value

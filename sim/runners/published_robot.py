@@ -33,14 +33,14 @@ from flightstack.onboard.lockstep import ALIVE
 from logs.recorder.feed import Feed
 from logs.schema import Names
 from logs.schema.events import Severity
-from logs.schema.rows import ControllerStepRow
+from logs.schema.rows import ControllerStepRow, TrueStateRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.options import TargetOptions, WorldOptions
-from sim.plant.states import Truth
 from sim.robot import Sample
 from sim.runners.log import EventLog
 from sim.runners.robot import DeckState, Robot, deck_rows
 from sim.scenarios.scenario import Scenario
+from sim.vehicle.physics import Physics
 
 NODE = "flightstack_target"  # name of the ROS 2 node
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
@@ -291,9 +291,10 @@ class RealTimeDeck:
         self._stopped = False  # whether the deck stopped for lack of poses, and its warning was sent
 
     def move(
-        self, now_s: float, truth: Truth, log: Callable[[bytes], None], warn: Callable[[str], None]
-    ) -> DeckState | None:
-        """Read new poses and return the next state of the deck; None before the first pose.
+        self, vehicle: Physics, truth: TrueStateRow, now_s: float, log: Callable[[bytes], None],
+        warn: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        """Read new poses and move the vehicle's deck after them; without any pose it does not move.
 
         ``truth``: true state with the deck's current pose; ``log``: called with each message.
         """
@@ -305,14 +306,15 @@ class RealTimeDeck:
                 self._last, self._last_s = deck_state(payload), now_s
                 break
         if self._last is None:
-            return None
+            return
         position_enu_m, yaw_rad, age_s = truth.pad_position_enu_m, truth.pad_yaw_rad, now_s - self._last_s
         stopped, self._stopped = self._stopped, age_s > STALE_S
+        state = DeckState(position_enu_m, yaw_rad, ZERO, 0.0, b"")
         if not self._stopped:
-            return follow(self._last, age_s, position_enu_m, yaw_rad)
-        if not stopped:
+            state = follow(self._last, age_s, position_enu_m, yaw_rad)
+        elif not stopped:
             warn("Robot's pose too old: deck stopped")
-        return DeckState(position_enu_m, yaw_rad, ZERO, 0.0, b"")
+        vehicle.set_deck(*state[:4])
 
 
 def follow(last: DeckState, age_s: float, position_enu_m: Vec3, yaw_rad: float) -> DeckState:

@@ -14,13 +14,12 @@ from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.transport.address import Peer
 from logs.schema.events import Severity
+from logs.schema.rows import TrueStateRow
 from sim.autopilot.autopilot import Autopilot
 from sim.clock import NS_PER_S
 from sim.faults.link import LinkFaults, Way
 from sim.faults.schedule import Running
-from sim.plant.states import Truth
 from sim.runners.log import VehicleLog
-from sim.runners.robot import DeckState
 from sim.vehicle.vehicle import VehicleSim
 
 T = TypeVar("T")
@@ -175,11 +174,7 @@ class VehicleNode:
         if not self.over:
             self.log.event(round(t_s * NS_PER_S), level, text)
 
-    def move_deck(self, deck: DeckState) -> None:
-        """Set the pose and twist of the deck."""
-        self.vehicle.set_deck(deck.position_enu_m, deck.yaw_rad, deck.velocity_enu_m_s, deck.yaw_rate_rad_s)
-
-    def write_log(self, tick: int, now_ns: int) -> Truth:
+    def write_log(self, tick: int, now_ns: int) -> TrueStateRow:
         """Log the true state, the autopilot's status texts and the state of the firmware's supervisor."""
         truth = self.vehicle.truth()
         self.log.truth(tick, now_ns, truth)

@@ -73,13 +73,11 @@ class RealTimeVehicle:
             node.wire.send(messages, node.endpoint.peers, now_ns)
         if isinstance(self._robot, RealTimeRobot):
             deck = self._robot.take(tick)
-            node.move_deck(deck)
+            node.vehicle.set_deck(*deck[:4])
             node.log.target(now_ns, deck.payload)
         truth = node.write_log(tick, now_ns)
         if isinstance(self._robot, RealTimeDeck):
-            state = self._robot.move(now_s, truth, partial(node.log.target, now_ns), self.warn)
-            if state is not None:
-                node.move_deck(state)
+            self._robot.move(node.vehicle, truth, now_s, partial(node.log.target, now_ns), self.warn)
         node.log.feed.flush()
 
     def receive(self) -> None:

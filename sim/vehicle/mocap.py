@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, I64, Cell, Record, cell
+from flightstack.compiled.records import F64, I64, Record, scalars
 from sim.firmware.estimator import EstimatorRecord, correct, correct_tilt, replace_estimate
 from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
 from sim.plant.state_error import TURN, WIDTH, PastRecord, mismeasure, state_errors
@@ -86,16 +86,6 @@ def correct_estimate(m: MocapRecord, estimator: EstimatorRecord, body: BodyRecor
         at = next_arrived(m, now_ms)
 
 
-@jitted
-def _next_arrived(mocap: Cell[MocapRecord], now_ms: int) -> int:
-    return next_arrived(mocap[0], now_ms)
-
-
-@jitted
-def _measure_pose(mocap: Cell[MocapRecord], body: Cell[BodyRecord], now_ms: int) -> None:
-    measure_pose(mocap[0], body[0], now_ms)
-
-
 class MocapTape:
     """Fills the rows with random numbers; while a fault diverts samples, ``take`` returns them.
 
@@ -116,11 +106,11 @@ class MocapTape:
         self._losses = Losses(link, seed, "mocap.loss")
         self._noise_left = np.empty((0, VALUES))
         self._noise = NoiseRows((noise, noise, noise, link.yaw_noise_rad), seed, "mocap.noise")
-        self._cell, self._body = cell(record), cell(body)
+        self._record, self._body = record, body
         self._measured_ms, self._arrives_ms, self._values = (
             record.measured_ms, record.arrives_ms, record.values.reshape(ROWS, VALUES),
         )  # fmt: skip
-        self._measuring, self._arriving = self._cell["measuring"], self._cell["arriving"]
+        self._measuring, self._arriving = scalars(record, "measuring", "arriving")
         self._count = 0  # number of samples whose random numbers are drawn
         self._fill(0)
 
@@ -136,7 +126,7 @@ class MocapTape:
         done = int(self._arriving[0])
         for rows in (self._measured_ms, self._arrives_ms, self._values, self._error_rows):
             rows[: ROWS - done] = rows[done:].copy()
-        self._measuring -= done
+        self._measuring[0] -= done
         self._arriving[0] = 0
         self._fill(ROWS - done)
 
@@ -158,13 +148,13 @@ class MocapTape:
 
     def divert(self, diverted: bool) -> None:
         """Choose whether arriving samples go to ``take`` or to the estimator."""
-        self._cell["diverted"][0] = diverted
+        self._record.diverted = diverted
 
     def take(self, now_ms: int) -> list[tuple[float, ...]]:
         """Measure due samples; return the samples that have arrived."""
-        _measure_pose(self._cell, self._body, now_ms)
+        measure_pose(self._record, self._body, now_ms)
         samples: list[tuple[float, ...]] = []
-        while (at := _next_arrived(self._cell, now_ms)) >= 0:
+        while (at := next_arrived(self._record, now_ms)) >= 0:
             samples.append(tuple(self._values[at // VALUES].tolist()))
         return samples
 

@@ -17,6 +17,7 @@ from flightstack.core.numeric import numeric, twin, wrapped
 from flightstack.core.safety.barrier import barrier_h
 from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
+from logs.schema.rows import TrueStateRow
 from sim.firmware.estimator import predict
 from sim.firmware.stack import FirmwareRecord, control, listen, oversee, running
 from sim.firmware.supervisor import PERIOD_MS
@@ -46,8 +47,8 @@ from sim.plant.rotors import (
     speed_limit,
     turn_rotors,
 )
-from sim.plant.sensors import ImuRecord, measure
-from sim.plant.states import TRUTH, Body, Truth, rotation_axes, truth_of
+from sim.plant.sensors import NS_PER_MS, ImuRecord, measure
+from sim.plant.states import TRUTH, Body, rotation_axes, truth_of
 from sim.robot import TargetModel
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.judge import GAP_MS, NONE_MS, ContactRecord, JudgeRecord, judge, note_contact
@@ -213,7 +214,7 @@ def write_truth(v: VehicleRecord, now_ms: int, row: F64) -> None:
         row[1 + i], row[4 + i], row[11 + i] = p[i], body.velocity[i], body.rates[i]
         row[18 + i], row[21 + i], row[38 + i] = d[i], deck.velocity[i], v.wind.now[i]
     for i in range(4):
-        row[7 + i], row[14 + i] = body.quaternion[i], v.rotors.rpm[i]
+        row[7 + i], row[14 + i] = body.quaternion[(i + 1) % 4], v.rotors.rpm[i]  # order x, y, z, w
     row[24], row[25], row[26], row[27] = (
         _wrapped(deck.yaw),
         h,
@@ -331,8 +332,12 @@ class Physics(ABC):
         """Return the current true motion."""
         return self._world.body()
 
-    def truth(self) -> Truth:
+    def truth(self) -> TrueStateRow:
         """Return the current true state, and extremes and contacts since the last call."""
         read_truth(self.cell, self._ms, self._row)
         found = truth_of(self._read_row())
-        return found._replace(contacts=int(found.contacts), motors_running=found.motors_running != 0.0)
+        return found._replace(
+            stamp_ns=self._ms * NS_PER_MS,
+            contacts=int(found.contacts),
+            motors_running=found.motors_running != 0.0,
+        )

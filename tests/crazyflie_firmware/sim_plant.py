@@ -131,14 +131,7 @@ class SimPlant:
         self._rest_s -= steps / 1000.0
         if steps:
             self.vehicle.advance(steps)
-            self._follow()
+            if self._deck is not None:
+                truth, ignore = self.vehicle.truth(), lambda _: None
+                self._deck.move(self.vehicle, truth, self._now_s, ignore, ignore)
         self._rest_s = min(self._rest_s, 0.001 * MS_MAX)
-
-    def _follow(self) -> None:
-        if self._deck is None:
-            return
-        deck = self._deck.move(self._now_s, self.vehicle.truth(), log=lambda _: None, warn=lambda _: None)
-        if deck is not None:
-            self.vehicle.set_deck(
-                deck.position_enu_m, deck.yaw_rad, deck.velocity_enu_m_s, deck.yaw_rate_rad_s
-            )

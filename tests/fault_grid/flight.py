@@ -26,8 +26,8 @@ from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard.leaving import Ended
 from flightstack.onboard.runner import Arrived, Taken, decoded
 from logs.reader.flight_data import Truth
+from logs.schema.rows import TrueStateRow
 from sim.clock import TickGrid
-from sim.plant.states import Truth as TrueState
 from sim.robot import Sample
 from sim.runners.landing import Companion
 from sim.runners.log import Notes, Seen
@@ -113,13 +113,13 @@ class _Log(Notes):
 
     down_s, height_m = math.nan, 0.0
 
-    def truth(self, tick: int, now_ns: int, truth: TrueState) -> None:
+    def truth(self, tick: int, now_ns: int, truth: TrueStateRow) -> None:
         super().truth(tick, now_ns, truth)
         self.height_m = truth.position_enu_m[2]
         if truth.motors_running:
             self.down_s = math.nan
         elif not math.isfinite(self.down_s):
-            self.down_s = truth.time_s
+            self.down_s = 1e-9 * truth.stamp_ns
 
 
 class Flight(Companion):

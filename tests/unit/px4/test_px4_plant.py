@@ -47,7 +47,7 @@ def test_equals_the_vehicle_of_the_simulator_bit_by_bit_when_it_gets_the_same_ro
         assert plant.body().position_enu_m == vehicle.body().position_enu_m, tick
     theirs, ours = vehicle.truth(), plant.truth()
     assert ours.position_enu_m[2] > 0.5
-    assert ours.quaternion == theirs.quaternion
+    assert ours.orientation == theirs.orientation
     assert ours.rotor_rpm == theirs.rotor_rpm
     assert ours.battery_v == theirs.battery_v
     assert ours.wind_enu_m_s == theirs.wind_enu_m_s

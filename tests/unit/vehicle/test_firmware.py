@@ -64,7 +64,7 @@ def test_poses_from_outside_whose_markers_are_tilted_make_it_drift(tilt_rad):
     sim = vehicle(vehicle=spec)
     for _ in range(500):
         truth = sim.truth()
-        w, x, y, z = truth.quaternion
+        x, y, z, w = truth.orientation
         half = 0.5 * tilt_rad  # half of a tilt about y
         sim.take_pose(truth.position_enu_m, (w - half * y, x - half * z, y + half * w, z + half * x))
         sim.set_velocity((0.0, 0.0, 0.0), 0.0)
