@@ -50,12 +50,15 @@ class Pad(NamedTuple):
     velocity_enu_m_s: Vec3  # velocity of the landing spot
 
 
-def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float) -> float:
-    """Return the smallest horizontal distance of pad and place in the next ``ahead_s``, both extrapolated."""
+def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float, since_s: float = 0.0) -> float:
+    """Return the smallest horizontal distance of pad and place, both extrapolated by constant velocities.
+
+    The interval is from ``since_s`` before now to ``ahead_s`` after now.
+    """
     (x, y, _), (vx, vy, _) = pad
     x, y, vx, vy = place_enu_m[0] - x, place_enu_m[1] - y, moves_m_s[0] - vx, moves_m_s[1] - vy
     speed2 = vx * vx + vy * vy
-    at_s = clip(-(x * vx + y * vy) / speed2, 0.0, ahead_s) if speed2 > 0.0 else 0.0
+    at_s = clip(-(x * vx + y * vy) / speed2, -since_s, ahead_s) if speed2 > 0.0 else 0.0
     return math.hypot(x + at_s * vx, y + at_s * vy)
 
 
@@ -67,7 +70,10 @@ def decide(
     missing = [n for n, slot in slots if not _present(slot.message, now_s, fleet)]
     if phase not in CLAIMING or pad is None:
         if phase not in CLAIMING:
-            drop(memory, slots)
+            memory.claim_s, memory.granted = math.nan, False
+            memory.waits_since_s = memory.committed_s = math.inf
+            for _, slot in slots:
+                slot.yields = False
         text, cut_off = _names("not heard", missing), bool(missing) and _cut_off(slots, now_s, fleet)
         if phase is Phase.LANDED and pad is not None and fleet.frees_pad and not memory.left:
             waiting = [n for n, slot in slots if _waits_for(slot.message, pad, now_s, fleet)]
@@ -107,14 +113,6 @@ def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s:
     return now_s - memory.claim_s > (1 + higher) * CIRCLE_LATENCIES * fleet.latency_max_s
 
 
-def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
-    """Withdraw claim and right of way of this vehicle; it also yields to no member any more."""
-    memory.claim_s, memory.granted = math.nan, False
-    memory.waits_since_s = memory.committed_s = math.inf
-    for _, slot in slots:
-        slot.yields = False
-
-
 def is_recent(message: MemberStatus | None, now_s: float, fleet: Fleet) -> bool:
     """Whether the newest message of a member is at most ``fleet.age_max_s`` old."""
     return message is not None and now_s - message.stamp_s <= fleet.age_max_s
@@ -127,22 +125,15 @@ def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> 
     parts the one with the lowest id. Members that are down or never sent a message are not counted.
     """
     recent = [n for n, slot in slots if is_recent(slot.message, now_s, fleet)]
-    lost = [
-        n for n, slot in slots if n not in recent and slot.message is not None and not _is_down(slot.message)
-    ]
+    heard = [(n, slot.message) for n, slot in slots if slot.message is not None]
+    lost = [n for n, message in heard if n not in recent and message.intent is not Intent.DOWN]
     ours = [fleet.id, *recent]
     return (len(ours), -min(ours)) < (len(lost), -min(lost, default=0))
 
 
-def _is_down(message: MemberStatus | None) -> bool:
-    return message is not None and message.intent is Intent.DOWN
-
-
 def _present(message: MemberStatus | None, now_s: float, fleet: Fleet) -> bool:
     """Whether a member sends messages or is down; a landed member may stop sending."""
-    return message is not None and (
-        message.intent is Intent.DOWN or now_s - message.stamp_s <= fleet.age_max_s
-    )
+    return message is not None and (message.intent is Intent.DOWN or is_recent(message, now_s, fleet))
 
 
 def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fleet) -> bool:
@@ -254,7 +245,7 @@ def place_beside(
     grounded = [message.position_enu_m for message in messages if message.intent in ON_GROUND]
 
     def room_m(place: Vec3, ahead_s: float) -> float:
-        least_m = min(_from_way_m(each, place, ahead_s) for each in pads) - fleet.wait_distance_m
+        least_m = min(nearest_m(each, place, ZERO, ahead_s, ahead_s) for each in pads) - fleet.wait_distance_m
         for x, y, _ in grounded:
             least_m = min(least_m, math.hypot(x - place[0], y - place[1]) - APART * fleet.radius_xy_m)
         return least_m
@@ -269,11 +260,3 @@ def place_beside(
             away_m = math.hypot(place[0] - own_enu_m[0], place[1] - own_enu_m[1])
             found.append((min(room_m(place, fleet.wait_max_s), 0.0), -away_m, place))
     return max(found)[2]
-
-
-def _from_way_m(pad: Pad, place: Vec3, ahead_s: float) -> float:
-    """Return the horizontal distance of a place from a pad's path, ``ahead_s`` into past and future."""
-    (x, y, _), (vx, vy, _) = pad.position_enu_m, pad.velocity_enu_m_s
-    ex, ey, speed2 = place[0] - x, place[1] - y, vx * vx + vy * vy
-    at_s = min(max(-ahead_s, (ex * vx + ey * vy) / speed2), ahead_s) if speed2 > 0.0 else 0.0
-    return math.hypot(ex - at_s * vx, ey - at_s * vy)
