@@ -55,39 +55,6 @@ def namespace_of(config: FlightConfig) -> str:
     return member_name(config.fleet.id)
 
 
-class NoFleet:
-    """Fleet connection of a single vehicle: it neither sends nor receives messages."""
-
-    doubled = ""  # text about another process with this vehicle's id; empty: there is none
-
-    def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
-        """Set the clock of the ticks in real time; before this call no message is sent.
-
-        ``epoch_ns``: Unix time of zero of the stack clock; ``now_s``: reads the stack clock.
-        """
-
-    def namesake(self) -> str:
-        """Return an error text if another process has this vehicle's id; empty: there is none."""
-        return self.doubled
-
-    def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
-        """Wait for the messages that belong to a tick in lockstep; ``stopped``: whether to stop waiting."""
-
-    def statuses(self) -> tuple[MemberStatus, ...]:
-        """Return the newest message of each member since the last call."""
-        return ()
-
-    def say(self, message: MemberStatus | None) -> bytes | None:
-        """Send ``Outputs.member_status`` to the other members; return its bytes for the log, or None."""
-
-    def texts(self) -> list[str]:
-        """Return the texts for the operator since the last call."""
-        return []
-
-    def close(self) -> None:
-        """Undeclare publisher and subscriber."""
-
-
 class Offset(NamedTuple):
     """Offset of this process's clock from that of another process."""
 
@@ -171,8 +138,13 @@ class _Member:
         self.said_one_way = False
 
 
-class FleetWire(NoFleet):
-    """Sender of this vehicle's messages, and receiver of those of the other members."""
+class FleetWire:
+    """Sender of this vehicle's messages, and receiver of those of the other members.
+
+    A vehicle without other members neither sends nor receives messages.
+    """
+
+    doubled = ""  # text about another process with this vehicle's id; empty: there is none
 
     def __init__(self, session: zenoh_link.Session, namespace: str, fleet: Fleet) -> None:
         self._fleet = fleet
@@ -182,23 +154,38 @@ class FleetWire(NoFleet):
         self._counts = _Counts()
         self._epoch_ns = 0
         self._now_s: Callable[[], float] = lambda: 0.0
-        self._publisher = zenoh_link.dropping_publisher(
-            session, f"{namespace}/{KEY}", f"application/cdr;{MEMBER_STATUS}"
-        )
-        self._subscriber = zenoh_link.remote_subscriber(session, EVERY_MEMBER, CAPACITY)
+        if fleet.others:
+            encoding = f"application/cdr;{MEMBER_STATUS}"
+            self._publisher = zenoh_link.dropping_publisher(session, f"{namespace}/{KEY}", encoding)
+            self._subscriber = zenoh_link.remote_subscriber(session, EVERY_MEMBER, CAPACITY)
 
     def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
+        """Set the clock of the ticks in real time; before this call no message is sent.
+
+        ``epoch_ns``: Unix time of zero of the stack clock; ``now_s``: reads the stack clock.
+        """
         self._epoch_ns, self._now_s = epoch_ns, now_s
 
     def namesake(self) -> str:
-        """Listen for another process with this vehicle's id; messages received meanwhile are dropped."""
+        """Listen for another process with this vehicle's id; return an error text if there is one.
+
+        Messages received meanwhile are dropped.
+        """
+        if not self._members:
+            return ""
         time.sleep(max(0.0, self._opened_s + NAMESAKE_S - time.monotonic()))
         for row in self._rows():
             if row.id == self._fleet.id and row.process != self._process:
                 self._hear_namesake()
         return self.doubled
 
+    def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
+        """Wait for the messages that belong to a tick in lockstep; ``stopped``: whether to stop waiting."""
+
     def statuses(self) -> tuple[MemberStatus, ...]:
+        """Return the newest message of each member since the last call."""
+        if not self._members:
+            return ()
         rows = self._rows()
         now_s = self._now_s()  # read after the queue, so that no message is newer than this time
         now_ns = self._epoch_ns + round(now_s * 1e9)
@@ -211,6 +198,7 @@ class FleetWire(NoFleet):
         return tuple(newest[n] for n in sorted(newest))
 
     def say(self, message: MemberStatus | None) -> bytes | None:
+        """Send ``Outputs.member_status`` to the other members; return its bytes for the log, or None."""
         if message is None:
             return None
         now_ns = self._epoch_ns + round(message.stamp_s * 1e9)
@@ -224,12 +212,15 @@ class FleetWire(NoFleet):
         return payload
 
     def texts(self) -> list[str]:
+        """Return the texts for the operator since the last call."""
         texts, self._counts.texts = self._counts.texts, []
         return texts
 
     def close(self) -> None:
-        self._subscriber.undeclare()
-        self._publisher.undeclare()
+        """Undeclare publisher and subscriber."""
+        if self._members:
+            self._subscriber.undeclare()
+            self._publisher.undeclare()
 
     def _rows(self) -> list[MemberStatusRow]:
         rows = []

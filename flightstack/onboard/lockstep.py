@@ -29,8 +29,9 @@ from flightstack.common.pacing import (
     Silence,
     Tick,
 )
+from flightstack.core.parameters.fleet import ALONE
 from flightstack.core.types import MemberStatus
-from flightstack.onboard.fleet_wire import NoFleet
+from flightstack.onboard.fleet_wire import FleetWire
 from flightstack.onboard.leaving import Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
 from logs.schema.controller_rows import pack_neighbours, status_row, unpack_neighbours
@@ -94,7 +95,7 @@ class LockstepWires(VehicleTicks):
 
     def __init__(
         self, link: VehicleLink, rate_hz: int, odometry: SampleSource, session: zenoh_link.Session,
-        namespace: str, person: Person, fleet: NoFleet,
+        namespace: str, person: Person, fleet: FleetWire,
     ) -> None:  # fmt: skip
         super().__init__(link, rate_hz, person.left)
         self._person, self._fleet, self._odometry = person, fleet, odometry
@@ -164,7 +165,7 @@ class LockstepWires(VehicleTicks):
         return tick in self._counts and self._received + len(self._pool) >= self._counts[tick]
 
 
-class LockstepStatuses(NoFleet):
+class LockstepStatuses(FleetWire):
     """Fleet messages in lockstep: other members receive a message in a later tick.
 
     The vehicles' simulator receives the messages of all members and distributes them tick by tick, so that
@@ -173,12 +174,12 @@ class LockstepStatuses(NoFleet):
     """
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
+        super().__init__(session, namespace, ALONE)
         self._heard = zenoh_link.fifo_subscriber(session, f"{namespace}/{HEARD}")
         self._told = zenoh_link.blocking_publisher(session, f"{namespace}/{TOLD}")
         self._inbox: dict[int, list[bytes]] = {}  # packed messages by tick
         self._tick: Tick | None = None
         self._gone = False
-        self._texts: list[str] = []
 
     def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
         """Wait for the messages of a tick, in bounded wall time.
@@ -190,7 +191,7 @@ class LockstepStatuses(NoFleet):
         while not self._gone and not come(tick.number):
             if silence.look() > LOST_RUN_MAX_S or stopped():
                 self._gone = True
-                self._texts.append("fleet: no messages arrived with this tick: continuing without")
+                self._counts.texts.append("fleet: no messages arrived with this tick: continuing without")
             time.sleep(2e-5)
 
     def statuses(self) -> tuple[MemberStatus, ...]:
@@ -208,10 +209,6 @@ class LockstepStatuses(NoFleet):
         payload = pack_neighbours(tick, (message,)) if message is not None else b""
         self._told.put(payload, attachment=PAIR.pack(tick.number, 0))
         return status_row(message, EPOCH_NS, 0).pack() if message is not None else None
-
-    def texts(self) -> list[str]:
-        texts, self._texts = self._texts, []
-        return texts
 
     def close(self) -> None:
         """Send a last message, so that no process waits for one; undeclare publisher and subscriber."""

@@ -33,7 +33,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import ignored
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard import preflight
-from flightstack.onboard.fleet_wire import FleetWire, NoFleet, namespace_of
+from flightstack.onboard.fleet_wire import FleetWire, namespace_of
 from flightstack.onboard.leaving import Leaving, Signals, fly
 from flightstack.onboard.lockstep import LockstepStatuses, LockstepWires
 from flightstack.onboard.log import OnboardLog
@@ -241,19 +241,17 @@ def _check_speed(options: OnboardOptions) -> None:
 
 def _fleet(
     config: FlightConfig, options: OnboardOptions, session: zenoh_link.Session, namespace: str
-) -> NoFleet:
-    """Return the connection to the other fleet members; a single vehicle gets ``NoFleet``.
+) -> FleetWire:
+    """Return the connection to the other fleet members.
 
     Raises ConfigError: the members cannot connect to each other.
     """
-    if not config.fleet.others:
-        return NoFleet()
-    if not (options.connect or options.listen or options.zenoh_config):
+    if config.fleet.others and not (options.connect or options.listen or options.zenoh_config):
         raise ConfigError(
             "[fleet]: no other process can reach this one; --connect, --listen or --zenoh-config is needed "
             "(docs/how_it_works/fleet.md)"
         )
-    if options.lockstep:
+    if config.fleet.others and options.lockstep:
         return LockstepStatuses(session, namespace)
     return FleetWire(session, namespace, config.fleet)
 
