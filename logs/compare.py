@@ -158,6 +158,9 @@ def values_of(a: Any, b: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
         for each in dataclasses.fields(a):
             inner = f"{name}.{each.name}" if name else each.name
             yield from values_of(getattr(a, each.name), getattr(b, each.name), inner)
+    elif isinstance(a, dict):
+        for key in a | b:
+            yield from values_of(a.get(key, ABSENT), b.get(key, ABSENT), f"{name}.{key}" if name else key)
     elif isinstance(a, tuple | list):
         if len(a) != len(b):
             yield f"{name}.length", str(len(a)), str(len(b))

@@ -220,10 +220,7 @@ def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], li
 
 
 def _lines(result: Result, settings: Sequence[str]) -> list[str]:
-    lines = [
-        f"replayed {result.compared} ticks, {result.first_tick} to {result.last_tick}, from {result.start}, "
-        f"in {result.wall_s:.2f} s"
-    ]
+    lines = [f"replayed {result.compared} ticks in {result.wall_s:.2f} s"]
     if settings:
         lines += _what_if(result, settings)
     lines += _tally("decisions and events", result.outputs, shown=not settings)

@@ -1,7 +1,7 @@
 """State that the controller stores between ticks; all other values are computed in each tick.
 
-All fields are plain values that ``state_text`` can write to a log and read back. A log contains the names of
-these classes and fields, so a log with other names cannot be replayed.
+All fields are plain values that ``state_text`` can write to a log. A log contains the names of
+these classes and fields; a replay compares only states with the same names.
 """
 
 from __future__ import annotations

