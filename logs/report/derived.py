@@ -1,4 +1,4 @@
-"""Derived values of the report: filter margin, estimation errors, tilt, faults, traffic."""
+"""Derived values of the report: faults, traffic, contact."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from flightstack.core.strategies.strategy import packaged_strategy_of
-from flightstack.core.types import FilterStatus
 from logs.reader.flight import TARGET_TOPIC_END
 from logs.reader.flight_data import Flight, Floats, Steps
 from logs.reader.reader import LogFile
@@ -21,92 +19,15 @@ from logs.schema.mavlink import unpack_mavlink
 from logs.schema.schemas import MAVLINK, ODOMETRY
 from logs.verdict.types import Verdict
 
-_RAN = (
-    FilterStatus.SOLVED,
-    FilterStatus.CLOSED_FORM,
-    FilterStatus.INFEASIBLE,
-    FilterStatus.CROWDED,
-    FilterStatus.OWN,
-)
-_NEAR_S = 0.02  # maximum time between a step and its true state, s: two ticks
 BEGINS, ENDS = "Fault: ", "Fault over: "
 _RELAYED = "vehicle: "  # prefix of the vehicle's messages in events of the onboard process
 _ENOUGH = 200  # maximum number of entries in a table of the report
-
-
-def held_margin_m(flight: Flight) -> Floats | None:
-    """Return the margin on h, m, that the filter enforced at each step, (n,); NaN if it did not run.
-
-    A step contains the slack s of the constraint at u*: s = g u* + rate * h_held + dh/dt. This gives h_held,
-    and the margin is h - h_held. The result is ``None`` without steps, without configuration, and for a
-    filter that is not part of the package.
-    """
-    steps, config = flight.steps, flight.config
-    if steps is None or config is None:
-        return None
-    strategy = packaged_strategy_of(config)
-    if strategy is None:
-        return None
-    flow = np.einsum("ij,ij->i", steps.gradient, steps.filtered_enu_m_s)
-    held_m = (steps.slack_m_s - flow - steps.dh_dt_m_s) / strategy.rate_1_s
-    margin_m = np.where(np.isin(steps.filter_status, _RAN), steps.h_m - held_m, np.nan)
-    return margin_m if np.isfinite(margin_m).any() else None
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Estimated minus true values at the n controller steps; vectors are (n, 3), unknown values are NaN."""
-
-    t_s: Floats
-    own_m: Floats
-    target_m: Floats
-    target_m_s: Floats
-    h_m: Floats
-
-
-def estimate_errors(flight: Flight) -> Errors | None:
-    """Return the errors against linearly interpolated true states; ``None`` without true states."""
-    steps, truth = flight.steps, flight.truth
-    if steps is None or truth is None or len(truth.t_s) < 2:
-        return None
-    gap_s = np.abs(truth.t_s[_nearest(truth.t_s, steps.t_s)] - steps.t_s)
-    known = (gap_s <= _NEAR_S)[:, None]
-
-    def at_steps(values: Floats) -> Floats:
-        columns = [np.interp(steps.t_s, truth.t_s, column) for column in values.T]
-        return np.where(known, np.column_stack(columns), np.nan)
-
-    own = np.where(steps.own_valid[:, None], steps.own_position_enu_m, np.nan)
-    target = np.where(steps.target_valid[:, None], steps.target_position_enu_m, np.nan)
-    target_v = np.where(steps.target_valid[:, None], steps.target_velocity_enu_m_s, np.nan)
-    h_m = np.where(steps.both_valid, steps.h_m, np.nan)
-    return Errors(
-        steps.t_s,
-        own - at_steps(truth.position_enu_m),
-        target - at_steps(truth.pad_position_enu_m),
-        target_v - at_steps(truth.pad_velocity_enu_m_s),
-        h_m - at_steps(truth.h_m[:, None])[:, 0],
-    )
 
 
 def root_mean_square(values: Floats) -> float | None:
     """Return the root mean square of the finite values; ``None`` if no value is finite."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known * known))) if len(known) else None
-
-
-def tilt_deg(flight: Flight) -> Floats | None:
-    """Return the true angle between body z and the vertical, degrees, (n,); ``None`` without true states."""
-    if flight.truth is None:
-        return None
-    x, y = flight.truth.orientation[:, 0], flight.truth.orientation[:, 1]
-    return np.asarray(np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))))
-
-
-def _nearest(times: Floats, wanted: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
-    left = right - 1
-    return np.where(wanted - times[left] <= times[right] - wanted, left, right)
 
 
 class FaultSpan(NamedTuple):

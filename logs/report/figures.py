@@ -13,17 +13,13 @@ import plotly.graph_objects as go
 
 from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import Intent
-from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, phase_name
+from logs.curves import BOUNDARY, CHARTS, COMMAND, INK, LIMIT, NOMINAL
+from logs.reader.flight_data import Bools, Event, Fleet, Floats, phase_name
 from logs.report import series, space
 from logs.report.derived import Side, fault_spans
 from logs.report.page import Panel
 from logs.report.style import (
-    BOUNDARY,
-    COMMAND,
     FAULT,
-    INK,
-    LIMIT,
-    NOMINAL,
     Axis,
     axis_of,
     fleet_axis,
@@ -186,25 +182,10 @@ def panels(side: Side) -> list[Panel]:
         Panel(
             "altitude", "Relative altitude over horizontal distance",
             f"{source} Shaded: unsafe, h < 0.{edge}",
-            space.altitude_over_distance(side), "Fig. 8, 11",
+            space.altitude_over_distance(flight), "Fig. 8, 11",
         ),
-        Panel(
-            "barrier", "Barrier value over time",
-            f"{_barrier_source(flight)} Dotted: −5 mm, the limit of a violation outside the pad. {_MARGIN}",
-            series.barrier_over_time(flight, side.verdict), "Fig. 9a, 13a",
-        ),
-        Panel(
-            "velocity", "Velocity: nominal, filtered, sent",
-            _VELOCITY + (_SWITCH if flight.truth is not None else ""),
-            series.velocities(flight), "Fig. 9b–d, 13b–d",
-        ),
-        Panel("filter", "What the filter does", _FILTER, series.filter_activity(flight)),
-        Panel("tracking", "Velocity: wanted, set-point, flown", _TRACKING, series.tracking(flight)),
-        Panel("error", "Error of the estimates", _ERROR, series.estimate_error(flight)),
-        Panel("plan", "Paths from above", f"{source} {_PLAN}", space.plan([side]), "Fig. 12"),
-        Panel("vehicle", "The vehicle", _VEHICLE, series.vehicle_state(flight)),
-        Panel("timing", "Loop timing", _TIMING, series.loop_timing(flight)),
-        Panel("age", "Age of the data at each tick", "As the controller saw it.", series.data_age(flight)),
+        Panel("plan", "Paths from above", f"{source} {_PLAN}", space.plan(flight), "Fig. 12"),
+        *(Panel(of.key, of.title, of.note, series.draw(of, flight), of.paper) for of in CHARTS),
     ]  # fmt: skip
 
 
@@ -217,9 +198,7 @@ def fleet_panels(fleet: Fleet, sides: Sequence[Side], pairs: Sequence[PairSeries
             "timeline", "Who did what, and who waited for whom", _LANES,
             timeline(sides, axis, fleet.events),
         ),
-        Panel("plan", "Paths from above", _ROOM, space.plan(sides)),
-        Panel("pairs", "Distance of each pair", _NEAR, series.distances(pairs, axis)),
-        Panel("barriers", "Barrier value of each member", _BARRIERS, series.barriers(sides, axis)),
+        Panel("pairs", "Distance of the nearest pairs", _NEAR, series.distances(pairs, axis)),
     ]  # fmt: skip
 
 
@@ -229,44 +208,15 @@ _LANES = (
 )
 _ROOM = (
     "True paths, or the vehicles' own estimates where the log has no true states. Dotted: the pads. Circle: "
-    "start. Square: end. From above, triangle: first contact; ring: the pad at the end."
+    "start. Square: end."
 )
 _NEAR = (
     f"By true states. The ellipsoid of two vehicles has the semi-axes {2 * RADIUS_BESIDE_M:g} m sideways and "
     f"{2 * RADIUS_ABOVE_M:g} m up and down; its measure is 1 on the surface, below is too near. It counts "
-    "while both fly; thin: one of them rests. Dotted, in metres, of up to three pairs: the limit along the "
-    "line between the two. Of many pairs the nearest are shown at first; touch a name to show or hide one."
+    f"while both fly; thin: one of them rests. Of many pairs, the {series.PAIRS_SHOWN} nearest are drawn."
 )
-_BARRIERS = "h of each member over its own pad since its landing began; below zero is unsafe outside the pad."
 _TIMELINE = (
     "The whole log. Touch or point at a bar or an event to read it; bands in the figures below have the same "
     "colours."
 )
-_MARGIN = "With a margin of the robust filter, h may not fall below that line; over the pad the margin fades."
-_TRACKING = (
-    "Wanted: after filter and slew limit. Set-point: corrected for the vehicle's lag and disturbances "
-    "(filter robust). Flown: velocity of the vehicle."
-)
-_VEHICLE = "True tilt of the body and voltage of the battery; a bar at the bottom while the motors are off."
-_FILTER = (
-    "Above: distance of u* from u', by barrier and admissible box. Below: slack of the barrier's constraint "
-    "at u*; a negative slack violates it. The bar shows when this constraint changes the velocity; the "
-    "robust filter also keeps the barrier by the box's lower limit of z."
-)
-_ERROR = "State used by the controller minus true state."
-_TIMING = "Wall clock. A run in lockstep is as fast as the machine can: its period is not that of a flight."
-_VELOCITY = (
-    "Computed by the controller from its estimates. The bar at the bottom shows when the constraint of the "
-    "barrier changed the command; the robust filter also keeps the barrier by the box's lower limit of z."
-)
-_SWITCH = " The vehicle's true velocity can be switched on in the legend."
 _PLAN = "Circle: where the landing began. Triangle: first contact with the pad. Square, ring: end of the log."
-
-
-def _barrier_source(flight: Flight) -> str:
-    if flight.truth is None:
-        return "h as the controller computed it from its estimates; the log holds no true states."
-    return (
-        "Solid: h from the true states, the lowest of the physics steps between two ticks. "
-        "Dashed: h as the controller computed it."
-    )

@@ -8,16 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import plotly.graph_objects as go
 
+from logs.curves import BOUNDARY, ESTIMATED, INK, LIMIT, TARGET, TRUE
 from logs.reader.flight_data import Flight, Floats
 from logs.recorder.markers import COLORS
 from logs.report.derived import Side, touch_index
 from logs.report.style import (
-    BOUNDARY,
-    ESTIMATED,
-    INK,
-    LIMIT,
-    TARGET,
-    TRUE,
     UNSAFE,
     boundary_height_m,
     layout,
@@ -112,9 +107,9 @@ def _surface(flight: Flight, distance_max_m: float) -> go.Surface:
     )  # fmt: skip
 
 
-def altitude_over_distance(side: Side) -> go.Figure | None:
+def altitude_over_distance(flight: Flight) -> go.Figure | None:
     """Draw e_z over d with the boundary."""
-    flight, tracks = side.flight, relative_tracks(side.flight)
+    tracks = relative_tracks(flight)
     if not tracks:
         return None
     figure, far = go.Figure(), _distance_max_m(tracks)
@@ -176,41 +171,29 @@ def paths(flight: Flight) -> list[Path]:
     return [path for path in found if np.isfinite(path.points_m).all(1).any()]
 
 
-def plan(sides: Sequence[Side]) -> go.Figure | None:
-    """Draw the paths from above: one flight from the start of its landing, several flights completely."""
-    figure, alone = go.Figure(), len(sides) == 1
-    for number, side in enumerate(sides):
-        flight, found = side.flight, paths(side.flight)
-        for path in found if alone else found[:2]:
-            best, vehicle, points_m = path.source == found[0].source, path.body == "vehicle", path.points_m
-            if alone:
-                color = TARGET if not vehicle else TRUE if path.source == "true" else ESTIMATED
-                name, dash = f"{path.body} ({path.source})", "solid" if best else "dash"
-                since = path.t_s >= (flight.landing_start_s or 0.0)
-                before, points_m = points_m[~since], points_m[since]
-                if vehicle and best and len(before):
-                    x, y = before[:, 0], before[:, 1]
-                    figure.add_trace(line(x, y, "before the landing", _BEFORE, dash="dot", width=1.2))
-            else:
-                color, name = COLORS[number % len(COLORS)], f"{side.name}{'' if vehicle else ' pad'}"
-                dash = "dot" if not vehicle else "solid" if path.source == "true" else "dash"
-            look = {"dash": dash, "width": 2.2 if dash == "solid" else 1.5, "legendgroup": side.name or name}
-            figure.add_trace(line(points_m[:, 0], points_m[:, 1], name, color, **look))
-            known = points_m[np.isfinite(points_m).all(1)]
-            if not best or not len(known):
-                continue
-            if not vehicle:
-                circle(figure, known[-1], flight.pad_radius_m, color)
-                continue
-            for at_m, what, symbol in zip(
-                known[[0, -1]], ("start", "end"), ("circle", "square"), strict=True
-            ):
-                more = {"showlegend": False, "legendgroup": look["legendgroup"]}
-                marker(figure, at_m[0], at_m[1], f"{name}: {what}", symbol, color, **more)
-        touch = touch_index(flight)
-        if touch is not None and flight.truth is not None:
-            x, y, _ = flight.truth.position_enu_m[touch]
-            marker(figure, x, y, f"{side.of}touchdown", "triangle-up", INK, showlegend=alone)
+def plan(flight: Flight) -> go.Figure | None:
+    """Draw the paths from above, since the landing began and, of the vehicle, also before."""
+    figure, found = go.Figure(), paths(flight)
+    for path in found:
+        best, vehicle = path.source == found[0].source, path.body == "vehicle"
+        since = path.t_s >= (flight.landing_start_s or 0.0)
+        color = TARGET if not vehicle else TRUE if path.source == "true" else ESTIMATED
+        if vehicle and best and not since.all():
+            x, y, _ = path.points_m[~since].T
+            figure.add_trace(line(x, y, "before the landing", _BEFORE, dash="dot", width=1.2))
+        x, y, _ = path.points_m[since].T
+        look = {"width": 2.2, "dash": "solid"} if best else {"width": 1.5, "dash": "dash"}
+        figure.add_trace(line(x, y, f"{path.body} ({path.source})", color, **look))
+        known = path.points_m[since & np.isfinite(path.points_m).all(1)]
+        if best and len(known) and not vehicle:
+            circle(figure, known[-1], flight.pad_radius_m, color)
+        elif best and len(known):
+            for (x, y, _), what, symbol in ((known[0], "start", "circle"), (known[-1], "end", "square")):
+                marker(figure, x, y, what, symbol, color, showlegend=False)
+    touch = touch_index(flight)
+    if touch is not None and flight.truth is not None:
+        x, y, _ = flight.truth.position_enu_m[touch]
+        marker(figure, x, y, "touchdown", "triangle-up", INK)
     if not figure.data:
         return None
     layout(figure, 540)

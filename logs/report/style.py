@@ -1,8 +1,4 @@
-"""Common style of the report's figures: colours, layout, phase bands, thinning.
-
-The colours are from Okabe and Ito (2008): colour-blind readers and grey prints can distinguish them. A colour
-has the same meaning in every figure; true and estimated values also differ by dash.
-"""
+"""Common style of the report's figures: layout, phase bands, thinning."""
 
 from __future__ import annotations
 
@@ -16,23 +12,13 @@ from plotly.subplots import make_subplots
 
 from flightstack.common.text import one_line
 from flightstack.core.types import Phase
-from logs.reader.flight_data import Fleet, Flight, Floats, Ints, phase_name
+from logs.curves import INK
+from logs.reader.flight_data import Fleet, Flight, Floats, phase_name
 from logs.report.derived import fault_spans
 
-TRUE = "#0072B2"  # blue: true values
-ESTIMATED = "#56B4E9"  # sky blue: estimated values
-TARGET = "#CC79A7"  # reddish purple: target
-BOUNDARY = "#D55E00"  # vermillion: boundary of the barrier
 UNSAFE = "rgba(213, 94, 0, 0.13)"
-NOMINAL = "#E69F00"  # orange: nominal velocity
-FILTERED = "#0072B2"
-COMMAND = "#009E73"  # bluish green: commanded velocity
-LIMIT = "#666666"
 GRID = "#e4e7eb"
-INK = "#1f2933"
 FAULT = "#b00020"
-FLOWN = "#882255"  # wine: velocity that the vehicle really flies
-MARGIN = "#E69F00"
 
 # colours of the phases: red, green, blue, and opacity of the band behind curves
 _PHASES: dict[Phase | int, tuple[int, int, int, float]] = {
@@ -50,19 +36,18 @@ _PHASES: dict[Phase | int, tuple[int, int, int, float]] = {
 _SPACE_PX = 640  # height of a spatial figure, pixels
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and distance of the legend below the axis, pixels
 POINTS_MAX = 4000  # maximum number of points per line; more points are not visible and make the page large
-_EVEN_S = 1e-3  # tolerance of evenly spaced times, s; within it, times are written as start and step
 _FAULT_STRIP = 0.965  # lower edge of the strip that marks a fault, as a fraction of the row's height
 LABEL_SHARE = 0.05  # smallest fraction of the axis for a band with a name
 BEFORE_S, AFTER_S = 1.0, 3.0  # time shown initially before and after the landing, s
 
 
-def layout(figure: go.Figure, height_px: int, legend_px: int = 0) -> go.Figure:
+def layout(figure: go.Figure, height_px: int) -> go.Figure:
     """Apply the common layout to a figure; the legend is below the title of the time axis."""
-    plot_px = height_px - _TOP_PX - _BOTTOM_PX - legend_px
+    plot_px = height_px - _TOP_PX - _BOTTOM_PX
     figure.update_layout(
         template="plotly_white",
         height=height_px,
-        margin={"l": 64, "r": 20, "t": _TOP_PX, "b": _BOTTOM_PX + legend_px},
+        margin={"l": 64, "r": 20, "t": _TOP_PX, "b": _BOTTOM_PX},
         font={"family": "Inter, Segoe UI, Helvetica, Arial, sans-serif", "size": 13, "color": INK},
         legend={
             "orientation": "h",
@@ -187,14 +172,14 @@ def time_axis(figure: go.Figure, axis: Axis, rows: int = 1, hovermode: str = "x 
 
 def chart(
     axis: Axis, height_px: int, traces: Iterable[tuple[int, go.Scatter]], *axes: dict[str, Any],
-    spacing: float = 0.0, hovermode: str = "x unified", legend_px: int = 0,
+    spacing: float = 0.0, hovermode: str = "x unified",
 ) -> go.Figure:  # fmt: skip
     """Draw traces over time, each in its row (1 is the top); ``axes``: y axis of each row."""
     rows = len(axes)
     figure = make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=spacing)
     for row, trace in traces:
         figure.add_trace(trace, row=row, col=1)
-    layout(figure, height_px, legend_px)
+    layout(figure, height_px)
     if axis.flight is not None:
         add_phases(figure, axis.flight, rows=rows)
     time_axis(figure, axis, rows, hovermode)
@@ -207,22 +192,7 @@ def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter
     """Return one thinned line; keyword arguments set the line (``dash``, ``width``) or the trace."""
     keep = thin(len(x))
     style = {"color": color, "width": more.pop("width", 1.8), "dash": more.pop("dash", "solid")}
-    return go.Scatter(**_places(x[keep]), y=light(y[keep]), name=name, mode="lines", line=style, **more)
-
-
-def marks(at: Ints, x: Floats, y: Floats, name: str, **marker: Any) -> go.Scatter:
-    """Return markers at these samples, thinned."""
-    at = at[thin(len(at))]
-    return go.Scatter(x=light(x[at]), y=light(y[at]), mode="markers", name=name, marker=marker)
-
-
-def _places(x: Floats) -> dict[str, Any]:
-    """Return evenly spaced coordinates as start and step, which halves the page; other ones are unchanged."""
-    if len(x) > 2 and np.isfinite(x).all():
-        step = float(x[-1] - x[0]) / (len(x) - 1)
-        if step > 0.0 and np.abs(x - (x[0] + step * np.arange(len(x)))).max() < _EVEN_S:
-            return {"x0": float(x[0]), "dx": step}
-    return {"x": light(x)}
+    return go.Scatter(x=light(x[keep]), y=light(y[keep]), name=name, mode="lines", line=style, **more)
 
 
 def thin(n: int) -> slice:

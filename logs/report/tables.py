@@ -8,16 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from flightstack.core.mission.machine import parse
+from logs.curves import Errors, estimate_errors
 from logs.reader.flight_data import Event, Fleet, Flight, Floats, Span, Steps, Timing, phase_name
-from logs.report.derived import (
-    Errors,
-    Side,
-    Stream,
-    estimate_errors,
-    fault_spans,
-    root_mean_square,
-    share_active,
-)
+from logs.report.derived import Side, Stream, fault_spans, root_mean_square, share_active
 from logs.report.page import html, paragraph, part, table, time_link
 from logs.schema.events import Severity
 from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, FALL_M_S, FALLS, Outcome, Verdict

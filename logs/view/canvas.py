@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from logs.curves import CHARTS
 from logs.reader.flight_data import Flight, Floats, Ints, shape
 from logs.recorder.markers import OWN_COLOR, Color, Path
 
 FLIGHT = "flight"  # timeline of seconds since the first step
 LOG_TIME = "log_time"  # timeline of date and time in the log
 EVENTS, RUN, WORLD, PHASE = "/events", "/run", "/world", "/phase"
-AXES = ("x", "y", "z")
-Corner = Literal["LeftTop", "RightTop", "RightBottom"]
 
 
 def blueprint(center_m: tuple[float, float, float], size_m: float, members: Sequence[str] = ()) -> Any:
@@ -62,43 +61,19 @@ def blueprint(center_m: tuple[float, float, float], size_m: float, members: Sequ
 
 
 def _tabs(member: str) -> Iterator[Any]:
-    """Yield a tab with the curves of each flight."""
-
-    def plot(origin: str, name: str, legend: Corner = "RightTop") -> Any:
-        return _plot(of_member(origin, member), name, legend)
-
-    yield rrb.Vertical(
-        plot("/safety/h", "Barrier h [m], safe above 0", "RightBottom"),
-        plot("/distance", "Vehicle to landing spot [m]"),
-        rrb.StateTimelineView(origin=of_member(PHASE, member), name="Phase"),
-        row_shares=[4, 3, 1.5],
-        name="Safety",
-    )
-    yield rrb.Vertical(
-        *(plot(f"/velocity/{axis}", f"Velocity {axis} [m/s]", "LeftTop") for axis in AXES), name="Velocity"
-    )
-    yield rrb.Vertical(
-        plot("/safety/slack", "Slack of the barrier constraint [m/s]"),
-        plot("/safety/dh_dt", "dh/dt, motion of the target [m/s]"),
-        plot("/safety/active", "Filter active"),
-        name="Filter",
-    )
-    yield rrb.Vertical(
-        plot("/loop", "Loop [ms]: lateness, work, solver"),
-        plot("/age", "Age of the states [ms]"),
-        plot("/samples", "Target samples, sum"),
-        name="Loop and links",
-    )
+    """Yield a tab for each chart with the curves of a flight; the first one also shows the phases."""
+    for number, chart in enumerate(CHARTS):
+        origins = {of_member(f"/{chart.key}/{row.key}", member): row.title for row in chart.rows}
+        views: list[Any] = [rrb.TimeSeriesView(origin=origin, name=name) for origin, name in origins.items()]
+        if not number:
+            views.append(rrb.StateTimelineView(origin=of_member(PHASE, member), name="Phase"))
+        yield rrb.Vertical(*views, name=chart.key.capitalize())
 
 
 def _fleet(members: Sequence[str]) -> Any:
     """Return the view with the phases of all members."""
     phases = [of_member(PHASE, member) for member in members]
     return rrb.StateTimelineView(origin="/", contents=[f"+ {each}" for each in phases], name="Fleet")
-
-
-def _plot(origin: str, name: str, legend: Corner = "RightTop") -> Any:
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(corner=legend))
 
 
 def of_member(entity: str, member: str) -> str:

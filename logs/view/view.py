@@ -9,7 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,27 +19,27 @@ import rerun as rr
 
 from flightstack.common.text import one_line
 from flightstack.core.safety.barrier import Barrier
+from logs import curves
 from logs.reader.flight import load_fleet
-from logs.reader.flight_data import PAD_RADIUS_M, Event, Flight, Floats, Ints, phase_name
+from logs.reader.flight_data import PAD_RADIUS_M, Event, Flight, Floats, Ints, Steps, phase_name
 from logs.recorder import markers
 from logs.schema import FLEET
 from logs.schema.events import Severity
-from logs.view.canvas import AXES, EVENTS, PHASE, RUN, WORLD, Canvas, blueprint, every, rgba, run_of, times
+from logs.view.canvas import EVENTS, PHASE, RUN, WORLD, Canvas, blueprint, every, rgba, run_of, times
 
 SCENE_PERIOD_NS = 20_000_000  # period of 50 Hz
 PATH_PERIOD_NS = 200_000_000  # period of the paths, 5 Hz; each row stores the whole path again
 BODY_HALF_M = tuple(0.5 * size for size in markers.BODY_SIZE_M)
 ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
 SPOT = f"{WORLD}/target_spot"
-FLOWN_COLOR: markers.Color = (0.12, 0.47, 0.71, 1.0)
 TRUE_COLOR: markers.Color = (0.5, 0.5, 0.5, 1.0)
-VELOCITIES = (
-    ("nominal", "nominal_enu_m_s", markers.NOMINAL_COLOR),
-    ("filtered", "filtered_enu_m_s", markers.FILTERED_COLOR),
-    ("command", "command_enu_m_s", markers.COMMAND_COLOR),
-    ("flown", "own_velocity_enu_m_s", FLOWN_COLOR),
+# arrows: entity, velocity of each step, colour
+VELOCITIES: tuple[tuple[str, Callable[[Steps], Floats], str], ...] = (
+    ("nominal", lambda steps: steps.nominal_enu_m_s, curves.NOMINAL),
+    ("filtered", lambda steps: steps.filtered_enu_m_s, curves.FILTERED),
+    ("command", curves.sent_m_s, curves.COMMAND),
+    ("flown", curves.flown_m_s, curves.FLOWN),
 )
-ZERO_COLOR: markers.Color = (0.84, 0.15, 0.16, 1.0)
 _LEVELS: dict[int, str] = {
     Severity.DEBUG: "DEBUG",
     Severity.INFO: "INFO",
@@ -47,17 +47,6 @@ _LEVELS: dict[int, str] = {
     Severity.ERROR: "ERROR",
     Severity.FATAL: "CRITICAL",
 }
-# curves of the controller steps: entity, field of the step, factor, colour
-_CURVES = (
-    ("/safety/h/controller", "h_m", 1.0, markers.OWN_COLOR),
-    ("/safety/slack", "slack_m_s", 1.0, markers.OWN_COLOR),
-    ("/safety/dh_dt", "dh_dt_m_s", 1.0, markers.OWN_COLOR),
-    ("/safety/active", "barrier_active", 1.0, markers.OWN_COLOR),
-    ("/age/own", "own_age_s", 1e3, markers.OWN_COLOR),
-    ("/age/target", "target_age_s", 1e3, markers.TARGET_COLOR),
-    ("/samples/accepted", "target_accepted", 1.0, markers.FILTERED_COLOR),
-    ("/samples/rejected", "target_rejected", 1.0, ZERO_COLOR),
-)
 
 
 class Recording:
@@ -249,11 +238,9 @@ def _velocities(canvas: Canvas, flight: Flight) -> None:
         return
     at_ns = times(flight.origin_ns, steps.t_s)
     shown = every(at_ns, SCENE_PERIOD_NS)
-    for name, field, color in VELOCITIES:
-        vector = getattr(steps, field)[shown]
+    for name, value, color in VELOCITIES:
+        vector = value(steps)[shown]
         there = np.isfinite(vector).all(axis=1) & steps.own_valid[shown]
-        if name == "command":
-            there &= steps.setpoint_sent[shown]
         columns = rr.Arrows3D.columns(vectors=vector[there], origins=steps.own_position_enu_m[shown][there])
         canvas.columns(f"{WORLD}/velocity/{name}", at_ns[shown], columns.partition(there.astype(int)))
         style = rr.Arrows3D.from_fields(radii=[ARROW_RADIUS_M], colors=[rgba(color)])
@@ -261,32 +248,18 @@ def _velocities(canvas: Canvas, flight: Flight) -> None:
 
 
 def _curves(canvas: Canvas, flight: Flight) -> None:
-    steps, true, timing = flight.steps, flight.truth, flight.timing
-    if true is not None:
-        _curve(canvas, "/safety/h/true", times(flight.origin_ns, true.t_s), true.h_m, TRUE_COLOR)
-    if steps is not None:
-        at_ns = times(flight.origin_ns, steps.t_s)
-        apart_m = steps.own_position_enu_m - steps.target_position_enu_m
-        apart_m[~(steps.own_valid & steps.target_valid)] = np.nan
-        _curve(canvas, "/safety/h/zero", at_ns[[0, -1]], np.zeros(2), ZERO_COLOR)
-        for entity, field, scale, color in _CURVES:
-            _curve(canvas, entity, at_ns, scale * getattr(steps, field), color)
-        _curve(
-            canvas, "/distance/horizontal", at_ns, np.hypot(apart_m[:, 0], apart_m[:, 1]), markers.OWN_COLOR
-        )
-        _curve(canvas, "/distance/height", at_ns, apart_m[:, 2], markers.TARGET_COLOR)
-        for name, field, color in VELOCITIES:
-            vector = getattr(steps, field)
-            if name == "command":
-                vector = np.where(steps.setpoint_sent[:, None], vector, np.nan)
-            for axis, values in zip(AXES, vector.T, strict=True):
-                _curve(canvas, f"/velocity/{axis}/{name}", at_ns, values, color)
-        _phases(canvas, at_ns, steps.phase)
-    if timing is not None:
-        colors = (markers.NOMINAL_COLOR, markers.OWN_COLOR, markers.FILTERED_COLOR)
-        for name, color in zip(("lateness", "exec", "solve"), colors, strict=True):
-            values = 1e3 * getattr(timing, f"{name}_s")
-            _curve(canvas, f"/loop/{name}", times(flight.origin_ns, timing.t_s), values, color)
+    """Send the curves of all charts, with a gap for each unknown number."""
+    for chart in curves.CHARTS:
+        for row in chart.rows:
+            for curve in row.curves:
+                found = None if curve.symbol else curve.values(flight)
+                if found is not None:
+                    entity = f"/{chart.key}/{row.key}/{curve.key}"
+                    canvas.style(entity, rr.SeriesLines(colors=[rgba(curve.color)], names=[curve.name]))
+                    at_ns = times(flight.origin_ns, found[0])
+                    canvas.columns(entity, at_ns, rr.Scalars.columns(scalars=found[1]))
+    if flight.steps is not None:
+        _phases(canvas, times(flight.origin_ns, flight.steps.t_s), flight.steps.phase)
 
 
 def _phases(canvas: Canvas, at_ns: Ints, phase: Ints) -> None:
@@ -303,12 +276,6 @@ def events(canvas: Canvas, origin_ns: int, said: Sequence[Event]) -> None:
         levels = [_LEVELS.get(event.level, "INFO") for event in said]
         at_ns = times(origin_ns, np.array([event.t_s for event in said]))
         canvas.columns(EVENTS, at_ns, rr.TextLog.columns(text=texts, level=levels))
-
-
-def _curve(canvas: Canvas, entity: str, at_ns: Ints, values: Floats, color: markers.Color) -> None:
-    """Send one curve, with a gap for each unknown number."""
-    canvas.style(entity, rr.SeriesLines(colors=[rgba(color)], names=[entity.rpartition("/")[2]]))
-    canvas.columns(entity, at_ns, rr.Scalars.columns(scalars=values))
 
 
 def _run_text(flight: Flight) -> str:

@@ -339,7 +339,8 @@ def histogram(values: Sequence[float], axis: str, limit: float | None) -> go.Fig
     """Return the histogram of a campaign value, with the limit of the value as a line."""
     import plotly.graph_objects as go
 
-    from logs.report.style import BOUNDARY, TRUE, layout
+    from logs.curves import BOUNDARY, TRUE
+    from logs.report.style import layout
 
     counts, edges = np.histogram(values, bins=_BINS)
     bars = go.Bar(x=0.5 * (edges[:-1] + edges[1:]), y=counts, width=np.diff(edges), marker={"color": TRUE})
@@ -356,7 +357,8 @@ def h_map(wanted: Plan, rows: Sequence[Row]) -> go.Figure:
     """Return the map of the lowest h over distance and height, with the boundary of the barrier."""
     import plotly.graph_objects as go
 
-    from logs.report.style import BOUNDARY, layout
+    from logs.curves import BOUNDARY
+    from logs.report.style import layout
 
     lowest_m, visits = cell_map(rows)
     d_m = (np.arange(D_CELLS) + 0.5) * CELL_M

@@ -10,7 +10,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from logs.report.style import BOUNDARY, FLOWN, LIMIT, NOMINAL, TRUE, layout
+from logs.curves import BOUNDARY, FLOWN, LIMIT, NOMINAL, TRUE
+from logs.report.style import layout
 
 Summary = dict[str, Any]
 DEGREES = 57.29578

@@ -50,7 +50,7 @@ def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
     recording.add([], [])
     recording.close()
     rows, columns = entities(whole)
-    assert rows["/safety/h/controller"] == rows["/world/vehicle"] == rows["/world/target"] == len(ROWS)
+    assert rows["/barrier/h/estimate"] == rows["/world/vehicle"] == rows["/world/target"] == len(ROWS)
     assert rows["/velocity/z/filtered"] == len(ROWS)
     assert rows["/phase"] == rows["/events"] == len({r.phase for r in ROWS})
     assert 5 < rows["/world/vehicle_path"] <= len(ROWS) / 4 + 1  # each row has the whole path

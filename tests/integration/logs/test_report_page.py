@@ -17,8 +17,8 @@ from tests.synthetic_flight import landing, write_log
 
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
 
-FIGURES = 12
-FLEET_FIGURES = 5
+FIGURES = 11
+FLEET_FIGURES = 3
 SIZE_MAX = 6e6  # maximum size of the page with its plotting library, bytes
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 BROWSER_LIMIT_S = 180

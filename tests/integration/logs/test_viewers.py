@@ -117,7 +117,7 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
     assert len(reader.blueprints()) == 1
     found = rows_of(out)
     steps = bag["/cf1/controller/step"]
-    for entity in ("/safety/h/controller", "/velocity/z/filtered", "/age/target", "/loop/exec"):
+    for entity in ("/barrier/h/estimate", "/velocity/z/filtered", "/age/age/target", "/timing/wall/exec"):
         assert found[entity][0] == len(steps), entity
     for entity, column in (
         ("/world/target_spot/barrier", "Mesh3D:vertex_positions"),
@@ -131,7 +131,7 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
         assert any(c.startswith(column) for c in found[entity][1]), (entity, found[entity])
     assert found["/events"][0] == len(bag["/rosout"])
     for chunk in reader.store().stream().to_chunks():
-        if chunk.entity_path == "/safety/h/controller" and not chunk.is_static:
+        if chunk.entity_path == "/barrier/h/estimate" and not chunk.is_static:
             shown = [v[0] for v in chunk.to_record_batch().column("Scalars:scalars").to_pylist()]
             np.testing.assert_array_equal(shown, [m.h_m for _, m in steps])
     again = flightstack("view", log, "--save", out)

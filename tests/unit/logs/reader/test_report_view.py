@@ -15,8 +15,9 @@ from flightstack.core.safety.barrier import RobustBarrier
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus, Phase
 from flightstack.launch.run_options import RunOptions
+from logs.curves import estimate_errors, held_margin_m
 from logs.reader.flight import load_flight
-from logs.report.derived import TARGET, estimate_errors, fault_spans, held_margin_m, load_streams, missing
+from logs.report.derived import TARGET, fault_spans, load_streams, missing
 from logs.report.report import command, repeat_section
 from logs.report.tables import faults_table, links_table
 from tests.synthetic_flight import BARRIER, BOX, landing, write_log
