@@ -27,7 +27,7 @@ from typing import NamedTuple
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.records import Message as MessageRecord
 
-from logs.reader.mcap_records import MAGIC, Records, named, no_file
+from logs.reader.mcap_records import MAGIC, Records, named
 from logs.schema import FLEET, LOSSES, SCENARIO, member_name, split
 from logs.schema.rows import LogRow
 from logs.schema.schemas import LOG, current_name, same_fields
@@ -175,7 +175,7 @@ class LogFile:
         self.member = member  # member whose part is read; None: the whole log
         try:
             if self.path.exists() and not self.path.is_file():
-                raise LogError(f"{self.path} {no_file(self.path)}")
+                raise LogError(f"{self.path} is no file; an MCAP file is needed")
             with self.path.open("rb") as stream:
                 head = stream.read(_HEAD_BYTES)
         except OSError as error:
@@ -183,7 +183,7 @@ class LogFile:
         if not head:
             raise LogError(f"{self.path} is empty; expected an MCAP file")
         if not head.startswith(MAGIC):
-            raise LogError(f"{self.path} is not an MCAP file: {named(self.path, head)}")
+            raise LogError(f"{self.path} is not an MCAP file: {named(head)}")
         if member is not None and member not in (names := self.parts.names):
             raise LogError(f"{self.path} has no member {member!r}; it holds {', '.join(names)}")
 
