@@ -8,15 +8,12 @@ namespace in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /ros
 the attachment ``cf2/onboard.toml``. MAVLink frames are on ``/uas<system id>/...``, with the system id in the
 metadata ``cf2/onboard``. Events, metadata and attachments without a member's name belong to all members;
 topics of no member belong to none.
-
-In older logs of one vehicle, nothing but the topics has the namespace in front, and the scenario of a fleet
-is ``team.toml``. ``Members`` converts these names to the present form.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -28,7 +25,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.records import Message as MessageRecord
 
 from logs.reader.mcap_records import MAGIC, Records, named
-from logs.schema import FLEET, LOSSES, SCENARIO, member_name, split
+from logs.schema import FLEET, LOSSES, member_name, split
 from logs.schema.rows import LogRow
 from logs.schema.schemas import LOG, current_name, same_fields
 
@@ -36,7 +33,6 @@ ROSOUT = "/rosout"
 _NAME = re.compile(r"(?=.{1,64}$)[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*")
 _SYSTEM = "uas"  # first part of the topics of MAVLink frames; the system id follows
 _FRAMES = "/uas1"  # first part of these topics in a member's view of the log, for any system id
-_OLD_NAMES = {"team.toml": SCENARIO, "team_source.toml": SCENARIO.replace(".", "_source.")}
 _OWNED = ("run", "onboard")  # metadata records that belong to one vehicle
 
 
@@ -46,13 +42,9 @@ class Members:
     def __init__(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
         told = metadata.get(FLEET, {}).get("members", "")
         owners = [owner for name in metadata for owner, own in (split(name),) if owner and own in _OWNED]
-        # whether this is an older log of one vehicle, in which only the topics have its name
-        self.old = not told and not owners
-        if self.old:
-            told = metadata.get("onboard", {}).get("namespace", "").strip("/") or member_name(1)
         # namespaces of the members, in the order of the log
         self.names = tuple(name for part in told.split(",") if (name := part.strip()))
-        self.names = self.names or tuple(dict.fromkeys(owners))
+        self.names = self.names or tuple(dict.fromkeys(owners)) or (member_name(1),)
         for name in self.names:  # the names are used for files and entities
             if not _NAME.fullmatch(name):
                 raise ValueError(
@@ -69,7 +61,7 @@ class Members:
         """Return the member that owns a topic; None: no member."""
         if topic not in self._known:
             first = next((each for each in self._firsts if topic.startswith(each)), None)
-            self._known[topic] = self.names[0] if self.old else self._firsts[first] if first else None
+            self._known[topic] = self._firsts[first] if first else None
         return self._known[topic]
 
     def split(self, name: str, separator: str = "/") -> tuple[str | None, str]:
@@ -77,57 +69,13 @@ class Members:
         for member in self.names:
             if name.startswith(f"{member}{separator}"):
                 return member, name[len(member) + 1 :]
-        return None, _OLD_NAMES.get(name, name)
+        return None, name
 
 
 def _system_id(metadata: Mapping[str, Mapping[str, str]], number: int, name: str) -> int:
     """Return the system id from the onboard process's metadata; by default members are counted from 1."""
     told = metadata.get(f"{name}/onboard", {}).get("system_id", "")
     return int(told) if told.isdigit() else number
-
-
-class MemberView:
-    """A member's part of the log; metadata, attachments and loggers have names without the namespace."""
-
-    def __init__(self, members: Members, member: str) -> None:
-        self._members, self._member = members, member
-
-    def topic(self, topic: str) -> str | None:
-        """Return the name of a topic; None if it belongs to another member. /rosout belongs to all."""
-        if topic == ROSOUT:
-            return topic
-        if self._members.owner(topic) != self._member:
-            return None
-        if self._members.old or topic.startswith(f"/{self._member}/"):
-            return topic
-        return f"{_FRAMES}/{topic.removeprefix('/').partition('/')[2]}"
-
-    def name(self, name: str) -> str | None:
-        """Return the name of a metadata record or attachment; None if it belongs to another member."""
-        owner, rest = self._members.split(name)
-        return rest if owner in (None, self._member) and name != FLEET else None
-
-    def values(self, name: str, values: dict[str, str]) -> dict[str, str]:
-        """Return a metadata record's values; those of ``LOSSES`` only of this member and shared processes."""
-        if name != LOSSES:
-            return values
-        whose = {who: self._members.split(who, ".") for who in values}
-        return {whose[who][1]: text for who, text in values.items() if whose[who][0] in (None, self._member)}
-
-    def data(self, schema: str, data: bytes) -> bytes | None:
-        """Return the data of a message of this member; an event gets the logger name without namespace.
-
-        The result is None for an event of another member. An event that cannot be decoded belongs to all
-        members and is returned unchanged.
-        """
-        try:
-            row = LogRow.unpack(data) if schema == LOG else None
-        except ValueError:
-            return data
-        owner, logger = (None, "") if row is None else self._members.split(row.name, ".")
-        if row is None or owner is None:
-            return data
-        return row._replace(name=logger).pack() if owner == self._member else None
 
 
 _HEAD_BYTES = 32
@@ -206,7 +154,6 @@ class LogFile:
         """Return a member's part of the log; the file is not read again."""
         found = copy(self)
         found.member = member
-        found.__dict__.pop("view", None)
         return found
 
     @property
@@ -239,7 +186,7 @@ class LogFile:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the readable messages in the order in which they were written."""
-        view, schemas = self.view, dict[int, str]()
+        schemas = dict[int, str]()
         wanted: dict[int, tuple[str, str]] = {}  # topic and schema by channel
         with self.path.open("rb") as stream:
             for record in Records(stream, messages=True):
@@ -247,7 +194,7 @@ class LogFile:
                     if record.channel_id not in wanted:
                         continue
                     topic, schema = wanted[record.channel_id]
-                    data = record.data if view is None else view.data(schema, record.data)
+                    data = self._data(schema, record.data)
                     if data is not None:
                         yield Message(
                             topic, schema, record.log_time, record.publish_time, record.sequence, data
@@ -255,35 +202,61 @@ class LogFile:
                 elif isinstance(record, Schema):
                     schemas[record.id] = current_name(record.name)
                 elif isinstance(record, Channel):
-                    seen = record.topic if view is None else view.topic(record.topic)
+                    seen = self._topic(record.topic)
                     if seen is not None and (topics is None or seen in topics):
                         wanted[record.id] = seen, schemas.get(record.schema_id, "")
 
     def part_of(self, message: Message) -> Message | None:
         """Convert a message of the whole log to this member's names; None: another member sent it."""
-        topic = None if self.view is None else self.view.topic(message.topic)
-        if self.view is None or topic is None:
+        topic, data = self._topic(message.topic), self._data(message.schema, message.data)
+        return None if topic is None or data is None else message._replace(topic=topic, data=data)
+
+    def _topic(self, topic: str) -> str | None:
+        """Return the name of a topic; None if it belongs to another member. /rosout belongs to all."""
+        if self.member is None or topic == ROSOUT or topic.startswith(f"/{self.member}/"):
+            return topic
+        if self.parts.owner(topic) != self.member:
             return None
-        data = self.view.data(message.schema, message.data)
-        return None if data is None else message._replace(topic=topic, data=data)
+        return f"{_FRAMES}/{topic.removeprefix('/').partition('/')[2]}"
+
+    def _data(self, schema: str, data: bytes) -> bytes | None:
+        """Return the data of a message of this part; an event gets the logger name without namespace.
+
+        The result is None for an event of another member. An event that cannot be decoded belongs to all
+        members and is returned unchanged.
+        """
+        if self.member is None or schema != LOG:
+            return data
+        try:
+            row = LogRow.unpack(data)
+        except ValueError:
+            return data
+        owner, logger = self.parts.split(row.name, ".")
+        if owner is None:
+            return data
+        return row._replace(name=logger).pack() if owner == self.member else None
+
+    def _names(self, names: Iterable[str], separator: str = "/") -> dict[str, str]:
+        """Return the names of this part without its namespace, by the names in the file."""
+        if self.member is None:
+            return {name: name for name in names}
+        split = {name: self.parts.split(name, separator) for name in names if name != FLEET}
+        return {name: rest for name, (owner, rest) in split.items() if owner in (None, self.member)}
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Return the metadata records by name; of records with one name the last value of a key counts."""
-        view, found = self.view, self.outline.metadata
-        if view is None:
-            return found
-        return {
-            seen: view.values(seen, values)
-            for name, values in found.items()
-            if (seen := view.name(name)) is not None
-        }
+        found = self.outline.metadata
+        seen = {name: found[key] for key, name in self._names(found).items()}
+        if LOSSES in seen:  # only those of this member and of shared processes
+            losses = seen[LOSSES]
+            seen[LOSSES] = {name: losses[key] for key, name in self._names(losses, ".").items()}
+        return seen
 
     def attachments(self) -> list[Attachment]:
         """Return the files stored in the log, in the order in which they were written."""
-        view, found = self.view, self.outline.attachments
-        if view is None:
-            return found
-        return [replace(each, name=seen) for each in found if (seen := view.name(each.name)) is not None]
+        found = self.outline.attachments
+        names = self._names(each.name for each in found)
+        return [replace(each, name=names[each.name]) for each in found if each.name in names]
 
     def attachment(self, name: str) -> bytes | None:
         """Return the last file with this name; ``None`` if there is none."""
@@ -292,11 +265,6 @@ class LogFile:
     @cached_property
     def parts(self) -> Members:
         return Members(self.outline.metadata)
-
-    @cached_property
-    def view(self) -> MemberView | None:
-        """View of the member's part of the file; None for the whole log."""
-        return None if self.member is None else MemberView(self.parts, self.member)
 
     @cached_property
     def outline(self) -> Outline:

@@ -71,7 +71,7 @@ def test_what_needs_one_flight_names_the_members(fleet, tmp_path):
     with pytest.raises(LogError, match=r"no member 'cf4'; it holds cf1, cf2, cf3"):
         load_flight(fleet.log, "cf4")
     single = write_log(tmp_path / "flight.mcap", landing())
-    assert LogFile(single).members == ("cf1",)  # older logs have the name only in topics
+    assert LogFile(single).members == ("cf1",)  # the log names no vehicle
     with pytest.raises(LogError, match="no member 'cf2'; it holds cf1"):
         LogFile(single, "cf2")
 
