@@ -70,7 +70,9 @@ class Records:
                 kind, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, size)
                 end = at + _HEAD.size + length
                 if end > size or not kind:
-                    raise DamageError("it was not closed, or it was cut" if end > size else "no record there")
+                    raise DamageError(
+                        "the recorder did not close it, or it was cut" if end > size else "no record there"
+                    )
                 body = self._stream.read(length)
                 try:
                     yield from self._taken(kind, body, f"byte {at}")

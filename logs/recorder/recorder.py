@@ -16,8 +16,8 @@ import signal
 import socket
 import stat
 import sys
-import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from flightstack.common.hangup import ASK, begun, handle
@@ -202,45 +202,37 @@ def _remove_stale(path: Path) -> None:
 
 
 class Syncer:
-    """Calls ``fdatasync`` on one open file on request, one call at a time."""
+    """Calls ``fdatasync`` on one open file in a thread, one call at a time."""
 
     def __init__(self, descriptor: int, path: Path) -> None:
         """Start the thread; sync the directory entry of the file to the disk immediately."""
         _sync_directory(path.parent)
         self._descriptor = os.dup(descriptor)  # the file may be closed before the last sync
-        self._wanted = threading.Event()
-        self._closing = False
+        self._thread = ThreadPoolExecutor(1, "sync")
+        self._call: Future[None] | None = None  # newest call
         self.count = 0  # number of syncs so far
         self.worst_s = 0.0  # wall time of the longest call, s
         self.failure = ""  # error of the disk; empty without one
-        self._thread = threading.Thread(target=self._work, name="sync", daemon=True)
-        self._thread.start()
 
     def ask(self) -> None:
-        """Request a sync of all data written so far; never waits."""
-        self._wanted.set()
+        """Start to sync the data written so far, unless a call is still running; never waits."""
+        if self._call is None or self._call.done():
+            self._call = self._thread.submit(self._sync)
 
     def close(self) -> None:
         """Sync all data written so far for the last time, and end the thread."""
-        self._closing = True
-        self._wanted.set()
-        self._thread.join()
+        self._thread.submit(self._sync)
+        self._thread.shutdown()
         os.close(self._descriptor)
 
-    def _work(self) -> None:
-        closing = False
-        while not closing:
-            self._wanted.wait()
-            self._wanted.clear()
-            closing = self._closing  # read before the sync, so that the last sync follows close()
-            begun_s = time.monotonic()
-            try:
-                os.fdatasync(self._descriptor)
-            except OSError as error:
-                self.failure = error.strerror or str(error)
-                return
-            self.count += 1
-            self.worst_s = max(self.worst_s, time.monotonic() - begun_s)
+    def _sync(self) -> None:
+        begun_s = time.monotonic()
+        try:
+            os.fdatasync(self._descriptor)
+        except OSError as error:
+            self.failure = error.strerror or str(error)
+        self.count += 1
+        self.worst_s = max(self.worst_s, time.monotonic() - begun_s)
 
 
 def _sync_directory(directory: Path) -> None:

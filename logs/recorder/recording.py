@@ -3,9 +3,6 @@
 The file has the ROS 2 profile and one channel per topic, and is readable after any kind of end. Every channel
 is CDR with a ros2msg schema. The profile is "ros2", which rosbag2, Foxglove, Rerun and PlotJuggler open
 without further information (MCAP format registry).
-
-The writer extends that of the ``mcap`` package, which packs each field of a message separately and needs two
-thirds of the recorder's time. Here one ``struct`` call packs a message.
 """
 
 from __future__ import annotations
@@ -20,8 +17,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, McapRecord, MessageIndex, Metadata
+from mcap.records import Attachment, Channel, McapRecord, Metadata
 from mcap.writer import CompressionType, Writer
 
 from logs.recorder.derive import Derive, Derivers
@@ -29,11 +25,6 @@ from logs.recorder.feed import Kind, Record
 from logs.schema import LOSSES
 from logs.schema.events import Severity, pack_log
 from logs.schema.schemas import LOG, UnknownSchemaError, schema_text, type_hash
-
-_MESSAGE = struct.Struct("<BQHIQQ")  # fields: opcode, length, channel, sequence, log time, publish time
-_MESSAGE_OVERHEAD = 22  # bytes of a message record besides its data
-_MESSAGE_OPCODE = int(Opcode.MESSAGE)
-
 
 CHUNK_BYTES = 256 * 1024  # maximum size of a chunk, bytes; a killed recorder loses at most the open chunk
 _QOS = "[]"  # empty list, as rosbags writes: the sender's quality of service is unknown
@@ -93,16 +84,10 @@ class McapFile(Writer):  # type: ignore[misc]
         self.path = path
         self._output = stream or SafeStream(path.open("xb", buffering=0))
         super().__init__(self._output, CHUNK_BYTES, CompressionType.LZ4, enable_data_crcs=True)
-        # attributes of the package's writer; its version is pinned
-        self._chunk, self._counts = self._Writer__chunk_builder, self._Writer__statistics
+        self.messages = 0  # number of messages written so far
         self.start("ros2", _library())
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}
-
-    @property
-    def messages(self) -> int:
-        """Number of messages written so far."""
-        return int(self._counts.message_count)
 
     @property
     def failure(self) -> str:
@@ -133,30 +118,9 @@ class McapFile(Writer):  # type: ignore[misc]
         self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
     ) -> None:
         """Add one message; messages after a failure of the disk are ignored."""
-        if self._output.failure:
-            return
-        chunk, counts = self._chunk, self._counts
-        index = chunk.message_indices.get(channel)
-        if index is None:
-            index = chunk.message_indices[channel] = MessageIndex(channel, [])
-        buffer = chunk.record_writer._buffer
-        index.records.append((log_time_ns, buffer.tell()))
-        length = _MESSAGE_OVERHEAD + len(payload)
-        buffer.write(_MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence, log_time_ns, publish_time_ns))
-        buffer.write(payload)
-        if not chunk.num_messages or log_time_ns < chunk.message_start_time:
-            chunk.message_start_time = log_time_ns
-        if log_time_ns > chunk.message_end_time:
-            chunk.message_end_time = log_time_ns
-        if not counts.message_count or log_time_ns < counts.message_start_time:
-            counts.message_start_time = log_time_ns
-        if log_time_ns > counts.message_end_time:
-            counts.message_end_time = log_time_ns
-        counts.channel_message_counts[channel] += 1
-        counts.message_count += 1
-        chunk.num_messages += 1
-        if buffer.tell() > CHUNK_BYTES:
-            self.flush()
+        if not self._output.failure:
+            self.add_message(channel, log_time_ns, payload, publish_time_ns, sequence)
+            self.messages += 1
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         _encodable(Metadata(name, dict(values)))

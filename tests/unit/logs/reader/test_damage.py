@@ -187,7 +187,7 @@ TEN, MORE = b"".join(message(1, n) for n in range(10)), b"".join(message(1, n) f
         (chunk(b"\xff" * 50, "lz4"), 20, "RuntimeError"),
         (frame(12, text("m") + struct.pack("<I", 99)), 20, "EndOfFile"),
         (frame(5, b"abc"), 20, "kind 0x05"),
-        (bytes(500), 10, "no record there"),
+        (bytes(500), 10, "begins with a zero byte"),
         (END + END, 10, "closing magic"),
     ],
 )  # fmt: skip
