@@ -9,7 +9,7 @@ from pathlib import Path
 from flightstack.config.options import repeated
 from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
 from logs.report import tables
-from logs.report.derived import Side, side_of
+from logs.report.derived import Side
 from logs.report.page import (
     Page,
     Panel,
@@ -35,7 +35,6 @@ from logs.verdict.verdict import (
 __all__ = ["ReportError", "write_report"]
 
 _FILES = ((ATTACHMENT, "Configuration of the onboard process"), (SCENARIO, "Scenario, whole"))
-_FAULTS = "Injected by the scenario; in the figures a red strip on top."
 _NEAR = "Measured in every physics step while both flew."
 _EVENTS = "wide events"  # CSS classes of the tables of events
 _WAITS = "Times in which a member flew and gave way to neighbours, by its own messages."
@@ -68,7 +67,8 @@ def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page
     """Return the report of a flight; ``of``: page of its fleet, to which the report links."""
     from logs.report.figures import panels
 
-    side, run = side_of(flight, verdict), flight.metadata.get("run", {})
+    side = Side("", flight, verdict, -(flight.landing_start_s or 0.0))
+    run = flight.metadata.get("run", {})
     picture, timeline, *figures = panels(side)
     title = run.get("scenario", flight.path.stem)
     if flight.label not in title:
@@ -82,21 +82,13 @@ def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page
             Panel("result", "Result", _source(verdict), tables.result_table(side)),
             time_bar(events=True),
             timeline,
-            [
-                Panel("phases", "Phases", "Each with the reason it began.", tables.phases_table(flight)),
-                Panel("faults", "Faults", _FAULTS, tables.faults_table(flight)),
-            ],
             *figures,
-            Panel("links", "Links", "Counted from the recorded traffic.", tables.links_table(side.streams)),
             Panel(
                 "events", "Events", "Times since the landing began; each is a link.",
                 tables.events_table(flight.events, -side.offset_s), style=_EVENTS,
             ),
             repeat_section(flight, flight.label),
-            [
-                Panel("run", "Run", "", tables.run_table(flight)),
-                Panel("versions", "Versions", "", tables.versions_table(flight.metadata)),
-            ],
+            Panel("run", "Run", "", tables.run_table(flight.metadata)),
             *_configuration("Configuration", sources, flight.path),
         ],
         warnings(flight, verdict),
@@ -109,7 +101,7 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
 
     told = fleet.metadata.get(FLEET, {})
     sides = [
-        Side(name, flight, verdict.members[name], [], fleet.shift_s(flight))
+        Side(name, flight, verdict.members[name], fleet.shift_s(flight))
         for name, flight in fleet.flights.items()
     ]
     picture, *figures = fleet_panels(fleet, sides, pair_series(fleet))
@@ -141,7 +133,7 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
                 tables.events_table(fleet.events), style=_EVENTS,
             ),
             repeat_section(fleet),
-            Panel("versions", "Versions", "", tables.versions_table(fleet.metadata)),
+            Panel("run", "Run", "", tables.run_table(fleet.metadata)),
             *_configuration("Configurations", sources, fleet.path),
         ],
         _fleet_warnings(fleet, verdict),

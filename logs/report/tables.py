@@ -7,16 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from flightstack.core.mission.machine import parse
 from logs.curves import Errors, estimate_errors
-from logs.reader.flight_data import Event, Fleet, Flight, Floats, Span, Steps, Timing, phase_name
-from logs.report.derived import Side, Stream, fault_spans, root_mean_square, share_active
+from logs.reader.flight_data import Event, Fleet, Floats, Span, Steps, Timing
+from logs.report.derived import Side, fault_spans, root_mean_square, share_active
 from logs.report.page import html, paragraph, part, table, time_link
+from logs.schema import FLEET, LOSSES
 from logs.schema.events import Severity
 from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, FALL_M_S, FALLS, Outcome, Verdict
 from logs.verdict.verdict import FleetVerdict
 
-_SAME_TICK_S = 0.011  # maximum time between an event and the tick in which a phase began, s
 EVENTS_MAX = 500  # maximum number of shown events
 HEADLINES = {
     Outcome.LANDED: ("Landed", "good"),
@@ -26,14 +25,6 @@ HEADLINES = {
     Outcome.UNKNOWN: ("Not known: records were lost", "bad"),
 }
 YES_NO = {True: "yes", False: "no", None: "not known"}
-_RUN_NAMES = {
-    "scenario": "scenario", "description": "description", "seed": "seed", "filter": "safety filter",
-    "mode": "mode", "rate_hz": "controller rate [Hz]", "judge_alpha_1_m": "judged by α [1/m]",
-    "judge_beta_m": "judged by β [m]", "barrier_alpha_1_m": "controller's α [1/m]",
-    "barrier_beta_m": "controller's β [m]", "velocity_max_x_m_s": "velocity box x [m/s]",
-    "velocity_max_y_m_s": "velocity box y [m/s]", "velocity_max_z_m_s": "velocity box z [m/s]",
-    "pad_radius_m": "pad radius [m]", "outside_envelope": "outside the proven envelope",
-}  # fmt: skip
 
 
 def headline(verdict: Verdict) -> tuple[str, str]:
@@ -57,18 +48,12 @@ def fleet_key_numbers(verdict: FleetVerdict) -> list[tuple[str, str, str]]:
     ]
 
 
-def run_table(flight: Flight) -> str:
-    run = flight.metadata.get("run", {})
-    rows = [(name, run[key]) for key, name in _RUN_NAMES.items() if key in run]
-    rows += [(key.replace("_", " "), value) for key, value in run.items() if key not in _RUN_NAMES]
+def run_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
+    """Return run, versions and lost records from the metadata of a log as a table."""
+    found = {**metadata.get(FLEET, {}), **metadata.get("run", {}), **metadata.get("made", {})}
+    rows = [(key.replace("_", " "), value or "–") for key, value in found.items()]
+    rows += [(f"records lost by {who}", n) for who, n in metadata.get(LOSSES, {}).items()]
     return table(("run", "value"), rows, empty="The log has no metadata of the run.")
-
-
-def versions_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
-    """Return the versions in the metadata of a log as a table."""
-    rows = [(key.replace("_", " "), value or "–") for key, value in metadata.get("made", {}).items()]
-    rows += [(f"records lost by {who}", n) for who, n in metadata.get("losses", {}).items()]
-    return table(("made with", "value"), rows, empty="The log does not name versions.")
 
 
 def events_table(events: Sequence[Event], zero_s: float | None = None) -> str:
@@ -87,39 +72,6 @@ def events_table(events: Sequence[Event], zero_s: float | None = None) -> str:
 def _at(t_s: float) -> str:
     """Return a time since the start of the landing as an HTML link that moves the figures to it."""
     return time_link(t_s, number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}")
-
-
-def phases_table(flight: Flight) -> str:
-    """Return the phases in order with their length and the controller's reason."""
-    zero, rows = flight.landing_start_s or 0.0, []
-    for phase, begin_s, end_s in flight.phase_spans():
-        name = phase_name(phase)
-        why = [e.text.partition(": ")[2] for e in flight.events if _began(e.text, e.t_s, name, begin_s)]
-        rows.append((_at(begin_s - zero), name, f"{end_s - begin_s:.2f}", why[0] if why else ""))
-    head = ("from [s]", "phase", "for [s]", "reason")
-    return table(head, rows, numbers=(0, 2), empty="No controller steps in this log.")
-
-
-def _began(text: str, at_s: float, name: str, begin_s: float) -> bool:
-    change = parse(text)
-    return change is not None and change.after.name == name and abs(at_s - begin_s) < _SAME_TICK_S
-
-
-def faults_table(flight: Flight) -> str:
-    zero, spans = flight.landing_start_s or 0.0, fault_spans(flight)
-    ends = [_at(f.end_s - zero) if f.over else "to the end" for f in spans]
-    rows = [(_at(f.begin_s - zero), end, f.text) for f, end in zip(spans, ends, strict=True)]
-    return table(("from [s]", "to [s]", "fault"), rows, numbers=(0, 1), empty="The log has no fault.")
-
-
-def links_table(streams: Sequence[Stream]) -> str:
-    rows = [
-        (s.name, str(len(s.t_s)), number(s.rate_hz, 1), "not numbered" if s.lost is None else str(s.lost),
-         number(s.gap_max_s, 0, 1e3))
-        for s in streams
-    ]  # fmt: skip
-    head = ("stream", "messages", "rate [Hz]", "lost", "longest gap [ms]")
-    return table(head, rows, numbers=(1, 2, 3, 4), empty="No traffic in this log.")
 
 
 def severity(level: int) -> str:
@@ -157,11 +109,6 @@ def _spread(timing: Timing) -> float | None:
     return float(known.std() / known.mean()) if len(known) else None
 
 
-def _lost(side: Side) -> float | None:
-    lost = [stream.lost for stream in side.streams if stream.lost is not None]
-    return float(sum(lost)) if lost else None
-
-
 _RELATIVE, _VERTICAL = "relative to the pad", "touchdown speed, vertical"
 _AGAINST = "of the controller's estimate against the true one"
 _KEYS = ("lowest h outside the pad", "touchdown error", _VERTICAL, "time to land")
@@ -192,7 +139,6 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
     ("whole tick, 99 %", "µs", 0, 1e6, lambda s: _of_timing(s, lambda v: _p99(v.exec_s)), "wall time"),
     ("loop period, standard deviation", "%", 2, 100.0, lambda s: _of_timing(s, _spread), "of its mean"),
     ("overruns", "", 0, 1.0, lambda s: _of_timing(s, lambda v: float(v.overruns[-1])), "deadlines missed"),
-    ("messages lost", "", 0, 1.0, _lost, "by their numbers"),
     ("faults injected", "", 0, 1.0, lambda s: float(len(fault_spans(s.flight))), ""),
 )  # fmt: skip
 

@@ -17,9 +17,8 @@ from flightstack.core.types import FilterStatus, Phase
 from flightstack.launch.run_options import RunOptions
 from logs.curves import estimate_errors, held_margin_m
 from logs.reader.flight import load_flight
-from logs.report.derived import TARGET, fault_spans, load_streams, missing
+from logs.report.derived import fault_spans
 from logs.report.report import command, repeat_section
-from logs.report.tables import faults_table, links_table
 from tests.synthetic_flight import BARRIER, BOX, landing, write_log
 from tests.unit.logs.helpers import record
 
@@ -102,24 +101,6 @@ def test_faults_have_begin_and_end_and_count_once(written):
     assert [(s.text, s.over) for s in spans] == [("motor 2 weak", True), ("target odometry off", False)]
     assert (spans[0].begin_s, spans[0].end_s) == pytest.approx((1.0, 2.0))
     assert spans[1].end_s == flight.duration_s
-    assert "to the end" in faults_table(flight)
-
-
-@pytest.mark.parametrize(
-    ("numbers", "lost"), [([], None), ([0, 0, 0], None), ([1, 2, 3], 0), ([4, 9, 6], 3), ([2, 2, 3], 0)]
-)
-def test_losses_in_target_numbers(numbers, lost):
-    assert missing(numbers) == lost
-
-
-def test_streams_have_rate_and_gap(written, tmp_path):
-    rows = landing()
-    del rows.odometry[200:230]
-    flight = written(rows)
-    (target,) = load_streams(flight.path, flight.origin_ns)
-    assert (target.name, len(target.t_s)) == (TARGET, len(rows.odometry))
-    assert target.gap_max_s == pytest.approx(0.31)
-    assert "310" in links_table([target])
 
 
 def test_the_command_repeats_the_run(written):

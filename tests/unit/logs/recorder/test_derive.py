@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from flightstack.core.safety.barrier import Barrier
 from logs.recorder.derive import Deriver, Derivers
 from logs.recorder.markers import PATH_POINTS, surface
-from logs.report.derived import frames_lost
 from logs.schema import schemas
 from logs.schema.mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow
@@ -168,15 +167,6 @@ def test_surface_lies_on_the_boundary(alpha, beta):
 
 def frame(sequence, system=1):
     return pack_mavlink(1, bytes([0xFD, 1, 0, 0, sequence, system, 1, 0, 0, 0, 7, 1, 2]), "p00")
-
-
-@pytest.mark.parametrize(
-    ("numbers", "lost"),
-    [([7], 0), ([250, 251, 254, 255, 0, 2], 3), ([1, 3, 2, 4], 0), ([5, 5, 6], 0), ([1, 3, 5, 2, 6], 1)],
-)
-def test_lost_frames_by_sequence_numbers(numbers, lost):
-    both = [(sender, n) for n in numbers for sender in (1, 2)]  # each sender counts its own frames
-    assert frames_lost(both) == 2 * lost
 
 
 def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart():
