@@ -152,24 +152,19 @@ class Table:
             yield times | {"sequence": message.sequence} | decoded
 
     def _schema(self) -> Schema:
-        schemas, found, known = dict[int, Schema](), dict[int, Channel](), set[str]()
-        with self.log.path.open("rb") as stream:
-            for record in Records(stream, messages=False):
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    known.add(record.topic)
-                    found |= {record.id: record} if record.topic == self.topic else {}
+        channels = self.log.outline.channels.values()
+        found = [each for each in channels if each.topic == self.topic]
         if not found:
-            topics, close = sorted(known), meant(self.topic, known)
+            topics = sorted({each.topic for each in channels})
+            close = meant(self.topic, topics)
             more = f" and {len(topics) - TOPICS_SHOWN} more (`log info`)" if topics[TOPICS_SHOWN:] else ""
             raise ValueError(
                 f"no topic {self.topic!r} in {self.log.path}; {close and f'{close} '}"
                 f"it contains {', '.join(topics[:TOPICS_SHOWN]) or 'none'}{more}"
             )
-        used = {schemas[each.schema_id].name: schemas[each.schema_id] for each in found.values()
-                if each.schema_id in schemas}  # fmt: skip
-        encodings = {each.message_encoding for each in found.values()}
+        schemas = self.log.outline.schemas
+        used = {kind.name: kind for each in found if (kind := schemas.get(each.schema_id)) is not None}
+        encodings = {each.message_encoding for each in found}
         if len(used) != 1 or encodings != {"cdr"} or next(iter(used.values())).encoding != "ros2msg":
             raise ValueError(
                 f"{self.topic} has the types {', '.join(sorted(used)) or 'none'} in the encodings "

@@ -130,12 +130,12 @@ class JudgedSteps(Protocol):
 class Judged:
     """The data that a verdict by true states needs, from a log or from a landing in a campaign."""
 
-    steps: JudgedSteps | None = None
+    steps: JudgedSteps | None = None  # ``None`` if there are no such messages
     truth: Truth | None = None
-    events: tuple[Event, ...] = ()
-    config: FlightConfig | None = None
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    complete: bool = True
+    events: tuple[Event, ...] = ()  # events of /rosout in order
+    config: FlightConfig | None = None  # configuration of the onboard process; ``None`` if not in the log
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # metadata records by name
+    complete: bool = True  # whether the recorder closed the file and every byte could be read
     pad_radius_m: float = PAD_RADIUS_M
 
     @cached_property
@@ -149,44 +149,23 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class Flight(Judged):
-    """All data of one flight in a log.
+    """All data of one flight in a log."""
 
-    Attributes:
-        path: log file.
-        member: name of the vehicle in the log; None for a flight without a log.
-        label: name of the vehicle if the log has several; else empty.
-        complete: whether the recorder closed the file and every byte could be read.
-        damage: unreadable parts of the log, as text; empty for a good one.
-        problems: damage of the log, and an unreadable configuration of another version.
-        origin_ns: log time of ``t_s = 0``.
-        duration_s: time from the first to the last step or true state, s.
-        steps, timing, truth, target: ``None`` if the log has no such messages.
-        spans: messages to the other members, in order; empty for a vehicle alone.
-        events: events of /rosout in order.
-        metadata: metadata records by name.
-        attachments: files stored in the log by name.
-        config: configuration of the onboard process; ``None`` if the log does not hold it.
-        barrier: barrier of the verdict; ``None`` if the log does not hold it.
-        velocity_max_m_s: velocity box of the filter, m/s; ``None`` if the log does not hold it.
-        pad_radius_m: radius of the landing pad, m.
-        pad_carries: whether the vehicle can stand on the pad; False only if the log says so.
-    """
-
-    path: Path
-    origin_ns: int
-    duration_s: float
-    damage: tuple[str, ...] = ()
-    problems: tuple[str, ...] = ()
+    path: Path  # log file
+    origin_ns: int  # log time of ``t_s = 0``
+    duration_s: float  # time from the first to the last step or true state, s
+    damage: tuple[str, ...] = ()  # unreadable parts of the log, as text; empty for a good one
+    problems: tuple[str, ...] = ()  # damage, and an unreadable configuration of another version
     steps: Steps | None = None
     timing: Timing | None = None
     target: TargetOdometry | None = None
-    spans: tuple[Span, ...] = ()
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    barrier: Barrier | None = None
-    velocity_max_m_s: Vec3 | None = None
-    member: str | None = None
-    label: str = ""
-    pad_carries: bool = True
+    spans: tuple[Span, ...] = ()  # messages to the other members, in order; empty for a vehicle alone
+    attachments: dict[str, bytes] = field(default_factory=dict)  # files stored in the log, by name
+    barrier: Barrier | None = None  # barrier of the verdict; ``None`` if the log does not hold it
+    velocity_max_m_s: Vec3 | None = None  # velocity box of the filter, m/s; ``None`` if not in the log
+    member: str | None = None  # name of the vehicle in the log; None for a flight without a log
+    label: str = ""  # name of the vehicle if the log has several
+    pad_carries: bool = True  # whether the vehicle can stand on the pad; False only if the log says so
 
     def phase_spans(self) -> list[tuple[Phase | int, float, float]]:
         """Return the phases in order, each with its start time and its end time, s."""

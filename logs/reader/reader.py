@@ -105,6 +105,8 @@ class Outline:
     library: str = ""  # program that wrote the file
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: list[Attachment] = field(default_factory=list)
+    schemas: dict[int, Schema] = field(default_factory=dict)  # declarations by id
+    channels: dict[int, Channel] = field(default_factory=dict)
     # message types of this stack whose fields in the file differ from this version
     foreign: set[str] = field(default_factory=set)
     problem: str = ""  # kind, place and reason of the first unreadable record; empty: all are readable
@@ -279,9 +281,11 @@ class LogFile:
                     found.attachments.append(record)
                 elif isinstance(record, Header):
                     found.library = record.library
-                elif isinstance(record, Schema) and not same_fields(
-                    record.name, record.data.decode(errors="replace")
-                ):
-                    found.foreign.add(current_name(record.name))
+                elif isinstance(record, Schema):
+                    found.schemas[record.id] = record
+                    if not same_fields(record.name, record.data.decode(errors="replace")):
+                        found.foreign.add(current_name(record.name))
+                elif isinstance(record, Channel):
+                    found.channels[record.id] = record
         found.problem = records.problem
         return found

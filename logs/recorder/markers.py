@@ -107,7 +107,7 @@ class Scene:
         if "barrier_alpha_1_m" in run and "barrier_beta_m" in run:
             barrier = Barrier(float(run["barrier_alpha_1_m"]), float(run["barrier_beta_m"]))
             if barrier.alpha_1_m > 0.0:
-                mesh = surface(barrier, reach_of(run))
+                mesh = surface(barrier, REACH_BESIDE if "ellipsoid_xy_m" in run else REACH)
                 scale = (1.0, 1.0, 1.0)
                 self._surface = Marker(
                     f"{frame}_pad", "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh
@@ -117,6 +117,12 @@ class Scene:
             beside_m, above_m = float(run["ellipsoid_xy_m"]), float(run["ellipsoid_z_m"])
             scale = (beside_m, beside_m, above_m)
             self._ellipsoid = Marker(self._own_frame, "ellipsoid", 0, SPHERE, scale, ELLIPSOID_COLOR)
+
+    @property
+    def shapes(self) -> list[Marker]:
+        """Body, ellipsoid, pad and barrier, in frames of the vehicle and the target."""
+        shapes = (self._body, self._ellipsoid, self._pad, self._surface)
+        return [shape for shape in shapes if shape is not None]
 
     def add(self, log_time_ns: int, row: ControllerStepRow) -> None:
         if row.own_valid:
@@ -140,11 +146,6 @@ class Scene:
                 if math.isfinite(sum(velocity_m_s)):  # NaN: the filter did not run, or no set-point was sent
                     markers.append(_arrow(number, row.own_position_enu_m, velocity_m_s, color))
         return self._pack(([_values(row.stamp_ns, marker) for marker in markers if marker is not None],))
-
-
-def reach_of(run: Mapping[str, str]) -> float:
-    """Return the drawn radius of the barrier surface, divided by the distance of its peak from the axis."""
-    return REACH_BESIDE if "ellipsoid_xy_m" in run else REACH
 
 
 def surface(barrier: Barrier, reach: float = REACH) -> bytes:

@@ -29,7 +29,6 @@ from logs.schema.schemas import (
 )
 
 SOURCE, SINK, ROSOUT = "/uas1/mavlink_source", "/uas1/mavlink_sink", "/rosout"
-_INPUT_END = "/controller/input"
 
 
 class ReplayError(ValueError):
@@ -71,7 +70,11 @@ class FlightInputs:
         self.onboard = self.log.metadata().get("onboard", {})
         # metadata of the preflight check; empty if the log has none
         self.preflight = self.log.metadata().get("preflight", {})
-        self.space = self._space()  # first part of the topics, for example ``/cf1``
+        if "namespace" not in self.onboard:
+            raise ReplayError(
+                f"{path}: no metadata of an onboard process, which records the inputs of the controller: "
+                "`flightstack onboard --recorder SOCKET`"
+            )
         data = self.log.attachment(ATTACHMENT)
         if data is None:
             raise ReplayError(
@@ -81,19 +84,6 @@ class FlightInputs:
             self.table = parse_toml(data)  # the configuration as plain TOML data
         except ConfigError as error:
             raise ReplayError(f"{path}: the attachment {ATTACHMENT} is {error}") from error
-
-    def _space(self) -> str:
-        """Return the namespace of the inputs; the log of a flight has exactly one."""
-        named = self.onboard.get("namespace")
-        if named is not None:
-            return f"/{named}"
-        for message in self.log.messages():
-            if message.schema == CONTROLLER_INPUT and message.topic.endswith(_INPUT_END):
-                return message.topic.removesuffix(_INPUT_END)
-        raise ReplayError(
-            f"{self.log.path}: no controller inputs ({CONTROLLER_INPUT}); they are recorded by "
-            "`flightstack onboard --recorder SOCKET`"
-        )
 
     def config(self) -> FlightConfig:
         """Return the configuration of the flight."""
@@ -106,7 +96,7 @@ class FlightInputs:
             ) from error
 
     def topic(self, name: str) -> str:
-        return f"{self.space}/{name}"
+        return f"/{self.onboard['namespace']}/{name}"
 
     def ticks(self) -> Iterator[TickRecord]:
         """Yield the ticks in order; the last one may be incomplete."""

@@ -98,19 +98,9 @@ def table(
     return part("table", head, rows, numbers, row_class) if rows else paragraph(empty)
 
 
-def time_bar(*, events: bool) -> str:
-    """Return buttons, as HTML, that set the range of all time axes; with a hint if events have links."""
-    return part("bar", events)
-
-
 def time_link(t_s: float, text: str) -> str:
     """Return a time as HTML link that moves the figures to this time."""
     return part("at_link", f"{t_s:.2f}", text)
-
-
-def repeat_box(**values: Any) -> str:
-    """Return the commands that repeat a flight, as HTML; the arguments are those of the macro ``repeat``."""
-    return part("repeat", **values)
 
 
 def html(text: str) -> str:

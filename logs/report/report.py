@@ -18,8 +18,7 @@ from logs.report.page import (
     html,
     need_libraries,
     paragraph,
-    repeat_box,
-    time_bar,
+    part,
     write,
 )
 from logs.schema import FLEET, SCENARIO
@@ -80,7 +79,7 @@ def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page
             html('<p><a href="{}">The whole fleet</a></p>').format(of) if of is not None else "",
             picture,
             Panel("result", "Result", _source(verdict), tables.result_table(side)),
-            time_bar(events=True),
+            part("bar", True),
             timeline,
             *figures,
             Panel(
@@ -122,7 +121,7 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
                 "result", "Result",
                 f"Judged from {source}. The fleet has landed when all its members have.", result,
             ),
-            time_bar(events=True),
+            part("bar", True),
             *figures,
             [
                 Panel("near", "How near they came", _NEAR, tables.pairs_table(fleet)),
@@ -232,11 +231,12 @@ def repeat_section(of: Flight | Fleet, member: str = "") -> str:
     run, whole = of.metadata.get("run", of.metadata.get(FLEET, {})), of.attachments.get(SCENARIO)
     again = ["flightstack", "replay", of.path.name, "--check"]
     if member:
-        return repeat_box(replay=shlex.join([*again, "--member", member]), alone=False)
+        return part("repeat", replay=shlex.join([*again, "--member", member]), alone=False)
     if whole is None or "seed" not in run:
-        return repeat_box(replay=shlex.join(again))
+        return part("repeat", replay=shlex.join(again))
     by_name = "scenario" in run and "config" not in run
-    return repeat_box(
+    return part(
+        "repeat",
         replay=shlex.join(again),
         command=command(run, SCENARIO),
         revision=of.metadata.get("made", {}).get("git_revision", ""),

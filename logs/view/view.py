@@ -9,7 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,9 @@ import numpy as np
 import rerun as rr
 
 from flightstack.common.text import one_line
-from flightstack.core.safety.barrier import Barrier
 from logs import curves
 from logs.reader.flight import load_fleet
-from logs.reader.flight_data import PAD_RADIUS_M, Event, Flight, Floats, Ints, Steps, phase_name
+from logs.reader.flight_data import Event, Flight, Floats, Ints, Steps, phase_name
 from logs.recorder import markers
 from logs.schema import FLEET
 from logs.schema.events import Severity
@@ -31,7 +30,7 @@ SCENE_PERIOD_NS = 20_000_000  # period of 50 Hz
 PATH_PERIOD_NS = 200_000_000  # period of the paths, 5 Hz; each row stores the whole path again
 BODY_HALF_M = tuple(0.5 * size for size in markers.BODY_SIZE_M)
 ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
-SPOT = f"{WORLD}/target_spot"
+SPOT = f"{WORLD}/target_pad"
 TRUE_COLOR: markers.Color = (0.5, 0.5, 0.5, 1.0)
 # arrows: entity, velocity of each step, colour
 VELOCITIES: tuple[tuple[str, Callable[[Steps], Floats], str], ...] = (
@@ -138,31 +137,12 @@ def _scene(canvas: Canvas, flight: Flight) -> None:
         canvas.columns(f"{WORLD}/{name}", at_ns[good], moved)
         if name == "target":  # the barrier moves with the target but does not rotate with it
             canvas.columns(SPOT, at_ns[good], rr.Transform3D.columns(translation=place_m))
-    canvas.style(
-        f"{WORLD}/vehicle/body",
-        rr.Boxes3D(
-            half_sizes=[BODY_HALF_M], colors=[rgba(canvas.own_color)], fill_mode="solid",
-            labels=[canvas.member] if canvas.member else None,
-        ),
-    )  # fmt: skip
-    if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # half of the ellipsoid of a pair
-        beside_m, above_m = 0.5 * float(run["ellipsoid_xy_m"]), 0.5 * float(run["ellipsoid_z_m"])
-        canvas.style(
-            f"{WORLD}/vehicle/ellipsoid",
-            rr.Ellipsoids3D(
-                half_sizes=[(beside_m, beside_m, above_m)], colors=[rgba(canvas.own_color)],
-                line_radii=[ELLIPSOID_LINE_M], fill_mode="majorwireframe",
-            ),
-        )  # fmt: skip
-    radius_m, thickness_m = float(run.get("pad_radius_m", PAD_RADIUS_M)), 0.01
-    canvas.style(
-        f"{WORLD}/target/pad",
-        rr.Cylinders3D(
-            lengths=[thickness_m], radii=[radius_m], centers=[(0.0, 0.0, -0.5 * thickness_m)],
-            colors=[rgba(markers.PAD_COLOR)], fill_mode="solid",
-        ),
-    )  # fmt: skip
-    _barrier(canvas, run)
+    scene = markers.Scene("vehicle", "target")
+    scene.configure(run)
+    for shape in scene.shapes:
+        own = shape.frame_id == "vehicle"
+        drawn = _shape(shape, canvas.own_color if own else shape.color, canvas.member if own else "")
+        canvas.style(f"{WORLD}/{shape.frame_id}/{shape.ns}", drawn)
     _paths(canvas, flight)
 
 
@@ -180,19 +160,27 @@ def _truth(canvas: Canvas, flight: Flight) -> None:
     canvas.style(f"{WORLD}/true_vehicle/body", body)
 
 
-def _barrier(canvas: Canvas, run: Mapping[str, str]) -> None:
-    if "barrier_alpha_1_m" not in run or "barrier_beta_m" not in run:
-        return
-    barrier = Barrier(float(run["barrier_alpha_1_m"]), float(run["barrier_beta_m"]))
-    if barrier.alpha_1_m <= 0.0:
-        return
-    corners = np.frombuffer(markers.surface(barrier, markers.reach_of(run)), dtype="<f8").reshape(-1, 3)
+def _shape(shape: markers.Marker, color: markers.Color | str, label: str) -> rr.AsComponents:
+    """Convert a marker into a shape of Rerun."""
+    half_m, colors = [0.5 * size for size in shape.scale], [rgba(color)]
+    if shape.kind == markers.CUBE:
+        labels = [label] if label else None
+        return rr.Boxes3D(half_sizes=[half_m], colors=colors, fill_mode="solid", labels=labels)
+    if shape.kind == markers.SPHERE:
+        return rr.Ellipsoids3D(
+            half_sizes=[half_m], colors=colors, line_radii=[ELLIPSOID_LINE_M], fill_mode="majorwireframe"
+        )
+    if shape.kind == markers.CYLINDER:
+        return rr.Cylinders3D(
+            lengths=[shape.scale[2]], radii=[half_m[0]], centers=[shape.position], colors=colors,
+            fill_mode="solid",
+        )  # fmt: skip
+    corners = np.frombuffer(shape.points, dtype="<f8").reshape(-1, 3)
     triangles = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
-    mesh = rr.Mesh3D(
+    return rr.Mesh3D(
         vertex_positions=corners, triangle_indices=triangles, vertex_normals=_normals(corners),
-        albedo_factor=rgba(markers.BARRIER_COLOR), face_rendering="DoubleSided",
+        albedo_factor=colors[0], face_rendering="DoubleSided",
     )  # fmt: skip
-    canvas.style(f"{SPOT}/barrier", mesh)
 
 
 def _normals(corners: Floats) -> Floats:

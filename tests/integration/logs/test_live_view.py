@@ -55,7 +55,7 @@ def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
     assert rows["/phase"] == rows["/events"] == len({r.phase for r in ROWS})
     assert 5 < rows["/world/vehicle_path"] <= len(ROWS) / 4 + 1  # each row has the whole path
     assert any(name.startswith("Arrows3D:vectors") for name in columns["/world/velocity/nominal"])
-    assert "/world/target_spot/barrier" not in columns  # the shape of the barrier was not published
+    assert "/world/target_pad/barrier" not in columns  # the shape of the barrier was not published
     reader = RrdReader(whole)
     assert (len(reader.recordings()), len(reader.blueprints())) == (1, 1)
 
@@ -104,7 +104,7 @@ def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching)
     assert (child.returncode, errors) == (0, "")
     rows, columns = entities(out)
     assert rows["/world/vehicle"] > 10
-    assert any(name.startswith("Mesh3D") for name in columns["/world/target_spot/barrier"])
+    assert any(name.startswith("Mesh3D") for name in columns["/world/target_pad/barrier"])
     for chunk in RrdReader(out).store().stream().to_chunks():
         if chunk.entity_path == "/world/target/pad":
             batch = chunk.to_record_batch()
@@ -179,4 +179,4 @@ def test_sitl_shows_the_flight_and_flies_as_without(tmp_path):
     assert done.json["outcome"] == "landed"
     rows, columns = entities(out)
     assert rows["/world/vehicle"] > 0  # lockstep is faster than the view, which drops old data
-    assert "/world/target_spot/barrier" in columns
+    assert "/world/target_pad/barrier" in columns

@@ -120,7 +120,7 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
     for entity in ("/barrier/h/estimate", "/velocity/z/filtered", "/age/age/target", "/timing/wall/exec"):
         assert found[entity][0] == len(steps), entity
     for entity, column in (
-        ("/world/target_spot/barrier", "Mesh3D:vertex_positions"),
+        ("/world/target_pad/barrier", "Mesh3D:vertex_positions"),
         ("/world/target/pad", "Cylinders3D"),
         ("/world/vehicle", "Transform3D:translation"),
         ("/world/vehicle_path", "LineStrips3D:strips"),

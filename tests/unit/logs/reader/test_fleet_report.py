@@ -136,7 +136,7 @@ def test_each_member_is_in_the_scene_at_its_place(fleet, saved):
     read_log = fleet.read
     for member in MEMBERS:
         for what in (
-            "vehicle/body", "vehicle/ellipsoid", "target/pad", "target_spot/barrier", "vehicle_path",
+            "vehicle/vehicle", "vehicle/ellipsoid", "target/pad", "target_pad/barrier", "vehicle_path",
             "target_path", "true_vehicle/body", "velocity/command",
         ):  # fmt: skip
             assert f"/world/{member}/{what}" in entities

@@ -183,7 +183,7 @@ def test_a_log_that_proves_nothing_says_why(recorded, tmp_path, topics, ticks, w
 
 
 def test_a_log_without_inputs_or_configuration_is_refused(tmp_path):
-    with pytest.raises(ReplayError, match="no controller inputs"):
+    with pytest.raises(ReplayError, match="no metadata of an onboard process"):
         replay(write_log(tmp_path / "old.mcap", landing()))
     (tmp_path / "text.mcap").write_text("hello, this is not a log")
     with pytest.raises(ReplayError, match="not an MCAP file"):
