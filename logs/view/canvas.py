@@ -96,11 +96,10 @@ class Canvas:
         self.phase: int | None = None  # newest phase in the viewer
         self._origin_ns = origin_ns
         self._styled: set[str] = set()
-        self._slots: dict[str, int] = {}
 
-    def style(self, entity: str, archetype: rr.AsComponents) -> None:
-        """Send data that do not change with time; only the first call sends them."""
-        if entity not in self._styled:
+    def style(self, entity: str, archetype: rr.AsComponents, *, again: bool = False) -> None:
+        """Send data that do not change with time; only the first call sends them, or one with ``again``."""
+        if again or entity not in self._styled:
             self._styled.add(entity)
             self.stream.log(of_member(entity, self.member), archetype, static=True)
 
@@ -114,14 +113,6 @@ class Canvas:
             ),
             columns,
         )
-
-    def due(self, name: str, period_ns: int, at_ns: int) -> bool:
-        """Whether this is the first call with this name in the period of ``at_ns``."""
-        slot = at_ns // period_ns
-        if self._slots.get(name) == slot:
-            return False
-        self._slots[name] = slot
-        return True
 
 
 def times(origin_ns: int, t_s: Floats) -> Ints:

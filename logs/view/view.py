@@ -27,7 +27,6 @@ from logs.schema.events import Severity
 from logs.view.canvas import EVENTS, PHASE, RUN, WORLD, Canvas, blueprint, every, rgba, run_of, times
 
 SCENE_PERIOD_NS = 20_000_000  # period of 50 Hz
-PATH_PERIOD_NS = 200_000_000  # period of the paths, 5 Hz; each row stores the whole path again
 BODY_HALF_M = tuple(0.5 * size for size in markers.BODY_SIZE_M)
 ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
 SPOT = f"{WORLD}/target_pad"
@@ -192,31 +191,21 @@ def _normals(corners: Floats) -> Floats:
 
 
 def _paths(canvas: Canvas, flight: Flight) -> None:
-    """Send the paths of vehicle and target, each time with all points so far."""
+    """Send the paths of vehicle and target up to the end of the data, shown at all times."""
     steps = flight.steps
     assert steps is not None
+    at_ns = times(flight.origin_ns, steps.t_s)
     for name, valid, position_m, color in (
         ("vehicle_path", steps.own_valid, steps.own_position_enu_m, canvas.own_color),
         ("target_path", steps.target_valid, steps.target_position_enu_m, markers.TARGET_COLOR),
     ):
         path = canvas.paths.setdefault(name, markers.Path())
-        strips, at_ns = [], []
-        for time_ns, known, (x, y, z) in zip(
-            times(flight.origin_ns, steps.t_s).tolist(), valid, position_m.tolist(), strict=True
-        ):
-            if known:
-                path.add(time_ns, (x, y, z))
-            if not canvas.due(name, PATH_PERIOD_NS, time_ns):
-                continue
-            if (marker := path.marker(0, markers.TARGET_COLOR)) is not None:
-                strips.append(np.frombuffer(marker.points, dtype="<f8").reshape(-1, 3))
-                at_ns.append(time_ns)
-        if strips:
-            canvas.columns(
-                f"{WORLD}/{name}", np.array(at_ns, dtype=np.int64), rr.LineStrips3D.columns(strips=strips)
-            )
-            style = rr.LineStrips3D.from_fields(radii=[LINE_RADIUS_M], colors=[rgba(color)])
-            canvas.style(f"{WORLD}/{name}", style)
+        for time_ns, (x, y, z) in zip(at_ns[valid].tolist(), position_m[valid].tolist(), strict=True):
+            path.add(time_ns, (x, y, z))
+        if (marker := path.marker(0, markers.TARGET_COLOR)) is not None:
+            strip = np.frombuffer(marker.points, dtype="<f8").reshape(-1, 3)
+            drawn = rr.LineStrips3D([strip], radii=[LINE_RADIUS_M], colors=[rgba(color)])
+            canvas.style(f"{WORLD}/{name}", drawn, again=True)
 
 
 def _velocities(canvas: Canvas, flight: Flight) -> None:
