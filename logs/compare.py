@@ -14,9 +14,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
-from itertools import zip_longest
+from hashlib import sha256
+from itertools import islice, zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,19 +58,12 @@ class MessageDifference:
 
 def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> list[MessageDifference]:
     """Return the differences between two logs, at most ``limit``; empty means equal."""
-    first, second = LogFile(a), LogFile(b)
-    topics_a, topics_b = _by_topic(first), _by_topic(second)
-    found: list[MessageDifference] = []
-    for difference in _all(first, second, topics_a, topics_b):
-        found.append(difference)
-        if len(found) >= limit:
-            break
-    return found
+    return list(islice(_all(_content(a), _content(b)), limit))
 
 
 def first_tick(a: Path | str, b: Path | str) -> int | None:
     """Return the number of the first tick with a difference in a message; None: no message differs."""
-    first, second = _by_topic(LogFile(a)), _by_topic(LogFile(b))
+    first, second = _content(a).messages, _content(b).messages
     differ_ns = [
         min(message.log_time_ns for message in both if message is not None)
         for topic in first.keys() | second.keys()
@@ -82,18 +76,15 @@ def first_tick(a: Path | str, b: Path | str) -> int | None:
     return min(later, key=lambda each: each.log_time_ns).sequence if later else None
 
 
-def _all(
-    first: LogFile, second: LogFile, a: dict[str, list[Message]], b: dict[str, list[Message]]
-) -> Iterator[MessageDifference]:
-    yield from _metadata(first.metadata(), second.metadata())
-    yield from _attachments(first, second)
-    for topic in sorted(a.keys() | b.keys()):
-        yield from _topic(topic, a.get(topic, []), b.get(topic, []))
+class _Content(NamedTuple):
+    """The compared content of a log."""
+
+    records: dict[str, dict[str, str]]  # values of each metadata record, and summary of each attachment
+    messages: dict[str, list[Message]]  # messages by topic, by log time and sequence
 
 
-def _by_topic(log: LogFile) -> dict[str, list[Message]]:
-    topics: dict[str, list[Message]] = {}
-    steps = 0
+def _content(path: Path | str) -> _Content:
+    log, topics, steps = LogFile(path), dict[str, list[Message]](), 0
     for message in log.messages():
         steps += message.schema == CONTROLLER_STEP
         if not _wall_clock(message):
@@ -106,7 +97,15 @@ def _by_topic(log: LogFile) -> dict[str, list[Message]]:
         raise LogError(f"{log.path} holds no controller step, so there is nothing to compare")
     for messages in topics.values():
         messages.sort(key=lambda m: (m.log_time_ns, m.sequence, m.publish_time_ns, m.data))
-    return topics
+    records = {
+        f"metadata {name}": {k: v for k, v in values.items() if k not in WALL_CLOCK_METADATA_KEYS}
+        for name, values in log.metadata().items()
+        if split(name)[1] not in WALL_CLOCK_METADATA
+    }
+    for each in log.attachments():
+        content = f"{each.media_type}, {len(each.data)} bytes, sha256 {sha256(each.data).hexdigest()[:16]}"
+        records[f"attachment {each.name}"] = {"content": content}
+    return _Content(records, topics)
 
 
 def _wall_clock(message: Message) -> bool:
@@ -115,26 +114,21 @@ def _wall_clock(message: Message) -> bool:
     return message.schema == LOG and LogRow.unpack(message.data).name in WALL_CLOCK_EVENTS
 
 
-def _topic(topic: str, a: list[Message], b: list[Message]) -> Iterator[MessageDifference]:
-    if len(a) != len(b):
-        yield MessageDifference(topic, -1, "count", str(len(a)), str(len(b)))
-    for index, (x, y) in enumerate(zip(a, b, strict=False)):
-        if x == y:
-            continue
-        for field in ("schema", "log_time_ns", "publish_time_ns", "sequence"):
-            if getattr(x, field) != getattr(y, field):
-                yield MessageDifference(topic, index, field, str(getattr(x, field)), str(getattr(y, field)))
-        if x.data != y.data:
-            yield from _data(topic, index, x, y)
-
-
-def _data(topic: str, index: int, x: Message, y: Message) -> Iterator[MessageDifference]:
-    if x.schema == y.schema:
-        found = messages_of(x.schema, x.data, y.data)
-    else:
-        found = iter([("data", x.data.hex(), y.data.hex())])
-    for field, a, b in found:
-        yield MessageDifference(topic, index, field, a, b)
+def _all(a: _Content, b: _Content) -> Iterator[MessageDifference]:
+    for name in sorted(a.records.keys() | b.records.keys()):
+        for each in values_of(a.records.get(name, {}), b.records.get(name, {})):
+            yield MessageDifference(name, -1, *each)
+    for topic in sorted(a.messages.keys() | b.messages.keys()):
+        first, second = a.messages.get(topic, []), b.messages.get(topic, [])
+        if len(first) != len(second):
+            yield MessageDifference(topic, -1, "count", str(len(first)), str(len(second)))
+        for index, (x, y) in enumerate(zip(first, second, strict=False)):
+            if x == y:
+                continue
+            same = x.schema == y.schema
+            data = messages_of(x.schema, x.data, y.data) if same else values_of(x.data, y.data, "data")
+            for each in (*values_of(x._replace(data=b""), y._replace(data=b"")), *data):
+                yield MessageDifference(topic, index, *each)
 
 
 def messages_of(schema: str, a: bytes, b: bytes) -> Iterator[tuple[str, str, str]]:
@@ -181,29 +175,6 @@ def values_of(a: Any, b: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
 
 def _text(value: Any) -> str:
     return value.name if isinstance(value, Enum) else repr(value)
-
-
-def _metadata(a: dict[str, dict[str, str]], b: dict[str, dict[str, str]]) -> Iterator[MessageDifference]:
-    for name in sorted(a.keys() | b.keys()):
-        if split(name)[1] in WALL_CLOCK_METADATA:
-            continue
-        values_a, values_b = a.get(name, {}), b.get(name, {})
-        for key in sorted((values_a.keys() | values_b.keys()) - WALL_CLOCK_METADATA_KEYS):
-            x, y = values_a.get(key, ABSENT), values_b.get(key, ABSENT)
-            if x != y:
-                yield MessageDifference(f"metadata {name}", -1, key, x, y)
-
-
-def _attachments(first: LogFile, second: LogFile) -> Iterator[MessageDifference]:
-    a, b = ({x.name: x for x in log.attachments()} for log in (first, second))
-    for name in sorted(a.keys() | b.keys()):
-        x, y = a.get(name), b.get(name)
-        if x is None or y is None:
-            present = (ABSENT if x is None else "present", ABSENT if y is None else "present")
-            yield MessageDifference(f"attachment {name}", -1, "presence", *present)
-        elif (x.media_type, x.data) != (y.media_type, y.data):
-            sizes = (f"{x.media_type} {len(x.data)} bytes", f"{y.media_type} {len(y.data)} bytes")
-            yield MessageDifference(f"attachment {name}", -1, "content", *sizes)
 
 
 SHOWN_MAX = 10  # maximum number of stored differences; further differences are only counted

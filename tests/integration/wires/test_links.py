@@ -92,8 +92,8 @@ def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, 
     told = {(d.topic, d.field): (d.a, d.b) for d in different if d.topic.startswith("metadata")}
     assert told == {
         ("metadata cf1/onboard", "signed"): ("true", "false"),
-        ("metadata cf1/run", "signing_key"): (str(key_file), ABSENT),
-        ("metadata fleet", "signing_key"): (str(key_file), ABSENT),
+        ("metadata cf1/run", "signing_key"): (repr(str(key_file)), repr(ABSENT)),
+        ("metadata fleet", "signing_key"): (repr(str(key_file)), repr(ABSENT)),
     }
     rest = [d for d in different if not d.topic.startswith("metadata")]
     assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # all other metadata are equal
