@@ -91,7 +91,7 @@ def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, 
     different = compare(tmp_path / "signed/flight.mcap", plain.log)
     told = {(d.topic, d.field): (d.a, d.b) for d in different if d.topic.startswith("metadata")}
     assert told == {
-        ("metadata cf1/onboard", "signed"): ("true", "false"),
+        ("metadata cf1/onboard", "signed"): (repr("true"), repr("false")),
         ("metadata cf1/run", "signing_key"): (repr(str(key_file)), repr(ABSENT)),
         ("metadata fleet", "signing_key"): (repr(str(key_file)), repr(ABSENT)),
     }
