@@ -243,7 +243,7 @@ CHARTS = (
         ), lowest=True),
         Row("distance", "to the pad [m]", (
             Curve("horizontal", "horizontal distance d", TARGET, _of("steps", lambda s: s.d_m)),
-            Curve("height", "height e<sub>z</sub>", COMMAND, _of("steps", lambda s: s.e_m[:, 2])),
+            Curve("height", "height e_z", COMMAND, _of("steps", lambda s: s.e_m[:, 2])),
         )),
     ), "Fig. 9a, 13a"),
     Chart("velocity", "Velocity: nominal, filtered, sent, flown",

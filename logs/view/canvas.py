@@ -18,18 +18,9 @@ LOG_TIME = "log_time"  # timeline of date and time in the log
 EVENTS, RUN, WORLD, PHASE = "/events", "/run", "/world", "/phase"
 
 
-def blueprint(center_m: tuple[float, float, float], size_m: float, members: Sequence[str] = ()) -> Any:
-    """Return the layout of the viewer."""
-    away_m = max(1.0, size_m)
-    x, y, z = center_m
-    eye = rrb.EyeControls3D(
-        position=(x - 0.5 * away_m, y - 0.8 * away_m, z + 0.35 * away_m),
-        look_target=center_m,
-        eye_up=(0, 0, 1),
-    )
-    scene = rrb.Spatial3DView(
-        origin=WORLD, name="Scene: ENU, metres", eye_controls=eye, line_grid=rrb.LineGrid3D(spacing=0.25)
-    )
+def blueprint(members: Sequence[str] = ()) -> Any:
+    """Return the layout of the viewer, which places the camera by itself."""
+    scene = rrb.Spatial3DView(origin=WORLD, name="Scene: ENU, metres", line_grid=rrb.LineGrid3D(spacing=0.25))
     if members:
         tabs = [_fleet(members), *(rrb.Tabs(*_tabs(m), name=m, active_tab=0) for m in members)]
     else:

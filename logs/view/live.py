@@ -25,7 +25,6 @@ from logs.view.view import draw, events, viewer_program
 
 NATIVE, WEB = "native", "web"
 ENDING = ".rrd"
-SIZE_M = 3.0  # extent of the scene until a path is known, m
 VIEWER_TIME_MAX_S = 2.0  # longest wait for the viewer, s; then the flight starts without a viewer
 FLUSH_TIME_MAX_S = 2.0  # longest wait for the viewer to take the last rows, s; a blocked viewer misses them
 MEMORY_LIMIT = "512MB"  # memory limit of the viewer, and of the server; the oldest data are dropped first
@@ -66,7 +65,7 @@ class LiveRecording:
             return
         if self._canvas is None:
             self._canvas = Canvas(self._stream, steps[0].stamp_ns)
-            self._stream.send_blueprint(blueprint(_center(steps[0]), SIZE_M))
+            self._stream.send_blueprint(blueprint())
         origin_ns, end_ns = steps[0].stamp_ns, steps[-1].stamp_ns
         piece = Flight(
             path=Path(),
@@ -141,17 +140,3 @@ def _new(path: Path) -> Path:
     if path.exists():
         raise ValueError(f"--view: {path} exists and is not overwritten; choose another name")
     return path
-
-
-def _center(step: ControllerStepRow) -> tuple[float, float, float]:
-    """Return the midpoint of the known positions of vehicle and target; the origin if none is known."""
-    known = [
-        point
-        for point, valid in (
-            (step.own_position_enu_m, step.own_valid),
-            (step.target_position_enu_m, step.target_valid),
-        )
-        if valid
-    ]
-    x, y, z = np.mean(known, axis=0) if known else (0.0, 0.0, 0.0)
-    return (float(x), float(y), float(z))

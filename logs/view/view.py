@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -57,32 +56,15 @@ class Recording:
         self._stream.send_recording_name(f"{told.get('scenario', 'flight')}: {log.name}")
 
     def save(self, out: Path) -> None:
-        self._stream.save(out, default_blueprint=self._blueprint())
-        fleet = self._fleet
-        for number, flight in enumerate(fleet.flights.values()):
+        fleet, flights = self._fleet, self._fleet.flights.values()
+        members = [flight.label for flight in flights if flight.label]
+        self._stream.save(out, default_blueprint=blueprint(members))
+        for number, flight in enumerate(flights):
             color = markers.COLORS[number % len(markers.COLORS)]
             draw(Canvas(self._stream, fleet.origin_ns, flight.label, color), flight)
         events(Canvas(self._stream, fleet.origin_ns), fleet.origin_ns, fleet.events)
         self._stream.flush()
         self._stream.disconnect()
-
-    def _blueprint(self) -> Any:
-        """Place the camera at the centre of the paths of vehicles and targets."""
-        flights = self._fleet.flights
-        shown: list[Floats] = []
-        for flight in flights.values():
-            if flight.steps is not None:
-                shown += (flight.steps.own_position_enu_m, flight.steps.target_position_enu_m)
-            if flight.truth is not None:
-                shown.append(flight.truth.position_enu_m)
-        points = np.concatenate(shown)
-        points = points[np.isfinite(points).all(axis=1)]
-        members = [flight.label for flight in flights.values() if flight.label]
-        if not len(points):
-            return blueprint((0.0, 0.0, 0.0), 1.0, members)
-        low, high = points.min(axis=0), points.max(axis=0)
-        x, y, z = (float(v) for v in 0.5 * (low + high))
-        return blueprint((x, y, z), float(np.linalg.norm(high - low)), members)
 
 
 def open_viewer(recording: Path, *, web: bool) -> int:
