@@ -69,10 +69,10 @@ class Records:
                 head = self._stream.read(_HEAD.size)
                 kind, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, size)
                 end = at + _HEAD.size + length
-                if end > size or not kind:
-                    raise DamageError(
-                        "the recorder did not close it, or it was cut" if end > size else "no record there"
-                    )
+                if end > size:
+                    raise DamageError("the recorder did not close it, or it was cut")
+                if not kind:
+                    raise DamageError("no record begins with a zero byte")
                 body = self._stream.read(length)
                 try:
                     yield from self._taken(kind, body, f"byte {at}")
