@@ -53,7 +53,7 @@ class Campaign:
     @cached_property
     def table(self) -> Any:
         """DataFrame with a row for each seed, see ``frame``; lengths in m, times in s."""
-        return frame({f.name: [getattr(row, f.name) for row in self.rows] for f in _shown()})
+        return frame(_columns(self.rows))
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -94,19 +94,19 @@ class Sweep:
         """DataFrame with a row for each point and seed: swept keys, then columns of ``Campaign.table``."""
         lines = [(values, row) for values, campaign in self.points for row in campaign.rows]
         swept = {key: [values[k] for values, _ in lines] for k, key in enumerate(self.keys)}
-        return frame(swept | {f.name: [getattr(row, f.name) for _, row in lines] for f in _shown()})
+        return frame(swept | _columns([row for _, row in lines]))
 
     def rates(self) -> list[dict[str, Any]]:
         """Return keys, number of runs, fraction of landings and fraction of violations of each point."""
-        found = []
-        for values, campaign in self.points:
-            rows, runs = campaign.rows, len(campaign.rows)
-            landed = sum(row.landed for row in rows) / runs
-            violations = sum(row.violation is not False for row in rows) / runs
-            found.append(dict(zip(self.keys, values, strict=True)) | {
-                "runs": runs, "landed": landed, "violations": violations
-            })  # fmt: skip
-        return found
+        return [
+            dict(zip(self.keys, values, strict=True))
+            | {
+                "runs": len(campaign),
+                "landed": sum(row.landed for row in campaign.rows) / len(campaign),
+                "violations": sum(row.violation is not False for row in campaign.rows) / len(campaign),
+            }
+            for values, campaign in self.points
+        ]
 
     def __repr__(self) -> str:
         lines = (
@@ -161,8 +161,7 @@ def campaign(
         ConfigError: a scenario, key, value or filter is wrong, or the configuration must not fly.
         WorkersError: no worker keeps running.
     """
-    made = _checked(name, changes, filter)
-    return _flown([((), made)], seeds, workers)[0][1]
+    return _flown([_checked(name, changes, filter)], seeds, workers)[0]
 
 
 def sweep(
@@ -187,19 +186,16 @@ def sweep(
         WorkersError: no worker keeps running.
     """
     values = grid.values() if isinstance(grid, Mapping) else ()
-    if not values or not all(isinstance(each, Iterable) and not isinstance(each, str) for each in values):
+    usable = values and all(isinstance(each, Iterable) and not isinstance(each, str) for each in values)
+    if not usable or not (points := list(product(*values))):
         raise ConfigError(f"sweep: found {grid!r:.60}; a key and values for it are needed")
-    if not (points := list(product(*values))):
-        raise ConfigError(f"sweep: found {grid!r:.60}; a key and values for it are needed")
-    made = [
-        _checked(name, {**(changes or {}), **dict(zip(grid, values, strict=True))}, filter)
-        for values in points
-    ]
-    return Sweep(tuple(grid), tuple(_flown(list(zip(points, made, strict=True)), seeds, workers)))
+    made = [_checked(name, {**(changes or {}), **dict(zip(grid, at, strict=True))}, filter) for at in points]
+    return Sweep(tuple(grid), tuple(zip(points, _flown(made, seeds, workers), strict=True)))
 
 
-def _shown() -> list[Any]:
-    return [f for f in fields(Row) if f.name not in _HIDDEN]
+def _columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
+    """Return the columns of a table of landings, by name."""
+    return {f.name: [getattr(row, f.name) for row in rows] for f in fields(Row) if f.name not in _HIDDEN}
 
 
 def _checked(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:
@@ -211,21 +207,19 @@ def _checked(name: str | Path | Scenario, changes: Changes | None, filter: Filte
     return made
 
 
-def _flown(
-    points: Sequence[tuple[tuple[Any, ...], Scenario]], given: Iterable[int], workers: int | None
-) -> list[tuple[tuple[Any, ...], Campaign]]:
-    """Fly the seeds at all points; return a campaign for each point."""
+def _flown(points: Sequence[Scenario], given: Iterable[int], workers: int | None) -> list[Campaign]:
+    """Fly the seeds with each scenario; return their campaigns."""
     if not isinstance(given, Iterable) or not (seeds := [whole("seeds", seed) for seed in given]):
         raise ConfigError(f"seeds: found {given!r:.60}; whole numbers from 0 on are needed, one at least")
     if twice := [seed for seed, times in Counter(seeds).items() if times > 1]:
         raise ConfigError(f"seeds: found {twice[0]} more than once; each seed is flown and counted once")
     number = (os.cpu_count() or 1) if workers is None else whole("workers", workers, 1)
-    first, done = points[0][1], []
+    first, done = points[0], []
     console = Terminal(stderr=True)
     if line := not_proven(first):
         console.print(line, soft_wrap=True)
     with Bar(console, f"{first.name}, filter {first.onboard.filter}", len(points) * len(seeds)) as bar:
-        for values, flown in points:
+        for flown in points:
             warm_up(flown)
             rows, began_s = [], time.monotonic()  # without compilation
             for row in _rows(flown, seeds, number):
@@ -234,7 +228,7 @@ def _flown(
             by_seed = tuple(sorted(rows, key=lambda row: row.seed))
             if problem := failed_rows(by_seed):
                 console.print(problem, soft_wrap=True, markup=False)
-            done.append((values, Campaign(by_seed, flown, time.monotonic() - began_s)))
+            done.append(Campaign(by_seed, flown, time.monotonic() - began_s))
     return done
 
 
