@@ -93,7 +93,7 @@ class Child:
         self.output = folder / f"{name}.txt"
         with self.output.open("wb") as errors:
             self.process = subprocess.Popen(
-                [*tied(program or [sys.executable, "-m", CLI]), *arguments],
+                [*tied(program or [sys.executable, *_path(), "-m", CLI]), *arguments],
                 cwd=works_in,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
@@ -158,6 +158,11 @@ class Child:
         if self.process.stdout is not None:
             self.process.stdout.close()
         return code
+
+
+def _path() -> list[str]:
+    """Return the option without which Python would import from the working folder first, unless this does."""
+    return [] if sys.path[0] in ("", str(Path.cwd())) else ["-P"]
 
 
 def _processor_s(pid: int) -> float:
