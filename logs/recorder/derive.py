@@ -130,17 +130,10 @@ def _body_velocity(row: ControllerStepRow) -> Vec3:
 class FrameDecoder:
     """Converts records of raw frames into messages with named fields."""
 
-    def __init__(self, topic: str) -> None:
-        """Set the topic of the raw frames; its first part is the name space until the run sets one."""
-        self.topic = topic  # topic of the raw frames
-        self._space = "/" + topic.strip("/").partition("/")[0]
+    def __init__(self, topic: str, spaces: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Set the topic of the raw frames; ``spaces``: name spaces of the vehicles by its first part."""
+        self._first, self._spaces = topic.strip("/").partition("/")[0], spaces
         self._known: dict[tuple[int, int, int], _Decoder | None] = {}
-
-    def configure(self, onboard: Mapping[str, str]) -> None:
-        """Set the name space from the metadata of the onboard process."""
-        if "namespace" in onboard:
-            self._space = "/" + onboard["namespace"].strip("/")
-            self._known.clear()
 
     def step(self, log_time_ns: int, payload: bytes) -> list[Derived]:
         """Return (topic, schema, CDR) for one record of :func:`logs.schema.mavlink.pack_mavlink`."""
@@ -160,7 +153,8 @@ class FrameDecoder:
         if len(self._known) < TOPICS_MAX:
             if known is not None:
                 name, schema, decode = known
-                found = f"{self._space}/mavlink/sys{system}/comp{component}/{name}", schema, decode
+                space = self._spaces.get(self._first, self._first)
+                found = f"/{space}/mavlink/sys{system}/comp{component}/{name}", schema, decode
             self._known[system, component, message_id] = found
         return found
 
@@ -169,47 +163,40 @@ class Derivers:
     """Derivations for all clients of one recorder, by topic: a client that reconnects continues."""
 
     def __init__(self) -> None:
-        # metadata of each member by record, with barrier and pad of its configuration as ``shape``
-        self._told: dict[str, dict[str, dict[str, str]]] = defaultdict(lambda: defaultdict(dict))
+        # values of each member's run, with barrier and pad of its configuration as ``shape``
+        self._runs: dict[str, dict[str, dict[str, str]]] = defaultdict(lambda: {"run": {}, "shape": {}})
+        self._spaces: dict[str, str] = {}  # name spaces by the first part of the topics of frames
         self._steps: dict[str, Deriver] = {}
         self._frames: dict[str, FrameDecoder] = {}
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Pass the metadata of a run or of an onboard process to the derivations."""
         member, name = split(name)
-        if name in ("run", "onboard"):
-            self._told[member][name].update(values)
-            self._configure()
+        if name == "run":
+            self._runs[member][name].update(values)
+            self._configure(member)
+        elif name == "onboard":  # it is sent before the first frame
+            first = Names(member, int(values.get("system_id", "1"))).frames("").strip("/")
+            self._spaces[first] = values.get("namespace", member).strip("/")
 
     def attachment(self, name: str, data: bytes) -> None:
         member, name = split(name)
         if name == ATTACHMENT:
             with contextlib.suppress(ConfigError):  # an incompatible version: no barrier and pad
-                self._told[member]["shape"] = shape(read_config(data))
-            self._configure()
+                self._runs[member]["shape"] = shape(read_config(data))
+            self._configure(member)
 
     def declare(self, topic: str, schema: str) -> Derive | None:
         """Return the function that derives messages from a channel; None: no messages are derived."""
         if schema == CONTROLLER_STEP:
-            if topic not in self._steps:
-                self._steps[topic] = Deriver(topic)
-                self._configure()
-            step = self._steps[topic].step
+            member = topic.removesuffix(STEP_SUFFIX).strip("/")
+            step = self._steps.setdefault(member, Deriver(topic)).step
+            self._configure(member)
             return lambda log_time_ns, payload: step(log_time_ns, ControllerStepRow.unpack(payload))
         if schema == MAVLINK:
-            if topic not in self._frames:
-                self._frames[topic] = FrameDecoder(topic)
-                self._configure()
-            return self._frames[topic].step
+            return self._frames.setdefault(topic, FrameDecoder(topic, self._spaces)).step
         return None
 
-    def _configure(self) -> None:
-        for topic, deriver in self._steps.items():
-            space = topic.removesuffix(STEP_SUFFIX).strip("/")
-            told = self._told[space]
-            deriver.configure(told["run"], told["shape"])
-        for member, told in self._told.items():
-            whose = Names(member, int(told["onboard"].get("system_id", "1"))).frames("")
-            for frames in self._frames.values():
-                if frames.topic.startswith(whose):
-                    frames.configure(told["onboard"])
+    def _configure(self, member: str) -> None:
+        if member in self._steps:
+            self._steps[member].configure(**self._runs[member])

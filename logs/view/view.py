@@ -5,7 +5,6 @@ Rerun can open the MCAP file directly, too, but draws neither markers nor odomet
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 import sys
@@ -95,7 +94,7 @@ def draw(canvas: Canvas, flight: Flight) -> None:
     """Send a complete flight, or its next part, to the viewer."""
     for part in (_scene, _velocities, _truth, _curves):
         part(canvas, flight)
-    canvas.style(RUN, rr.TextDocument(_run_text(flight), media_type="text/markdown"))
+    canvas.style(RUN, rr.TextDocument(_run_text(flight)))
 
 
 def _scene(canvas: Canvas, flight: Flight) -> None:
@@ -238,12 +237,6 @@ def events(canvas: Canvas, origin_ns: int, said: Sequence[Event]) -> None:
 
 
 def _run_text(flight: Flight) -> str:
-    rows = [f"| {_words(key)} | {_words(value)} |" for key, value in run_of(flight).items()]
-    rows = rows or ["| no metadata | |"]
-    broken = f"\n\n**The log is broken:** {_words('; '.join(flight.damage))}" if flight.damage else ""
-    return "\n".join(["| run | |", "|---|---|", *rows]) + broken
-
-
-def _words(text: str) -> str:
-    """Return a text as one line, in which Markdown interprets no character."""
-    return re.sub(r"([\\`*_{}\[\]()<>#+!|~-])", r"\\\1", one_line(text))
+    lines = [f"the log is broken: {'; '.join(flight.damage)}"] if flight.damage else []
+    lines += [f"{key} = {value}" for key, value in run_of(flight).items()]
+    return "\n".join(map(one_line, lines)) or "no metadata"

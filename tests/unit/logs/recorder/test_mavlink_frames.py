@@ -158,7 +158,7 @@ def test_topics_are_bounded_and_named_after_the_run():
             topics |= {t for t, _, _ in decoder.step(0, pack_mavlink(1, frame, "p00"))}
     assert len(topics) == TOPICS_MAX
     assert "/uas1/mavlink/sys1/comp1/HEARTBEAT" in topics
-    decoder.configure({"namespace": "lab/cf7"})
+    decoder = FrameDecoder("/uas1/mavlink_source", {"uas1": "lab/cf7"})
     ((topic, _, _),) = decoder.step(0, pack_mavlink(1, framed(0, bytes(8) + b"\x03"), "p00"))
     assert topic == "/lab/cf7/mavlink/sys1/comp1/HEARTBEAT"
 
