@@ -9,10 +9,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from logs.reader.flight import load_fleet
 from logs.report.report import write_report
 from logs.verdict.verdict import judged
-from tests.fleet_log import fly_fleet, near
 from tests.synthetic_flight import landing, write_log
 
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
@@ -112,10 +110,8 @@ def test_every_figure_is_drawn_without_a_complaint(tmp_path, browse):
     assert seen.classes.count("main-svg") >= FIGURES
 
 
-def test_the_page_of_a_fleet_is_drawn_without_a_complaint(tmp_path, browse, monkeypatch):
-    log = tmp_path / "flight.mcap"
-    verdict = fly_fleet(log, near(), 1, monkeypatch)
-    pages = write_report(load_fleet(log), verdict)
+def test_the_page_of_a_fleet_is_drawn_without_a_complaint(tmp_path, browse, flown):
+    pages = write_report(*judged(flown("fleet_3", 1).log), tmp_path / "report.html")
     dom, console = browse(pages[""])
     assert errors(console) == []
     seen = Page(dom)
