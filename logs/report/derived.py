@@ -6,19 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.reader.flight_data import Flight, Floats, Steps
+from logs.reader.flight_data import Flight, Steps
 from logs.schema.events import ContactBit
 from logs.verdict.types import Verdict
 
 BEGINS, ENDS = "Fault: ", "Fault over: "
 _RELAYED = "vehicle: "  # prefix of the vehicle's messages in events of the onboard process
 _ENOUGH = 200  # maximum number of shown faults
-
-
-def root_mean_square(values: Floats) -> float | None:
-    """Return the root mean square of the finite values; ``None`` if no value is finite."""
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known * known))) if len(known) else None
 
 
 class FaultSpan(NamedTuple):

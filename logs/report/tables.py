@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.curves import Errors, estimate_errors
 from logs.reader.flight_data import Event, Fleet, Floats, Span, Steps, Timing
-from logs.report.derived import Side, fault_spans, root_mean_square, share_active
+from logs.report.derived import Side, fault_spans, share_active
 from logs.report.page import html, paragraph, part, table, time_link
 from logs.schema import FLEET, LOSSES
 from logs.schema.events import Severity
@@ -89,11 +88,6 @@ def _p99(values: Floats) -> float | None:
     return float(np.percentile(known, 99)) if len(known) else None
 
 
-def _error_m(side: Side, of: Callable[[Errors], Floats]) -> float | None:
-    errors = estimate_errors(side.flight)
-    return None if errors is None else root_mean_square(of(errors))
-
-
 def _of_steps(side: Side, value: Callable[[Steps], float | None]) -> float | None:
     return None if side.flight.steps is None else value(side.flight.steps)
 
@@ -102,15 +96,7 @@ def _of_timing(side: Side, value: Callable[[Timing], float | None]) -> float | N
     return None if side.flight.timing is None else value(side.flight.timing)
 
 
-def _spread(timing: Timing) -> float | None:
-    """Return the standard deviation of the loop's period, divided by its mean."""
-    period_s = timing.period_s[2:]  # the first tick has no period; the second may include the start
-    known = period_s[np.isfinite(period_s)]
-    return float(known.std() / known.mean()) if len(known) else None
-
-
 _RELATIVE, _VERTICAL = "relative to the pad", "touchdown speed, vertical"
-_AGAINST = "of the controller's estimate against the true one"
 _KEYS = ("lowest h outside the pad", "touchdown error", _VERTICAL, "time to land")
 # columns of a row: name, unit, digits, factor, value, meaning
 _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str], ...] = (
@@ -123,12 +109,6 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
     ("time to land", "s", 2, 1.0, lambda s: s.verdict.time_to_land_s,
      "begin of the landing to first contact"),
     ("length of the log", "s", 2, 1.0, lambda s: s.flight.duration_s, ""),
-    ("error of h, root mean square", "mm", 1, 1e3, lambda s: _error_m(s, lambda e: e.h_m),
-     "of the controller's h against the true one"),
-    ("error of the vehicle's position, root mean square", "mm", 1, 1e3,
-     lambda s: _error_m(s, lambda e: np.linalg.norm(e.own_m, axis=1)), _AGAINST),
-    ("error of the target's position, root mean square", "mm", 1, 1e3,
-     lambda s: _error_m(s, lambda e: np.linalg.norm(e.target_m, axis=1)), _AGAINST),
     ("barrier active", "%", 0, 100.0, lambda s: _of_steps(s, share_active), "of the ticks with a filter"),
     ("age of the target state, 99 %", "ms", 1, 1e3, lambda s: _of_steps(s, lambda v: _p99(v.target_age_s)),
      "at the ticks"),
@@ -137,7 +117,6 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
     ("target samples refused", "", 0, 1.0, lambda s: _of_steps(s, lambda v: float(v.target_rejected[-1])),
      "by the controller"),
     ("whole tick, 99 %", "µs", 0, 1e6, lambda s: _of_timing(s, lambda v: _p99(v.exec_s)), "wall time"),
-    ("loop period, standard deviation", "%", 2, 100.0, lambda s: _of_timing(s, _spread), "of its mean"),
     ("overruns", "", 0, 1.0, lambda s: _of_timing(s, lambda v: float(v.overruns[-1])), "deadlines missed"),
     ("faults injected", "", 0, 1.0, lambda s: float(len(fault_spans(s.flight))), ""),
 )  # fmt: skip

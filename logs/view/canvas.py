@@ -111,12 +111,6 @@ def times(origin_ns: int, t_s: Floats) -> Ints:
     return origin_ns + np.round(t_s * 1e9).astype(np.int64)
 
 
-def every(at_ns: Ints, period_ns: int) -> Ints:
-    """Return the index of the first time in each period: a screen cannot show all recorded samples."""
-    slots = at_ns // period_ns
-    return np.flatnonzero(np.diff(slots, prepend=slots[:1] - 1))
-
-
 def rgba(color: Color | str) -> tuple[int, int, int, int]:
     """Return a colour as four numbers from 0 to 255 for Rerun, from fractions or from hexadecimal."""
     if isinstance(color, str):

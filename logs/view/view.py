@@ -5,11 +5,9 @@ Rerun can open the MCAP file directly, too, but draws neither markers nor odomet
 
 from __future__ import annotations
 
-import shutil
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
-from importlib.util import find_spec
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +20,8 @@ from logs.reader.flight_data import Event, Flight, Floats, Ints, Steps, phase_na
 from logs.recorder import markers
 from logs.schema import FLEET
 from logs.schema.events import Severity
-from logs.view.canvas import EVENTS, PHASE, RUN, WORLD, Canvas, blueprint, every, rgba, run_of, times
+from logs.view.canvas import EVENTS, PHASE, RUN, WORLD, Canvas, blueprint, rgba, run_of, times
 
-SCENE_PERIOD_NS = 20_000_000  # period of 50 Hz
 BODY_HALF_M = tuple(0.5 * size for size in markers.BODY_SIZE_M)
 ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
 SPOT = f"{WORLD}/target_pad"
@@ -77,17 +74,9 @@ def open_viewer(recording: Path, *, web: bool) -> int:
 def viewer_program() -> str:
     """Return the path of Rerun's program.
 
-    ``bin/rerun`` is a Python program that starts the one in the package, and leaves it running after SIGTERM.
+    ``bin/rerun`` is a Python program that starts this one, and leaves it running after SIGTERM.
     """
-    package = find_spec("rerun_cli")
-    for folder in (package.submodule_search_locations or ()) if package is not None else ():
-        if (inside := Path(folder, "rerun")).exists():
-            return str(inside)
-    beside = Path(sys.executable).with_name("rerun")  # path of the program in this Python environment
-    program = str(beside) if beside.exists() else shutil.which("rerun")
-    if program is None:
-        raise FileNotFoundError(f"no program `rerun` at {beside} or in PATH; pip install rerun-sdk again")
-    return program
+    return str(files("rerun_cli") / "rerun")
 
 
 def draw(canvas: Canvas, flight: Flight) -> None:
@@ -104,19 +93,17 @@ def _scene(canvas: Canvas, flight: Flight) -> None:
     if steps is None:
         return
     at_ns = times(flight.origin_ns, steps.t_s)
-    shown = every(at_ns, SCENE_PERIOD_NS)
     for name, valid, position_m, yaw_rad in (
         ("vehicle", steps.own_valid, steps.own_position_enu_m, steps.own_yaw_rad),
         ("target", steps.target_valid, steps.target_position_enu_m, steps.target_yaw_rad),
     ):
-        good = shown[valid[shown]]
-        place_m, half_rad = position_m[good], 0.5 * yaw_rad[good]
+        place_m, half_rad = position_m[valid], 0.5 * yaw_rad[valid]
         nothing = np.zeros_like(half_rad)
         turn = np.stack([nothing, nothing, np.sin(half_rad), np.cos(half_rad)], axis=1)
         moved = rr.Transform3D.columns(translation=place_m, quaternion=turn)
-        canvas.columns(f"{WORLD}/{name}", at_ns[good], moved)
+        canvas.columns(f"{WORLD}/{name}", at_ns[valid], moved)
         if name == "target":  # the barrier moves with the target but does not rotate with it
-            canvas.columns(SPOT, at_ns[good], rr.Transform3D.columns(translation=place_m))
+            canvas.columns(SPOT, at_ns[valid], rr.Transform3D.columns(translation=place_m))
     scene = markers.Scene("vehicle", "target")
     scene.configure(run)
     for shape in scene.shapes:
@@ -131,11 +118,10 @@ def _truth(canvas: Canvas, flight: Flight) -> None:
     if flight.truth is None:
         return
     at_ns = times(flight.origin_ns, flight.truth.t_s)
-    shown = every(at_ns, SCENE_PERIOD_NS)
     moved = rr.Transform3D.columns(
-        translation=flight.truth.position_enu_m[shown], quaternion=flight.truth.orientation[shown]
+        translation=flight.truth.position_enu_m, quaternion=flight.truth.orientation
     )
-    canvas.columns(f"{WORLD}/true_vehicle", at_ns[shown], moved)
+    canvas.columns(f"{WORLD}/true_vehicle", at_ns, moved)
     body = rr.Boxes3D(half_sizes=[BODY_HALF_M], colors=[rgba(TRUE_COLOR)])
     canvas.style(f"{WORLD}/true_vehicle/body", body)
 
@@ -195,12 +181,11 @@ def _velocities(canvas: Canvas, flight: Flight) -> None:
     if steps is None:
         return
     at_ns = times(flight.origin_ns, steps.t_s)
-    shown = every(at_ns, SCENE_PERIOD_NS)
     for name, value, color in VELOCITIES:
-        vector = value(steps)[shown]
-        there = np.isfinite(vector).all(axis=1) & steps.own_valid[shown]
-        columns = rr.Arrows3D.columns(vectors=vector[there], origins=steps.own_position_enu_m[shown][there])
-        canvas.columns(f"{WORLD}/velocity/{name}", at_ns[shown], columns.partition(there.astype(int)))
+        vector = value(steps)
+        there = np.isfinite(vector).all(axis=1) & steps.own_valid
+        columns = rr.Arrows3D.columns(vectors=vector[there], origins=steps.own_position_enu_m[there])
+        canvas.columns(f"{WORLD}/velocity/{name}", at_ns, columns.partition(there.astype(int)))
         style = rr.Arrows3D.from_fields(radii=[ARROW_RADIUS_M], colors=[rgba(color)])
         canvas.style(f"{WORLD}/velocity/{name}", style)
 
