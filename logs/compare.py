@@ -204,10 +204,14 @@ class Tally:
     ticks: int = 0  # number of ticks with a difference
     first: list[TickDifference] = dataclasses.field(default_factory=list)
 
-    def add(self, found: Iterable[TickDifference]) -> None:
-        before = self.count
+    def __post_init__(self) -> None:
+        self._newest = -1  # newest tick with a difference
+
+    def add(self, topic: str, tick: int, found: Iterable[tuple[str, str, str]]) -> None:
+        """Add the differences (field, recorded, replayed) of a topic in a tick."""
         for each in found:
             self.count += 1
+            self.ticks += tick != self._newest
+            self._newest = tick
             if len(self.first) < SHOWN_MAX:
-                self.first.append(each)
-        self.ticks += self.count > before
+                self.first.append(TickDifference(topic, tick, *each))

@@ -93,7 +93,6 @@ class _Run:
         self.record: TickRecord
         self.given: TickInputs
         self.wire: WireReplay | None = None
-        self.wire_found: list[TickDifference] = []
         self.in_fleet = bool(self.config.fleet.others)
         self.acted = False
         if not self.changed:
@@ -130,7 +129,7 @@ class _Run:
                 f"{self.flight.log.path}: the messages of the other members at tick {given.tick} are missing "
                 f"({self.flight.topic('controller/neighbours')}); without them the replay proves nothing"
             )
-        self.record, self.given, self.wire_found = record, given, []
+        self.record, self.given = record, given
         self.runner.tick()
 
     def wait(self) -> Tick:
@@ -149,13 +148,13 @@ class _Run:
         """Return the recorded state; the replayed bridge does not affect it."""
         inputs = self.given.inputs
         if self.wire is not None:
-            self.wire_found += self.wire.take(self.record, self.given)
+            self.wire.take(self.record, self.given)
         return VehicleInputs(inputs.own, inputs.status, self.given.command_failed, inputs.power)
 
     def answer(self, out: Outputs, now_s: float) -> None:
         del now_s
         if self.wire is not None:
-            self.wire_found += self.wire.answer(self.record, self.given, out)
+            self.wire.answer(self.record, self.given, out)
 
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
         del status, now_s
@@ -177,34 +176,21 @@ class _Run:
         if "baud" in onboard:
             signed, age_max_s = onboard.get("signed") == "true", self.config.checks.own_age_max_s
             line = plan(int(onboard["baud"]), self.config.loop.rate_hz, age_max_s, signed=signed)
-        self.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot, line)
-        self.result.wire = Tally()
+        found = self.result.wire = Tally()
+        self.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot, line, found)
 
     def write(self, at: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
         del taken, exec_s
         result, tick, record, given = self.result, at.number, self.record, self.given
         assert record.step is not None
-        if result.wire is not None:
-            result.wire.add(self.wire_found)
         row = step_row(at, out)
-        replayed = row.pack()
-        topic = self.flight.topic("controller/step")
-        found = [
-            TickDifference(topic, tick, *each) for each in messages_of(CONTROLLER_STEP, record.step, replayed)
-        ]
+        replayed, outputs, topic = row.pack(), result.outputs, self.flight.topic
+        outputs.add(topic("controller/step"), tick, messages_of(CONTROLLER_STEP, record.step, replayed))
         if record.power is not None and not self.changed:
-            again = power_row(at, given.inputs.power, out.reserve).pack()
-            power = self.flight.topic("controller/power")
-            found += [
-                TickDifference(power, tick, *each)
-                for each in messages_of(CONTROLLER_POWER, record.power, again)
-            ]
+            power = power_row(at, given.inputs.power, out.reserve).pack()
+            outputs.add(topic("controller/power"), tick, messages_of(CONTROLLER_POWER, record.power, power))
         events = [LogRow(given.stamp_ns, e.level, CONTROLLER, e.text, "", "", 0) for e in out.events]
-        if record.events != events:
-            found += [
-                TickDifference(ROSOUT, tick, *each) for each in values_of(record.events, events, "events")
-            ]
-        result.outputs.add(found)
+        outputs.add(ROSOUT, tick, values_of(record.events, events, "events"))
         if record.state is not None and not self.changed:
             self._compare_state(record.state)
         result.compared += 1
@@ -226,14 +212,14 @@ class _Run:
             if note not in self.result.notes:
                 self.result.notes.append(note)
             return
-        topic, state = self.flight.topic("controller/state"), self.text.dumps(self.controller.state)
+        state = self.text.dumps(self.controller.state)
         if recorded.state != state:
             try:
                 found = list(values_of(json.loads(recorded.state), json.loads(state)))
             except ValueError:
                 found = []
             found = found or [("state", recorded.state, state)]
-            self.result.states.add(TickDifference(topic, recorded.tick, *each) for each in found)
+            self.result.states.add(self.flight.topic("controller/state"), recorded.tick, found)
 
     def _command_change(self, tick: int, recorded: Sequence[float], replayed: Sequence[float]) -> None:
         if tuple(recorded) == tuple(replayed):

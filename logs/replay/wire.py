@@ -18,7 +18,7 @@ from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
 from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.line_budget import LinePlan
-from bridge.mavlink.profiles import PX4, profile
+from bridge.mavlink.profiles import profile
 from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import EndpointCounters
 from bridge.target.odometry import RawSample
@@ -26,7 +26,7 @@ from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Inputs
 from flightstack.onboard.runner import LinkedVehicle, Refusals, decoded
-from logs.compare import TickDifference, values_of
+from logs.compare import Tally, values_of
 from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
 from logs.schema.controller_rows import TickInputs
 
@@ -73,10 +73,12 @@ class WireReplay:
         config: FlightConfig,
         system_id: int,
         lockstep: bool,
-        autopilot: str = PX4.name,
-        line: LinePlan | None = None,
+        autopilot: str,
+        line: LinePlan | None,
+        found: Tally,
     ) -> None:
-        """Create the replayed link at tick 0."""
+        """Create the replayed link at tick 0, whose differences are added to ``found``."""
+        self._found = found
         origin = config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)
         self._heard, self._refusals = False, Refusals()
@@ -93,36 +95,31 @@ class WireReplay:
         )
         self._vehicle = LinkedVehicle(self._link, lockstep=lockstep)
 
-    def take(self, record: TickRecord, given: TickInputs) -> list[TickDifference]:
-        self._heard = self._link.heard
+    def take(self, record: TickRecord, given: TickInputs) -> None:
+        tick, self._heard = given.tick, self._link.heard
         self._endpoint.sent.clear()
         self._endpoint.incoming += record.frames_in
         try:
             self._link.poll(given.now_s)
         except Exception as error:  # a frame that today's dialect cannot decode is a difference, not an error
             self._endpoint.incoming.clear()
-            return [TickDifference(SOURCE, given.tick, "frame", "a decodable frame", repr(error))]
+            self._found.add(SOURCE, tick, [("frame", "a decodable frame", repr(error))])
+            return
         arrived = decoded([RawSample(payload) for payload in record.odometry], given.now_s)
         own, status, command_failed, power = self._vehicle.read()
         neighbours = given.inputs.neighbours  # the log does not contain the bytes of fleet messages
         inputs = Inputs(own, status, arrived.samples, given.inputs.operator, power, neighbours)
-        found = list(values_of(given.inputs, inputs))
-        found += values_of(given.command_failed, command_failed, "command_failed")
-        differences = [TickDifference("wire, inputs", given.tick, *each) for each in found]
+        self._found.add("wire, inputs", tick, values_of(given.inputs, inputs))
+        failed = values_of(given.command_failed, command_failed, "command_failed")
+        self._found.add("wire, inputs", tick, failed)
         said = self._refusals.told(arrived.problems)
         said += [f"vehicle: {text}" for _, text in self._link.take_texts()]
         recorded = [row.msg for row in record.said if row.msg.startswith(_SAID_BY_THE_WIRE)]
-        differences += [
-            TickDifference(ROSOUT, given.tick, *each) for each in values_of(recorded, said, "wire")
-        ]
-        return differences
+        self._found.add(ROSOUT, tick, values_of(recorded, said, "wire"))
 
-    def answer(self, record: TickRecord, given: TickInputs, out: Outputs) -> list[TickDifference]:
+    def answer(self, record: TickRecord, given: TickInputs, out: Outputs) -> None:
         self._vehicle.answer(out, given.now_s)
-        if not self._heard:
-            return []  # before the vehicle's first message, heartbeats are sent by wall time
-        recorded = [frame[_ID_AND_PAYLOAD].hex() for frame in record.frames_out]
-        replayed = [frame[_ID_AND_PAYLOAD].hex() for frame in self._endpoint.sent]
-        if recorded == replayed:
-            return []
-        return [TickDifference(SINK, given.tick, *each) for each in values_of(recorded, replayed, "frames")]
+        if self._heard:  # before the vehicle's first message, heartbeats are sent by wall time
+            recorded = [frame[_ID_AND_PAYLOAD].hex() for frame in record.frames_out]
+            replayed = [frame[_ID_AND_PAYLOAD].hex() for frame in self._endpoint.sent]
+            self._found.add(SINK, given.tick, values_of(recorded, replayed, "frames"))

@@ -6,9 +6,11 @@ from dataclasses import replace as with_
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.mavlink.profiles import PX4
 from bridge.ros2.cdr import OdometryError
 from bridge.target.odometry import RawSample, sample_of
 from flightstack.core.types import Inputs
+from logs.compare import Tally
 from logs.reader.reader import LogFile
 from logs.replay.read import SINK, SOURCE, FlightInputs, TickRecord
 from logs.replay.replay import replay
@@ -58,8 +60,10 @@ def frame_changed(target, topic, message_id, byte):
 def misread(path):
     """Return the names of the inputs that differ if they are computed from the recorded data."""
     flight = FlightInputs(path)
-    wire = WireReplay(flight.config(), 1, lockstep=True, autopilot=flight.onboard["autopilot"])
-    return [each for tick in flight.ticks() for each in wire.take(tick, tick.given)]
+    wire = WireReplay(flight.config(), 1, True, flight.onboard["autopilot"], None, found := Tally())
+    for tick in flight.ticks():
+        wire.take(tick, tick.given)
+    return found.first
 
 
 def test_the_golden_wire_gives_the_recorded_inputs():
@@ -160,10 +164,9 @@ def test_samples_that_never_decoded_do_not_disturb_and_their_refusal_is_compared
         ([refusal, "no heartbeat of system 1, component 1 for 4 s: no data arrives"], 0),
     ):
         record = tick_of([b"\x00\x01\x02", payload], said)
-        wire = WireReplay(CONFIG, 1, lockstep=False)
-        found = wire.take(record, record.given)
-        assert sum(d.topic == "/rosout" for d in found) == count, found
-        assert [d.field for d in found if d.topic == "wire, inputs"] == ["target_samples.length"]
+        WireReplay(CONFIG, 1, False, PX4.name, None, found := Tally()).take(record, record.given)
+        assert sum(d.topic == "/rosout" for d in found.first) == count, found
+        assert [d.field for d in found.first if d.topic == "wire, inputs"] == ["target_samples.length"]
 
 
 def test_with_another_configuration_or_without_frames_the_wire_is_left_out(tmp_path):
