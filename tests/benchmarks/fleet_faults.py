@@ -8,7 +8,7 @@ It prints a table row for each kind of fault. The failed member and its neighbou
 import argparse
 import gc
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from logs.verdict.types import Outcome
 from logs.verdict.verdict import FleetVerdict
@@ -23,41 +23,13 @@ TEAM = "fleet_3"
 FROM_S, UNTIL_S = 0.5, 6.5  # range of the time at which the member fails
 KINDS: dict[str, Way | None] = {"killed": Way.KILLED, "silent": Way.SILENT, "cut": Way.CUT, "late": None}
 NAMES = {"late": "10 % of the messages lost, 0.1 s late"}
+ENDS = (Outcome.LANDED, Outcome.ABORTED, Outcome.CRASHED)
 LATE = ExchangeLink(delay_s=0.1, loss=0.1)
 COLUMNS = (
     "fault", "teams", "landed", "aborted", "crashed", "barrier violations", "collisions",
     "ellipsoid violations", "least rho", "least distance", "failing member: landed / aborted / crashed",
     "failing member: barrier violations",
 )  # fmt: skip
-
-
-@dataclass
-class Counts:
-    """Results of all teams with one kind of fault; ``own``: results of the failed members."""
-
-    teams: int = 0
-    others: Counter[Outcome] = field(default_factory=Counter)
-    own: Counter[Outcome] = field(default_factory=Counter)
-    others_violated: int = 0
-    own_violated: int = 0
-    collisions: int = 0
-    inside: int = 0
-    ellipsoid_min: float = float("inf")
-    distance_min_m: float = float("inf")
-
-    def add(self, verdict: FleetVerdict, who: int) -> None:
-        """Add the result of a team; ``who``: number of the failed member; 0: no member failed."""
-        self.teams += 1
-        self.collisions += verdict.collisions or 0
-        self.inside += verdict.ellipsoid_violations or 0
-        if verdict.ellipsoid_min is not None:
-            self.ellipsoid_min = min(self.ellipsoid_min, verdict.ellipsoid_min)
-        if verdict.distance_min_m is not None:
-            self.distance_min_m = min(self.distance_min_m, verdict.distance_min_m)
-        for number, member in enumerate(verdict.members.values(), 1):
-            (self.own if number == who else self.others)[member.outcome] += 1
-            self.own_violated += number == who and member.violation is not False
-            self.others_violated += number != who and member.violation is not False
 
 
 def failing(whole: Scenario, kind: str, seed: int) -> tuple[Scenario, Exchange | None, int]:
@@ -71,21 +43,25 @@ def failing(whole: Scenario, kind: str, seed: int) -> tuple[Scenario, Exchange |
     return *broken(whole, seed, way, who, at_s), who
 
 
-def line(kind: str, found: Counts) -> str:
-    own = " / ".join(str(found.own[each]) for each in (Outcome.LANDED, Outcome.ABORTED, Outcome.CRASHED))
+def line(kind: str, found: list[tuple[FleetVerdict, int]]) -> str:
+    """Return the row of a kind; ``found``: verdict on each team, and the number of its failed member."""
+    ends = [(n == who, each) for verdict, who in found for n, each in enumerate(verdict.members.values(), 1)]
+    own, others = ([each for failed, each in ends if failed is wanted] for wanted in (True, False))
+    own_ends, ended = Counter(each.outcome for each in own), Counter(each.outcome for each in others)
+    verdicts = [verdict for verdict, _ in found]
     cells = (
         KINDS[kind] or NAMES[kind],
-        found.teams,
-        f"{found.others[Outcome.LANDED]} of {found.others.total()}",
-        found.others[Outcome.ABORTED],
-        found.others[Outcome.CRASHED],
-        found.others_violated,
-        found.collisions,
-        found.inside,
-        f"{found.ellipsoid_min:.2f}",
-        f"{found.distance_min_m:.2f} m",
-        own if found.own else "-",
-        found.own_violated if found.own else "-",
+        len(found),
+        f"{ended[Outcome.LANDED]} of {len(others)}",
+        ended[Outcome.ABORTED],
+        ended[Outcome.CRASHED],
+        sum(each.violation is not False for each in others),
+        sum(each.collisions or 0 for each in verdicts),
+        sum(each.ellipsoid_violations or 0 for each in verdicts),
+        f"{min(each.ellipsoid_min for each in verdicts if each.ellipsoid_min is not None):.2f}",
+        f"{min(each.distance_min_m for each in verdicts if each.distance_min_m is not None):.2f} m",
+        " / ".join(str(own_ends[each]) for each in ENDS) if own else "-",
+        sum(each.violation is not False for each in own) if own else "-",
     )
     return f"| {' | '.join(map(str, cells))} |"
 
@@ -100,9 +76,9 @@ def main() -> None:
     warm_up(whole)
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}", flush=True)
     for kind in asked.only:
-        found = Counts()
+        found = []
         for seed in range(asked.first, asked.first + asked.runs):
             team, exchange, who = failing(whole, kind, seed)
-            found.add(judge_landing(land(team, seed, exchange=exchange)), who)
+            found.append((judge_landing(land(team, seed, exchange=exchange)), who))
             gc.collect()
         print(line(kind, found), flush=True)
