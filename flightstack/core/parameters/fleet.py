@@ -71,43 +71,25 @@ class Fleet:
                 f"fleet.members: found {len(self.members)}, allowed are 1 to {OTHERS_MAX + 1}: as many "
                 "others as the program has rows"
             )
-        least_m = self.radius_xy_m + self.margin_m + 2.0 * self.speed_max_m_s / self.rate_1_s
-        if self.reach_m < least_m:
-            raise ConfigError(
-                f"fleet.reach_m: found {self.reach_m:g}; two vehicles of speed_max_m_s that meet brake from "
-                f"{least_m:.3g} m: raise it to that, or raise rate_1_s"
-            )
-        least_s = max(ZERO_LATENCIES, HOLD_LATENCIES) * self.latency_max_s
-        if self.age_max_s < least_s:
-            raise ConfigError(
-                f"fleet.age_max_s: found {self.age_max_s:g}; allowed is at least {HOLD_LATENCIES:g} "
-                f"latency_max_s, {least_s:.3g} s"
-            )
-        if self.pad_distance_m < 2.0 * self.radius_xy_m:
-            raise ConfigError(
-                f"fleet.pad_distance_m: found {self.pad_distance_m:g}; two vehicles that both land need "
-                f"2 radius_xy_m, {2.0 * self.radius_xy_m:.3g} m"
-            )
-        if self.wait_distance_m < self.pad_distance_m:
-            raise ConfigError(
-                f"fleet.wait_distance_m: found {self.wait_distance_m:g}; a wait leaves pad_distance_m free, "
-                f"{self.pad_distance_m:g} m"
-            )
-        if self.frees_pad and self.wait_distance_m < clearance_m:
-            raise ConfigError(
-                f"fleet.wait_distance_m: found {self.wait_distance_m:g}; with fleet.frees_pad a vehicle "
-                "lands this far beside the target's path; at least checks.clearance_m is needed, "
-                f"{clearance_m:g} m"
-            )
+        brakes_m = self.radius_xy_m + self.margin_m + 2.0 * self.speed_max_m_s / self.rate_1_s
+        relies_s = max(ZERO_LATENCIES, HOLD_LATENCIES) * self.latency_max_s
+        for key, least, why in (
+            ("reach_m", brakes_m, "two vehicles of speed_max_m_s that meet brake from there"),
+            ("age_max_s", relies_s, f"{HOLD_LATENCIES:g} latency_max_s"),
+            ("pad_distance_m", 2.0 * self.radius_xy_m, "2 radius_xy_m between two vehicles that both land"),
+            ("wait_distance_m", self.pad_distance_m, "a wait leaves pad_distance_m free"),
+            ("wait_distance_m", clearance_m * self.frees_pad, "checks.clearance_m, with frees_pad"),
+            ("latency_max_s", period_s, "a message is at least one tick late"),
+        ):
+            if (found := getattr(self, key)) < least:
+                unit = key.rpartition("_")[2]
+                raise ConfigError(
+                    f"fleet.{key}: found {found:g}; at least {least:.3g} {unit} is needed: {why}"
+                )
         if self.rate_1_s * lag_s > PART_OF_LAG:
             raise ConfigError(
                 f"fleet.rate_1_s: found {self.rate_1_s:g}; with a lag of {lag_s:g} s at most "
                 f"{PART_OF_LAG / lag_s:.3g} 1/s come to rest without an overshoot: lower it"
-            )
-        if self.latency_max_s < period_s:
-            raise ConfigError(
-                f"fleet.latency_max_s: found {self.latency_max_s:g}; a message is at least one tick late, "
-                f"{period_s:g} s: raise it"
             )
 
 
