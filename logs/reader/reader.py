@@ -27,7 +27,7 @@ from mcap.records import Message as MessageRecord
 from logs.reader.mcap_records import MAGIC, Records, named
 from logs.schema import FLEET, LOSSES, member_name, split
 from logs.schema.rows import LogRow
-from logs.schema.schemas import LOG, current_name, same_fields
+from logs.schema.schemas import LOG, same_fields
 
 ROSOUT = "/rosout"
 _NAME = re.compile(r"(?=.{1,64}$)[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*")
@@ -202,7 +202,7 @@ class LogFile:
                             topic, schema, record.log_time, record.publish_time, record.sequence, data
                         )
                 elif isinstance(record, Schema):
-                    schemas[record.id] = current_name(record.name)
+                    schemas[record.id] = record.name
                 elif isinstance(record, Channel):
                     seen = self._topic(record.topic)
                     if seen is not None and (topics is None or seen in topics):
@@ -284,7 +284,7 @@ class LogFile:
                 elif isinstance(record, Schema):
                     found.schemas[record.id] = record
                     if not same_fields(record.name, record.data.decode(errors="replace")):
-                        found.foreign.add(current_name(record.name))
+                        found.foreign.add(record.name)
                 elif isinstance(record, Channel):
                     found.channels[record.id] = record
         found.problem = records.problem

@@ -16,7 +16,6 @@ from bridge.ros2.codec import MAP, Field, Pack, Unpack, fields_of_text, standard
 from bridge.ros2.codec import codec as cdr_codec
 
 if TYPE_CHECKING:  # the import takes 25 ms, and packing rows does not need it
-    from rosbags.interfaces import Nodetype
     from rosbags.typesys.store import Typestore
 
 CONTROLLER_STEP = "flightstack_msgs/msg/ControllerStep"
@@ -48,8 +47,6 @@ _OURS = (
 # decoded MAVLink messages: LOCAL_POSITION_NED is mavlink_msgs/msg/LocalPositionNed
 _MAVLINK_MSGS = "mavlink_msgs/msg/"
 _SEPARATOR = "=" * 80
-# former names of message types, which older logs contain, with their current names
-_FORMER = {"flightstack_msgs/msg/FleetWord": MEMBER_STATUS, "flightstack_msgs/msg/Neighbour": RECEIVED_STATUS}
 
 
 class UnknownSchemaError(ValueError):
@@ -75,26 +72,17 @@ def fields_of(name: str) -> tuple[Field, ...]:
     known = standard(name)
     if known is not None:
         return known
-    return tuple(_field(field, *node) for field, node in _known(name).fielddefs[name][1])
-
-
-def current_name(name: str) -> str:
-    """Return the current name of a message type that a log contains."""
-    return _FORMER.get(name, name)
+    return fields_of_text(_known(name).generate_msgdef(name, ros_version=2)[0].split(_SEPARATOR)[0])
 
 
 def same_fields(name: str, text: str) -> bool:
     """Whether a type's definition in a log, with all types in it, has the fields of this software."""
     first, *used = text.split(_SEPARATOR)
-    texts = {current_name(name): first}
+    texts = {name: first}
     for part in used:
         head, _, body = part.strip().partition("\n")
-        texts[current_name(head.removeprefix("MSG: ").replace("/", "/msg/"))] = body
-    return all(
-        tuple(each._replace(kind=current_name(each.kind)) for each in fields_of_text(body)) == fields_of(kind)
-        for kind, body in texts.items()
-        if kind in _OURS
-    )
+        texts[head.removeprefix("MSG: ").replace("/", "/msg/")] = body
+    return all(fields_of_text(body) == fields_of(kind) for kind, body in texts.items() if kind in _OURS)
 
 
 def codec(
@@ -107,18 +95,6 @@ def codec(
 @cache
 def packer(schema: str, frame_id: str | None = MAP) -> Pack:
     return codec(schema, frame_id)[0]
-
-
-def _field(name: str, node: Nodetype, detail: Any) -> Field:
-    """Convert a field from the form of ``rosbags``."""
-    from rosbags.interfaces import Nodetype
-
-    if node is Nodetype.NAME:
-        return Field(name, detail, None)
-    if node is Nodetype.BASE:
-        return Field(name, detail[0], None)
-    inner, count = detail
-    return Field(name, _field(name, *inner).kind, count if node is Nodetype.ARRAY else 0)
 
 
 def store_for(name: str) -> Typestore:
