@@ -15,7 +15,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.crazyflie.packets import (
     GRAVITY,
     HEALTH,
-    LATE_MAX_S,
     STATE,
     ArmReply,
     BootClock,
@@ -87,7 +86,6 @@ class Node(Server[Vehicle]):
     """MAVLink server of a Crazyflie: call ``take`` and ``handle`` on arrival, then ``step``."""
 
     def __init__(self, rules: Rules, system_id: int = SYSTEM_ID) -> None:
-        self.late = 0  # number of states that arrived too late and were dropped
         self.clock = BootClock()  # converts the firmware's time stamps
         self._streamed: list[Message] = []  # messages made from new states and not sent yet
         self._readiness_due_s, self._readiness = READINESS_S, ""
@@ -186,12 +184,9 @@ class Node(Server[Vehicle]):
 
     def _on_state(self, packet: LogPacket, at_s: float) -> None:
         timed = self.clock.take(packet.time_ms, at_s)
-        if timed is None or self.vehicle.link.protocol is None:  # old packet, or the link is not set up
+        if timed is None or self.vehicle.link.protocol is None:  # old or late packet, or no link
             return
         boot_ms, late_s = timed
-        if late_s > LATE_MAX_S:
-            self.late += 1
-            return
         state = decode_state(packet.values, boot_ms, at_s - late_s)  # time of measurement
         restarts, self._restarts = self._restarts, self.clock.restarts
         self.vehicle.take_state(state, at_s, restarted=restarts != self.clock.restarts)

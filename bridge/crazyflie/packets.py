@@ -17,6 +17,7 @@ from enum import Enum, IntFlag
 from typing import Any, NamedTuple
 
 from bridge.frames import Quat
+from flightstack.core.sender_clock import SenderClock
 from flightstack.core.types import Vec3
 
 
@@ -229,20 +230,17 @@ BLOCKS = (STATE, HEALTH, GRAVITY)
 FETCHED_AS: Mapping[str, str] = dict.fromkeys(_MOTORS, "uint16_t")  # older firmware: 32 bits
 _PWM_MAX = 65535.0
 LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later packet is ignored
+# time for which the packets of a changed clock must agree until it is adopted, s; the second for late packets,
+# which may come from a queue: the clock of a simulated firmware may stop
+PROOF_S, PATIENCE_S = 0.05, 0.3
 _WRAP_MS = 1 << 24
-_REBOOT_MS = 1000  # step back above which the firmware has restarted, ms; below it a packet is out of order
-_AHEAD_S = 0.03  # a packet may be faster than the fastest packet by this time plus the drift, s
+_REBOOT_MS = 1000  # difference to the expected time above which the firmware may have restarted, ms
 _DRIFT = 0.1  # maximum drift of a simulated firmware's clock; the clock of CrazySim ran at 0.97
-_SPAN_S, _SPAN_PACKETS = 0.25, 10  # minimum length of a span, s and packets; longer than a delayed burst
 _MAGNITUDE = (1 << 9) - 1  # largest magnitude of an element; the sign is a separate bit (quatcompress.h)
 
 
 class BootClock:
-    """Converts the firmware's 24-bit time, ms, into a continuous clock, and measures the delay of packets.
-
-    The packet with the shortest delay has lateness 0; any additional delay is lateness. The shortest delay is
-    dropped after half a second of packets, because the clock of a simulated firmware may run slowly or stop.
-    """
+    """Converts the firmware's 24-bit time, ms, into a continuous clock, and measures the delay of packets."""
 
     def __init__(self) -> None:
         self.restarts = 0  # number of firmware restarts and of backward steps of its clock
@@ -252,53 +250,34 @@ class BootClock:
 
     def begin(self) -> None:
         """Start again on a new connection; the last time remains stored to detect a restart."""
-        self._shortest_s = [math.inf, math.inf]  # smallest arrival minus firmware time, of two spans
-        self._span_s, self._in_span = -math.inf, 0
-        self._odd_ms: int | None = None  # firmware time that fits neither the clock nor a restart
+        self._clock = SenderClock(LATE_MAX_S, PROOF_S)
 
     @property
     def running(self) -> bool:
         """Whether a packet of this connection has arrived."""
-        return min(self._shortest_s) < math.inf
+        return self._clock.memory.began_s < math.inf
 
     def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:
-        """Return continuous time, ms, and lateness, s, of a 24-bit time; None: old, or not trusted yet."""
-        boot_ms: int | None = time_ms
-        if self._last_ms is not None:
-            boot_ms = self._unwrapped(time_ms, self._last_ms, at_s)
-        if boot_ms is None:
+        """Return continuous time, ms, and lateness, s, of a 24-bit time; None: the packet must not be used."""
+        last_ms, boot_ms, restarted = self._last_ms, time_ms, False
+        if last_ms is not None:
+            elapsed_ms = 1000.0 * (at_s - self._last_at_s)
+            step_ms = (time_ms - last_ms + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
+            unexpected = abs(step_ms - elapsed_ms) > _REBOOT_MS + _DRIFT * elapsed_ms
+            restarted = unexpected and time_ms <= elapsed_ms + _REBOOT_MS
+            if restarted:
+                self.begin()
+            else:
+                boot_ms = last_ms + step_ms
+        if not self._clock.accept(boot_ms / 1000.0, at_s, PATIENCE_S).good:
             return None
-        self._last_ms, self._last_at_s, self._odd_ms = boot_ms, at_s, None
-        if at_s - self._span_s >= _SPAN_S and self._in_span >= _SPAN_PACKETS:
-            self._shortest_s = [self._shortest_s[1], math.inf]
-            self._in_span = 0
-        if self._in_span == 0:
-            self._span_s = at_s
-        self._in_span += 1
-        way_s = at_s - boot_ms / 1000.0
-        self._shortest_s[1] = min(way_s, self._shortest_s[1])
-        return boot_ms, way_s - min(self._shortest_s)
-
-    def _unwrapped(self, time_ms: int, last_ms: int, at_s: float) -> int | None:
-        elapsed_ms = 1000.0 * (at_s - self._last_at_s)
-        step_ms = (time_ms - last_ms + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
-        tolerance_ms = _REBOOT_MS + _DRIFT * elapsed_ms
-        restarted = time_ms <= elapsed_ms + _REBOOT_MS and abs(step_ms - elapsed_ms) > tolerance_ms
-        way_s = at_s - (last_ms + step_ms) / 1000.0
-        known = self._shortest_s[0] < math.inf  # the first packets may come from a full queue
-        ahead = known and way_s < min(self._shortest_s) - _AHEAD_S - _DRIFT * elapsed_ms / 1000.0
-        if not restarted and not ahead and -_REBOOT_MS < step_ms <= elapsed_ms + tolerance_ms:
-            return last_ms + step_ms if step_ms > 0 else None
-        if not restarted and (self._odd_ms is None or not 0 < time_ms - self._odd_ms < _REBOOT_MS):
-            self._odd_ms = time_ms  # one packet alone does not set the clock
-            return None
-        self.restarts += restarted or step_ms < 0
-        self.begin()
-        return time_ms if restarted or step_ms < 0 else last_ms + step_ms
+        self.restarts += restarted or (last_ms is not None and boot_ms < last_ms)
+        self._last_ms, self._last_at_s = boot_ms, at_s
+        return boot_ms, self._clock.lateness_s(boot_ms / 1000.0, at_s)
 
     def now_ns(self, now_s: float) -> int:
         """Return the firmware clock at a bridge time, ns, for TIMESYNC."""
-        return max(1, round((now_s - min(self._shortest_s)) * 1e9))
+        return max(1, round((now_s - self._clock.memory.offset_s) * 1e9))
 
 
 def decode_state(v: Mapping[str, int], boot_ms: int, at_s: float) -> CrazyflieState:

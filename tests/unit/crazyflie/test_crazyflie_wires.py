@@ -13,7 +13,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.crazyflie.condition import with_remedy
 from bridge.crazyflie.packets import (
-    LATE_MAX_S,
     ORDERS_MAX,
     VELOCITY_AGE_MAX_S,
     BootClock,
@@ -94,8 +93,8 @@ def test_packets_out_of_order_are_dropped_late_ones_are_known_and_a_restart_is_o
     assert clock.take(1000, 1.0) == (1000, 0.0)
     assert clock.take(1000, 1.0) is None
     assert clock.take(990, 1.0) is None
-    boot_ms, late_s = clock.take(1010, 1.41)
-    assert (boot_ms, late_s) == (1010, pytest.approx(0.4, abs=1e-3))
+    assert clock.take(1010, 1.06) == (1010, pytest.approx(0.05, abs=1e-3))
+    assert clock.take(1020, 1.42) is None
     assert clock.now_ns(2.0) == pytest.approx(2e9, abs=1e6)
 
 
@@ -253,7 +252,8 @@ def test_a_restart_is_known_by_the_time_since_the_last_packet(last_ms, time_ms, 
 def test_a_wrap_a_pause_and_a_slow_clock_are_no_restart(last_ms, time_ms, elapsed_s):
     clock = BootClock()
     clock.take(last_ms, 1000.0)
-    assert clock.take(time_ms, 1000.0 + elapsed_s) is not None
+    taken = [clock.take(time_ms + 10 * k, 1000.0 + elapsed_s + 0.01 * k) for k in range(32)]
+    assert taken[-1] is not None
     assert clock.restarts == 0
 
 
@@ -264,10 +264,10 @@ def test_a_known_clock_is_moved_by_no_single_packet_and_follows_those_that_agree
     for k in range(1_000):
         wrong = k == 500 or (stays and k > 500)
         timed = clock.take(60_000 + 10 * k + wrong_ms * wrong, 60.0 + 0.01 * k)
-        if timed is not None and timed[1] <= LATE_MAX_S:
+        if timed is not None:
             usable_s.append(60.0 + 0.01 * k)
     gap_s = max(b - a for a, b in pairwise(usable_s))
-    assert gap_s < (0.03 if wrong_ms > 0 or not stays or wrong_ms < -1_000 else 1.2)
+    assert gap_s < (0.03 if not stays else 0.08 if wrong_ms > 0 else 0.85)
     assert usable_s[-1] == 60.0 + 0.01 * 999
 
 
