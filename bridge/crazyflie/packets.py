@@ -230,8 +230,8 @@ BLOCKS = (STATE, HEALTH, GRAVITY)
 FETCHED_AS: Mapping[str, str] = dict.fromkeys(_MOTORS, "uint16_t")  # older firmware: 32 bits
 _PWM_MAX = 65535.0
 LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later packet is ignored
-# time for which the packets of a changed clock must agree until it is adopted, s; the second for late packets,
-# which may come from a queue: the clock of a simulated firmware may stop
+# time for which the packets of a changed clock must agree until it is adopted, s; the second for late
+# packets, which may come from a queue: the clock of a simulated firmware may stop
 PROOF_S, PATIENCE_S = 0.05, 0.3
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # difference to the expected time above which the firmware may have restarted, ms
@@ -258,7 +258,7 @@ class BootClock:
         return self._clock.memory.began_s < math.inf
 
     def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:
-        """Return continuous time, ms, and lateness, s, of a 24-bit time; None: the packet must not be used."""
+        """Return continuous time, ms, and lateness, s, of a 24-bit time; None: do not use the packet."""
         last_ms, boot_ms, restarted = self._last_ms, time_ms, False
         if last_ms is not None:
             elapsed_ms = 1000.0 * (at_s - self._last_at_s)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from bridge.frames import Quat, world_from_body, yaw_from_quaternion
-from bridge.ros2.cdr import NO_COVARIANCE, Odometry, checked_unit, decode_odometry
+from bridge.ros2.cdr import Odometry, checked_unit, decode_odometry
 from bridge.ros2.ros2_names import Ros2Publisher
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import GID_BYTES, parse_attachment
@@ -24,10 +24,9 @@ _UNUSED_M2 = 1e3  # variance from which a value counts as unmeasured; diff_drive
 
 
 class RawSample(NamedTuple):
-    """A received sample, decoded for the controller and unchanged for the log."""
+    """A received sample with the numbers of its attachment."""
 
     payload: bytes
-    attachment: bytes | None = None
     sequence: int | None = None  # sequence number of the attachment; None: no attachment
     source_time_ns: int | None = None  # Unix time of the attachment; None: no attachment
     odometry: Odometry | None = None  # odometry that this process made; None: the payload was received
@@ -115,24 +114,13 @@ class OdometryPublisher(Ros2Publisher):
         self.child_frame_id = child_frame_id
 
     def encode(
-        self,
-        stamp_ns: int,
-        position_m: Vec3,
-        orientation_wxyz: Quat,
-        linear_m_s: Vec3,
-        angular_rad_s: Vec3,
-        pose_covariance: Sequence[float] = NO_COVARIANCE,
-        twist_covariance: Sequence[float] = NO_COVARIANCE,
+        self, stamp_ns: int, position_m: Vec3, orientation_wxyz: Quat, linear_m_s: Vec3, angular_rad_s: Vec3
     ) -> bytes:
         """Serialise a message with this publisher's frames; the twist is in the child frame."""
-        return Odometry(
-            stamp_ns, self.frame_id, self.child_frame_id, position_m, orientation_wxyz, linear_m_s,
-            angular_rad_s, pose_covariance, twist_covariance,
-        ).pack()  # fmt: skip
+        frames = self.frame_id, self.child_frame_id
+        return Odometry(stamp_ns, *frames, position_m, orientation_wxyz, linear_m_s, angular_rad_s).pack()
 
 
 def raw_sample(sample: zenoh_link.Sample) -> RawSample:
-    attachment: bytes | None = sample.attachment.to_bytes() if sample.attachment is not None else None
-    parsed = parse_attachment(attachment)
-    sequence, source_time_ns = parsed if parsed is not None else (None, None)
-    return RawSample(sample.payload.to_bytes(), attachment, sequence, source_time_ns)
+    attachment = sample.attachment.to_bytes() if sample.attachment is not None else None
+    return RawSample(sample.payload.to_bytes(), *(parse_attachment(attachment) or ()))

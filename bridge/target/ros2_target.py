@@ -158,15 +158,9 @@ class PoseTrack:
         self._behind, self._behind_ns = 0, 0  # poses older than the newest stamp; their last stamp
         self._unsettled = 0  # number of poses since the last restart
         self.problem = ""  # reason why poses give no odometry; empty: they do
-        self.withheld = 0  # number of poses without odometry: unsettled, outliers, repeated or out of order
 
     def take(self, pose: Pose) -> Odometry | None:
         """Return the odometry of a pose; None if the velocity is unknown."""
-        odometry = self._take(pose)
-        self.withheld += odometry is None
-        return odometry
-
-    def _take(self, pose: Pose) -> Odometry | None:
         time_s, last = pose.stamp_ns / 1e9, self._last
         step_s = (pose.stamp_ns - last.stamp_ns) / 1e9 if last is not None else math.inf
         if last is not None and 0.0 < step_s <= RESTART_S and self._is_outlier(pose, time_s):

@@ -85,7 +85,7 @@ def test_a_turtlebot_is_followed_by_its_topic():
         robot.put(ros.odometry(STAMP, FRAME, CHILD, (1.0, 2.0, 0.0), yaw, (0.2, 0.0, 0.0), (0.0, 0.0, 0.3)))
         [raw] = collect(listening, 1)
         sample = sample_of(RawSample(raw.payload), 3.0)
-        assert (raw.sequence, raw.source_time_ns, len(raw.attachment)) == (1, STAMP + 1, 33)
+        assert (raw.sequence, raw.source_time_ns) == (1, STAMP + 1)
         assert (sample.frame_id, sample.child_frame_id) == (FRAME, CHILD)
         assert sample.position_enu_m == (1.0, 2.0, 0.0)
         assert sample.velocity_enu_m_s == pytest.approx((0.0, 0.2, 0.0))  # rotated from the child frame
