@@ -229,7 +229,7 @@ GRAVITY = Block("gravity", 100, ("acc.x", "acc.y", "acc.z"))  # specific force, 
 BLOCKS = (STATE, HEALTH, GRAVITY)
 FETCHED_AS: Mapping[str, str] = dict.fromkeys(_MOTORS, "uint16_t")  # older firmware: 32 bits
 _PWM_MAX = 65535.0
-LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later packet is ignored
+LATE_MAX_S = 0.05  # maximum delay of a packet, s; a later packet is ignored
 # time for which the packets of a changed clock must agree until it is adopted, s; the second for late
 # packets, which may come from a queue: the clock of a simulated firmware may stop
 PROOF_S, PATIENCE_S = 0.05, 0.3
