@@ -151,7 +151,10 @@ def open_network(where: str, domain: int) -> zenoh_link.Session:
 
 
 class Ros2Node:
-    """A node on the caller's Zenoh session: ``ros2 node list`` shows it, ROS 2 nodes read its topics."""
+    """A node on the caller's Zenoh session: ``ros2 node list`` shows it, ROS 2 nodes read its topics.
+
+    Node and publishers exist as long as the session is open.
+    """
 
     def __init__(
         self, session: zenoh_link.Session, name: str, *, domain: int = 0, namespace: str = "/"
@@ -160,33 +163,25 @@ class Ros2Node:
         self._session = session
         self._node = Node(domain, str(session.zid()), name, namespace)
         self._tokens = [zenoh_link.liveliness_token(session, node_token(self._node))]
-        self._publishers: list[Ros2Publisher] = []
 
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
         """Announce a topic and declare its publisher; with a wrong type hash ROS 2 receives no sample."""
-        number = 1 + len(self._publishers)  # the node itself has number 0
-        token = publisher_token(self._node, number, topic, type_name, type_hash)
-        key = topic_key(self._node.domain, topic, type_name, type_hash)
-        publisher = Ros2Publisher(zenoh_link.dropping_publisher(self._session, key), publisher_id(token))
+        # the node itself has number 0
+        token = publisher_token(self._node, len(self._tokens), topic, type_name, type_hash)
         self._tokens.append(zenoh_link.liveliness_token(self._session, token))
-        self._publishers.append(publisher)
-        return publisher
-
-    def close(self) -> None:
-        """Undeclare node and publishers; they disappear from the graph immediately."""
-        for token in reversed(self._tokens):
-            token.undeclare()
-        for publisher in self._publishers:
-            publisher.close()
+        key = topic_key(self._node.domain, topic, type_name, type_hash)
+        return Ros2Publisher(zenoh_link.dropping_publisher(self._session, key), publisher_id(token), self)
 
 
 class Ros2Publisher:
     """Sends serialised messages with the attachment of rmw_zenoh."""
 
-    def __init__(self, publisher: zenoh_link.Publisher, identity: bytes) -> None:
-        """``identity``: id of the publisher, 16 bytes."""
-        self._publisher, self._identity = publisher, identity
-        self.sequence = 0  # number of the newest message, 0 before the first
+    def __init__(
+        self, publisher: zenoh_link.Publisher, identity: bytes, node: Ros2Node | None = None
+    ) -> None:
+        """``identity``: id of the publisher, 16 bytes; ``node``: kept, because its tokens end with it."""
+        self._publisher, self._identity, self._node = publisher, identity, node
+        self._sequence = 0  # number of the newest message, 0 before the first
 
     @property
     def matched(self) -> bool:
@@ -195,11 +190,7 @@ class Ros2Publisher:
 
     def put(self, payload: bytes, source_time_ns: int, attachment: bytes | None = None) -> None:
         """Send a message in CDR at a Unix or simulated time; ``attachment`` replaces rmw_zenoh's."""
-        self.sequence += 1
+        self._sequence += 1
         if attachment is None:
-            attachment = pack_attachment(self.sequence, source_time_ns, self._identity)
+            attachment = pack_attachment(self._sequence, source_time_ns, self._identity)
         self._publisher.put(payload, attachment=attachment)
-
-    def close(self) -> None:
-        """End the publisher; the session stays open."""
-        self._publisher.undeclare()

@@ -271,9 +271,6 @@ class TargetSource:
         """All warnings of the flight, oldest first."""
         return tuple(self._told)
 
-    def close(self) -> None:
-        self._subscriber.undeclare()
-
     def _odometry(self, payload: bytes) -> Odometry | None:
         """Return the odometry made from a message; None: there is none, or it needs no conversion."""
         if self._spec.type is not TargetType.ODOMETRY:

@@ -93,10 +93,8 @@ class ZenohWires:
             self._shown.show(tick, out, step, health)
 
     def close(self) -> None:
-        """Close search, publishers and sessions."""
+        """Close search and sessions."""
         self.search.stop()
-        if self._shown is not None:
-            self._shown.close()
         for session in reversed(self._sessions):
             session.close()
 
@@ -134,10 +132,6 @@ class LiveRos2:
             self._h.put(self._pack_float((h_m,)), now_ns)
             self._phase.put(pack_string(out.phase.name), now_ns)
             self._step.put(step.pack(), now_ns)
-
-    def close(self) -> None:
-        """Leave the ROS 2 graph."""
-        self._node.close()
 
     def _publisher(self, topic: str, kind: str) -> Ros2Publisher:
         return self._node.publisher(topic, kind, type_hash(kind))

@@ -247,7 +247,7 @@ def robots_of(
 ) -> dict[int, R]:
     """Create the robots of a scenario, by number; ``options`` may also publish their odometry to ROS 2.
 
-    ``make``: class of the robots with their common arguments; ``stack``: ends the ROS 2 node.
+    ``make``: class of the robots with their common arguments; ``stack``: closes its session.
     """
     shared, robots = team.target_seed(options.seed), {}
     for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
@@ -259,7 +259,6 @@ def robots_of(
     session = open_network(options.ros2_where, options.ros_domain)
     stack.callback(session.close)
     node = Ros2Node(session, NODE, domain=options.ros_domain, namespace=f"/{options.namespace}")
-    stack.callback(node.close)
     for number, namespace in team.namespaces(options.namespace).items():
         robots[number].shown = node.publisher(f"/{namespace}/target/odom", *ROS_TYPES[TargetType.ODOMETRY])
     return robots

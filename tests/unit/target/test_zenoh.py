@@ -62,7 +62,6 @@ def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
     assert [(raw.sequence, raw.source_time_ns) for raw in received] == [(i + 1, 1000 + i) for i in range(100)]
     assert sample_of(RawSample(received[7].payload), 0.0).position_enu_m == (7.0, 0.0, 0.2)
     subscriber.undeclare()
-    publisher.close()
 
 
 def listening_addresses():
