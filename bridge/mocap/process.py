@@ -48,7 +48,6 @@ class MocapSource:
         at = f" at {', '.join(where)}" if where else ""
         self._search, self._waits = KeySearch(session), f"mocap: no pose on {spec.text}{at} yet"
         self._arrived = False  # whether any sample has arrived
-        self._searched_s: float | None = None  # start of the search for other keys; None: no search runs
         self.problem: str | None = self._waits  # reason why there is no good pose, or None
         self._unreadable: str | None = None  # reason why the newest sample is unreadable, or None
 
@@ -71,26 +70,14 @@ class MocapSource:
         samples = [self._sample(sample, now_s) for sample in zenoh_link.drain(self._subscriber)]
         passed, self.problem = self.checks.step(samples, now_s, armed=armed)
         self._arrived = self._arrived or bool(samples)
+        if self._arrived or armed:
+            self._search.stop()  # in flight nothing is searched
         if not self._arrived:
-            self.problem = f"{self._waits}{self._elsewhere(now_s, armed=armed)}"
-        elif self._searched_s is not None:
-            self._search.stop()
-            self._searched_s = None
+            keys = () if armed else self._search.keys()
+            self.problem = self._waits + (f"; there are {', '.join(keys)}" if keys else "")
         if self.problem is not None and self._unreadable is not None:
             self.problem = f"mocap: {self._unreadable}"
         return passed
-
-    def _elsewhere(self, now_s: float, *, armed: bool) -> str:
-        """Return what else is published, once the search has had time; in flight nothing is searched."""
-        if armed:
-            self._search.stop()
-            self._searched_s = None
-            return ""
-        keys = self._search.keys()
-        self._searched_s = now_s if self._searched_s is None else self._searched_s
-        if keys:
-            return f"; there are {', '.join(keys)}"
-        return "; nor on any key like odometry or pose" if now_s - self._searched_s >= SAY_S else ""
 
     def _sample(self, sample: zenoh_link.Sample, now_s: float) -> Sample:
         self._unreadable = None

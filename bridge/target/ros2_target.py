@@ -105,17 +105,10 @@ class TargetSpec:
         if self.dialect is not Dialect.RMW_ZENOH:
             return
         found, wanted = parse_topic_key(key), ROS_TYPES[self.type]
-        if found is None:
-            raise OdometryError(f"the key {key} is not one of rmw_zenoh")
-        if found.type_name != wanted.name:
+        if found is None or found[2:] not in (wanted, (wanted.name, NO_HASH)):
             raise OdometryError(
-                f"the topic carries {found.type_name}, {wanted.name} is needed; give --target-type or "
-                "--pose-type if the other type is intended"
-            )
-        if found.type_hash not in (wanted.type_hash, NO_HASH):
-            raise OdometryError(
-                f"{found.type_name} has the hash {found.type_hash}, {wanted.type_hash} is needed: the sender "
-                "was built with another definition of it"
+                f"{key} carries another type: {wanted.name} with hash {wanted.type_hash} is needed; give "
+                "--target-type or --pose-type if its type is intended"
             )
 
     def pose(self, payload: bytes) -> Pose:

@@ -125,9 +125,10 @@ def open_session(
         hint = "is the port taken"
         if _role(config) is Role.CLIENT:
             hint = "is the router running, and does it accept us"
+        at, to = (", ".join(_endpoints(config, kind)) or "nothing" for kind in ("listen", "connect"))
         raise ZenohLinkError(
-            f"cannot open a Zenoh session that listens on {_listed(config, 'listen')} and "
-            f"connects to {_listed(config, 'connect')}: {_reason(error)}; {hint}?"
+            f"cannot open a Zenoh session that listens on {at} and connects to {to}: {_reason(error)}; "
+            f"{hint}?"
         ) from error
     finally:
         if prompt:
@@ -167,17 +168,8 @@ def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | N
     return config
 
 
-def is_client(file: Path | None) -> bool:
-    """Whether a session of this configuration is a client of a router, which cannot listen."""
-    return _role(_configuration((), (), file, Role.PEER)) is Role.CLIENT
-
-
 def _role(config: Any) -> Role:
     return Role(json.loads(config.get_json("mode")))
-
-
-def _listed(config: Any, kind: str) -> str:
-    return ", ".join(_endpoints(config, kind)) or "nothing"
 
 
 def _endpoints(config: Any, kind: str) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from bridge.zenoh.zenoh_link import is_client
+from bridge.zenoh.zenoh_link import Role, dialled
 from flightstack.common.options import shared
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.config import load
@@ -35,7 +35,7 @@ def run(options: FlyOptions, console: Console) -> Flown:
             known = {"config": name, "vehicle": options.vehicle_url, "target": options.target_key}
             describe(launcher.socket, Described(config, known, Names(namespace, options.system_id)))
         # a Zenoh client of a router cannot listen, so the live view gets no endpoint
-        at = () if is_client(options.zenoh_config) else (launcher.endpoint(),)
+        at = () if dialled(config_file=options.zenoh_config)[0] is Role.CLIENT else (launcher.endpoint(),)
         if options.view is not None:
             if not at:
                 raise ConfigError(

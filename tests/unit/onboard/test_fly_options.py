@@ -34,7 +34,7 @@ def started(monkeypatch):
     monkeypatch.setattr(Launcher, "start", start)
     monkeypatch.setattr(Launcher, "record", lambda launcher, log: log.parent)
     monkeypatch.setattr(fly, "describe", lambda *_: None)
-    monkeypatch.setattr(fly, "is_client", lambda file: False)  # the file is not a Zenoh configuration
+    monkeypatch.setattr(fly, "dialled", lambda **_: (None, []))  # the file is not a Zenoh configuration
 
     def fly_with(*words):
         done = CliRunner().invoke(main, ["fly", *map(str, words)])

@@ -89,41 +89,6 @@ def test_twist_is_turned_by_the_whole_quaternion():
     assert sample.velocity_enu_m_s == pytest.approx((-0.1, 0.0, 0.3))
 
 
-@pytest.mark.parametrize(
-    ("payload", "words"),
-    [
-        (b"", "0 bytes starts with nothing"),
-        (b"\x00\x00" + usual()[2:], "starts with 00 00"),
-        (b"\x00\x03" + usual()[2:], "starts with 00 03"),
-        (b"{}" + usual()[2:], "starts with 7b 7d"),
-        (usual()[:300], "cut short"),
-        (usual()[:14], "cut short"),
-        (usual()[:12] + b"\xff\xff\xff\x7f" + usual()[16:], "cut short"),
-        (usual()[:16] + b"\xff\xfe\xfd" + usual()[19:], "utf-8"),
-        (usual(position_m=(math.nan, 0.0, 0.0)), "not finite"),
-        (usual(linear_m_s=(0.0, math.inf, 0.0)), "not finite"),
-        (usual(angular_rad_s=(0.0, 0.0, -1e300)), "beyond"),
-        (usual(orientation_wxyz=(0.0, 0.0, 0.0, 0.0)), "unit quaternion"),
-        (usual(orientation_wxyz=(1.0, 1.0, 0.0, 0.0)), "unit quaternion"),
-    ],
-)
-def test_malformed_payload_says_what_is_wrong(payload, words):
-    with pytest.raises(OdometryError, match=words):
-        sample_of(RawSample(payload), 0.0)
-
-
-@examples(500)
-@given(st.binary(max_size=80), st.integers(0, 715), st.integers(0, 715))
-def test_damaged_payload_never_raises_anything_else(noise, start, stop):
-    payload = usual()
-    for damaged in (noise, payload[:start] + noise + payload[stop:], payload[:stop]):
-        try:
-            sample = sample_of(RawSample(damaged), 0.0)
-        except OdometryError:
-            continue
-        assert all(map(math.isfinite, (*sample.position_enu_m, *sample.velocity_enu_m_s, sample.yaw_rad)))
-
-
 @pytest.mark.parametrize("data", [None, b"", bytes(33), bytes(77), struct.pack("<qq", 1, 0)])
 def test_anything_else_is_no_attachment(data):
     assert parse_attachment(data) is None
@@ -181,32 +146,50 @@ def test_a_pose_with_covariance_is_read(frame, position, covariance):
     assert found == Pose(STAMP, frame, position, Q, tuple(covariance))
 
 
+POSED = pose_stamped(1, "map", (0.0, 0.0, 0.0))
+
+
+def read(schema, payload):
+    return sample_of(RawSample(payload), 0.0) if schema == NAME else decode_pose(payload, schema)
+
+
 @pytest.mark.parametrize(
     ("schema", "payload", "words"),
     [
-        (POSE, b"", "0 bytes starts with nothing"),
-        (POSE, b"\x00\x00" + pose_stamped(1, "map", (0.0, 0.0, 0.0))[2:], "starts with 00 00"),
-        (POSE, pose_stamped(1, "map", (0.0, 0.0, 0.0))[:40], "not a geometry_msgs/msg/PoseStamped"),
-        (POSE, pose_stamped(1, "map", (0.0, 0.0, 0.0))[:13], "not a geometry_msgs/msg/PoseStamped"),
+        (NAME, b"", "0 bytes starts with nothing"),
+        (NAME, b"\x00\x00" + usual()[2:], "starts with 00 00"),
+        (NAME, b"{}" + usual()[2:], "starts with 7b 7d"),
+        (NAME, usual()[:300], "cut short"),
+        (NAME, usual()[:14], "cut short"),
+        (NAME, usual()[:12] + b"\xff\xff\xff\x7f" + usual()[16:], "cut short"),
+        (NAME, usual()[:16] + b"\xff\xfe\xfd" + usual()[19:], "utf-8"),
+        (NAME, usual(position_m=(math.nan, 0.0, 0.0)), "not finite"),
+        (NAME, usual(linear_m_s=(0.0, math.inf, 0.0)), "not finite"),
+        (NAME, usual(angular_rad_s=(0.0, 0.0, -1e300)), "beyond"),
+        (NAME, usual(orientation_wxyz=(0.0, 0.0, 0.0, 0.0)), "unit quaternion"),
+        (NAME, usual(orientation_wxyz=(1.0, 1.0, 0.0, 0.0)), "unit quaternion"),
+        (POSE, POSED[:40], "not a geometry_msgs/msg/PoseStamped"),
         (POSE, pose_stamped(1, "map", (math.nan, 0.0, 0.0)), "not finite"),
-        (POSE, pose_stamped(1, "map", (1e12, 0.0, 0.0)), "beyond"),
         (POSE, pose_stamped(1, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)), "never set"),
-        (POSE_COVARIANCE, pose_stamped(1, "map", (0.0, 0.0, 0.0)), "PoseWithCovarianceStamped"),
+        (POSE_COVARIANCE, POSED, "PoseWithCovarianceStamped"),
     ],
 )
 def test_what_is_refused_and_why(schema, payload, words):
     with pytest.raises(OdometryError, match=words):
-        decode_pose(payload, schema)
+        read(schema, payload)
 
 
-@examples(300)
-@given(st.binary(max_size=60), st.integers(0, 240), st.integers(0, 240))
-def test_damage_raises_nothing_else(noise, start, stop):
-    whole = pose_covariance(STAMP, "map", (1.0, 2.0, 3.0), [0.0] * 36, Q)
-    for schema in (POSE, POSE_COVARIANCE):
-        for damaged in (noise, whole[:start] + noise + whole[stop:], whole[:stop]):
-            try:
-                found = decode_pose(damaged, schema)
-            except OdometryError:
-                continue
-            assert all(map(math.isfinite, found.position_m))
+@examples(500)
+@given(
+    st.sampled_from([NAME, POSE, POSE_COVARIANCE]),
+    st.binary(max_size=80), st.integers(0, 715), st.integers(0, 715),
+)  # fmt: skip
+def test_damaged_payload_never_raises_anything_else(schema, noise, start, stop):
+    whole = usual() if schema == NAME else pose_covariance(STAMP, "map", (1.0, 2.0, 3.0), [0.0] * 36, Q)
+    for damaged in (noise, whole[:start] + noise + whole[stop:], whole[:stop]):
+        try:
+            found = read(schema, damaged)
+        except OdometryError:
+            continue
+        numbers = (found.position_enu_m + found.velocity_enu_m_s) if schema == NAME else found.position_m
+        assert all(map(math.isfinite, numbers))
