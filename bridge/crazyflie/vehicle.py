@@ -119,6 +119,8 @@ class Vehicle(Condition, Commander):
         """Handle the loss of the link; in the bridge's own modes the vehicle lands blindly."""
         if self.link.protocol is not None:
             self.texts.say(CRITICAL, f"Radio lost: {event.reason}")
+        elif event.reason != self.link.reason:  # an unchanged reason is not repeated
+            self.texts.say(WARNING, event.reason)
         self.link = Link(reason=event.reason)
         if self.standing or self.mode is FlightMode.OFFBOARD:
             self._end("radio lost")
