@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from bridge.crazyflie.packets import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Power
+from bridge.crazyflie.packets import PROTOCOL_MIN, Connected, CrazyflieState, Health, Info, Lost, Power
 from bridge.crazyflie.rules import ESTIMATOR, KALMAN, LOST_S, POSE_AGE_MAX_S, REARM_S
 from bridge.frames import Quat, body_from_world, yaw_from_quaternion
 from bridge.mavlink.server.commander import Battery
@@ -34,7 +34,7 @@ class Condition:
     """Newest data of a Crazyflie, and the checks before arming."""
 
     def __init__(self, *, mocap: bool) -> None:
-        self.link = Link()
+        self.link: Connected | Lost = Lost("not connected yet")  # present state of the connection
         self.state: CrazyflieState | None = None  # newest state, of any age
         self.health: Health | None = None  # newest variance of the estimate, and battery
         # reason why there is no good external pose; None: there is one, or none is needed

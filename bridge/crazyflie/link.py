@@ -39,11 +39,11 @@ from bridge.crazyflie.packets import (
     Outbox,
     Packet,
     ParamValue,
-    Pose,
     SetParam,
     Velocity,
 )
 from bridge.crazyflie.rules import DRAG
+from bridge.ros2.cdr import Pose
 
 PARAMS = (  # firmware parameters that are read for the checks before arming
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",
@@ -341,7 +341,7 @@ def _transmit(crazyflie: Any, packet: Packet) -> None:
     match packet:
         case Velocity(velocity_enu_m_s, yaw_rate_rad_s):  # CRTP expects degrees per second
             commander.send_velocity_world_setpoint(*velocity_enu_m_s, yaw_rate_rad_s * 57.29577951308232)
-        case Pose(position_enu_m, (w, x, y, z)):
+        case Pose(position_m=position_enu_m, orientation_wxyz=(w, x, y, z)):
             crazyflie.loc.send_extpose(list(position_enu_m), [x, y, z, w])
         case SetParam(name, value):
             crazyflie.param.set_value(name, value)

@@ -12,11 +12,13 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum, IntFlag
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from bridge.frames import Quat
+from bridge.ros2.cdr import Pose
 from flightstack.core.sender_clock import SenderClock
 from flightstack.core.types import Vec3
 
@@ -26,11 +28,6 @@ class Velocity(NamedTuple):
 
     velocity_enu_m_s: Vec3
     yaw_rate_rad_s: float  # yaw rate, counter-clockwise
-
-
-class Pose(NamedTuple):
-    position_enu_m: Vec3
-    quaternion: Quat  # attitude of FLU in ENU, in the order w, x, y, z
 
 
 class Order(Enum):
@@ -148,12 +145,15 @@ class Connected(NamedTuple):
 
     protocol: int
     params: dict[str, str]  # values of ``link.PARAMS``; those unknown to the firmware are missing
+    reason: str = ""
 
 
 class Lost(NamedTuple):
     """The link is lost or could not be opened; the next attempt follows."""
 
     reason: str
+    protocol: None = None
+    params: Mapping[str, str] = MappingProxyType({})
 
 
 class LogPacket(NamedTuple):
@@ -198,15 +198,6 @@ class Health:
     power: Power
     battery_percent: int
     throttle: float = 0.0  # mean of the motors' PWM, 0 to 1
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """The firmware of the present connection; ``protocol`` is None without a connection."""
-
-    protocol: int | None = None
-    params: dict[str, str] = field(default_factory=dict)
-    reason: str = "not connected yet"
 
 
 class Block(NamedTuple):

@@ -17,7 +17,7 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 from bridge.crazyflie.node import Node
-from bridge.crazyflie.packets import Pose, SetParam
+from bridge.crazyflie.packets import SetParam
 from bridge.crazyflie.rules import ECHO_MAX_S, ESTIMATOR, KALMAN, CrazyflieOptions, Rules
 from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
@@ -93,13 +93,13 @@ class Loop:
         vehicle.mocap(poses.problem, passed)
         if passed is None or vehicle.link.protocol is None:
             return
-        pose = Pose(passed.pose.position_m, passed.pose.orientation_wxyz)
-        key = (id(vehicle.link), passed.resets)  # each connection has its own ``Link``
+        pose = passed.pose
+        key = (id(vehicle.link), passed.resets)  # each connection has its own event
         starts = self._begun != key and vehicle.link.params.get(ESTIMATOR) == KALMAN
         if starts and not vehicle.armed:
             self._begun = key
-            x, y, z = pose.position_enu_m
-            values = {"X": x, "Y": y, "Z": z, "Yaw": yaw_from_quaternion(pose.quaternion)}
+            x, y, z = pose.position_m
+            values = {"X": x, "Y": y, "Z": z, "Yaw": yaw_from_quaternion(pose.orientation_wxyz)}
             for name, value in values.items():
                 self._link.send(SetParam(INITIAL + name, value))
             self._link.send(SetParam(RESET, 1.0))

@@ -19,7 +19,6 @@ from bridge.crazyflie.packets import (
     Connected,
     CrazyflieState,
     Info,
-    Link,
     Lost,
     Order,
     Packet,
@@ -93,7 +92,7 @@ class Vehicle(Condition, Commander):
     # Events of the Crazyflie's link
 
     def connected(self, event: Connected, now_s: float) -> None:
-        self.link = Link(event.protocol, dict(event.params), "")
+        self.link = event
         self.state = self.health = None
         self._leaning = None
         self._connected_s = now_s
@@ -111,7 +110,8 @@ class Vehicle(Condition, Commander):
         if event.value is None:
             self.texts.refuse(f"The firmware has no parameter {event.name}", now_s)
             return
-        self.link.params[event.name] = event.value
+        if isinstance(self.link, Connected):
+            self.link.params[event.name] = event.value
         self.settings.open.discard(event.name)
         self.texts.say(INFO, f"{event.name} is {event.value}")
 
@@ -121,7 +121,7 @@ class Vehicle(Condition, Commander):
             self.texts.say(CRITICAL, f"Radio lost: {event.reason}")
         elif event.reason != self.link.reason:  # an unchanged reason is not repeated
             self.texts.say(WARNING, event.reason)
-        self.link = Link(reason=event.reason)
+        self.link = event
         if self.standing or self.mode is FlightMode.OFFBOARD:
             self._end("radio lost")
         elif self.mode is not FlightMode.LAND:

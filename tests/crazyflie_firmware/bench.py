@@ -16,11 +16,11 @@ from bridge.crazyflie.packets import (
     Order,
     Packet,
     ParamValue,
-    Pose,
     SetParam,
     Velocity,
 )
 from bridge.crazyflie.rules import Rules
+from bridge.ros2.cdr import Pose
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.tables import CODE, LOGS
 
@@ -200,6 +200,6 @@ def _raw(packet: Packet) -> bytes | None:
     if isinstance(packet, Velocity):
         return b"\x7c\x08" + struct.pack("<4f", *packet.velocity_enu_m_s, math.degrees(packet.yaw_rate_rad_s))
     if isinstance(packet, Pose):
-        w, x, y, z = packet.quaternion
-        return b"\x6d\x08" + struct.pack("<7f", *packet.position_enu_m, x, y, z, w)
+        w, x, y, z = packet.orientation_wxyz
+        return b"\x6d\x08" + struct.pack("<7f", *packet.position_m, x, y, z, w)
     return _HEADS.get(packet)

@@ -19,7 +19,6 @@ from bridge.crazyflie.packets import (
     Info,
     Order,
     Outbox,
-    Pose,
     SetParam,
     Velocity,
     decode_state,
@@ -30,6 +29,7 @@ from bridge.crazyflie.rules import DRAG, UNKNOWN_DRAG, Rules
 from bridge.frames import enu_from_ned, yaw_ned_from_enu
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.profiles import profile
+from bridge.ros2.cdr import Pose
 from flightstack.cli.real import _drag_1_s
 from flightstack.common.hangup import Stop
 from flightstack.common.strict_toml import ConfigError
@@ -114,7 +114,7 @@ def test_an_emergency_stop_goes_first_and_motors_off_takes_the_velocity_away():
     box.put(SetParam("a.b", 1.0), 0.0)
     box.put(Order.STOP, 0.0)
     box.put(Order.EMERGENCY_STOP, 0.0)
-    box.put(Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), 0.0)
+    box.put(Pose(0, "map", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), 0.0)
     came = [box.get(0.0, lambda: 0.0) for _ in range(5)]
     assert came[:3] == [Order.EMERGENCY_STOP, SetParam("a.b", 1.0), Order.STOP]
     assert isinstance(came[3], Pose)
