@@ -26,10 +26,13 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Sequence
+from functools import cache
+from importlib.resources import files
 from itertools import count, islice
 from typing import Any, NamedTuple
 
 CDR_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian, no options (OMG DDSI-RTPS 10.5)
+SEPARATOR = "=" * 80  # line between two definitions of a ros2msg text
 MAP = "map"  # world frame of every message of this stack
 HEADER_TYPE = "std_msgs/msg/Header"
 TIME_TYPES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
@@ -40,31 +43,6 @@ CODES = {
 _NS = 1_000_000_000  # nanoseconds per second
 _ALIGNMENT_MAX = 8  # size of the largest number, bytes
 
-# Standard types by their ROS 2 definitions, so that no process loads a complete type store at start.
-_STANDARD = {
-    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
-    "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "std_msgs/msg/String": "string data",
-    "rcl_interfaces/msg/Log": "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\n"
-    "string file\nstring function\nuint32 line",
-    "geometry_msgs/msg/Vector3": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/msg/Point": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/msg/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
-    "geometry_msgs/msg/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
-    "geometry_msgs/msg/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
-    "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
-    "geometry_msgs/msg/PoseWithCovarianceStamped": "std_msgs/Header header\n"
-    "geometry_msgs/PoseWithCovariance pose",
-    "geometry_msgs/msg/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
-    "geometry_msgs/msg/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
-    "geometry_msgs/msg/TwistStamped": "std_msgs/Header header\ngeometry_msgs/Twist twist",
-    "geometry_msgs/msg/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
-    "geometry_msgs/msg/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
-    "geometry_msgs/Transform transform",
-    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
-    "nav_msgs/msg/Odometry": "std_msgs/Header header\nstring child_frame_id\n"
-    "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist",
-}
 _FIELD = re.compile(r"(?P<kind>[\w/]+)(\[(?P<bound><=)?(?P<count>\d*)\])? +(?P<name>[a-z]\w*) *(#.*)?")
 
 Pack = Callable[[Sequence[Any]], bytes]
@@ -83,9 +61,23 @@ def fields_of_text(text: str) -> tuple[Field, ...]:
     return tuple(Field(m["name"], _full(m["kind"]), _length(m["bound"], m["count"])) for m in found)
 
 
+def split(text: str) -> dict[str, str]:
+    """Return the definitions in a ros2msg text that follow a separator, by the full name of their type."""
+    _, *parts = text.split(SEPARATOR)
+    pairs = (part.strip().removeprefix("MSG: ").partition("\n") for part in parts)
+    return {_full(name): body for name, _, body in pairs}
+
+
+@cache
+def standard_types() -> dict[str, tuple[Field, ...]]:
+    """Return the fields of the types in ``standard.msg``; no process loads a complete type store for them."""
+    text = files("bridge.ros2").joinpath("standard.msg").read_text(encoding="ascii")
+    return {name: fields_of_text(body) for name, body in split(text).items()}
+
+
 def standard(schema: str) -> tuple[Field, ...] | None:
-    """Return the fields of a standard ROS 2 type, or None if ``_STANDARD`` does not have it."""
-    return fields_of_text(_STANDARD[schema]) if schema in _STANDARD else None
+    """Return the fields of a standard ROS 2 type, or None if ``standard.msg`` does not have it."""
+    return standard_types().get(schema)
 
 
 def _full(kind: str) -> str:

@@ -12,7 +12,7 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from bridge.ros2.codec import MAP, Field, Pack, Unpack, fields_of_text, standard
+from bridge.ros2.codec import MAP, SEPARATOR, Field, Pack, Unpack, fields_of_text, split, standard
 from bridge.ros2.codec import codec as cdr_codec
 
 if TYPE_CHECKING:  # the import takes 25 ms, and packing rows does not need it
@@ -46,7 +46,6 @@ _OURS = (
 )  # fmt: skip
 # decoded MAVLink messages: LOCAL_POSITION_NED is mavlink_msgs/msg/LocalPositionNed
 _MAVLINK_MSGS = "mavlink_msgs/msg/"
-_SEPARATOR = "=" * 80
 
 
 class UnknownSchemaError(ValueError):
@@ -72,16 +71,12 @@ def fields_of(name: str) -> tuple[Field, ...]:
     known = standard(name)
     if known is not None:
         return known
-    return fields_of_text(_known(name).generate_msgdef(name, ros_version=2)[0].split(_SEPARATOR)[0])
+    return fields_of_text(_known(name).generate_msgdef(name, ros_version=2)[0].split(SEPARATOR)[0])
 
 
 def same_fields(name: str, text: str) -> bool:
     """Whether a type's definition in a log, with all types in it, has the fields of this software."""
-    first, *used = text.split(_SEPARATOR)
-    texts = {name: first}
-    for part in used:
-        head, _, body = part.strip().partition("\n")
-        texts[head.removeprefix("MSG: ").replace("/", "/msg/")] = body
+    texts = {name: text.partition(SEPARATOR)[0], **split(text)}
     return all(fields_of_text(body) == fields_of(kind) for kind, body in texts.items() if kind in _OURS)
 
 
@@ -119,7 +114,7 @@ def schema_text(name: str) -> str:
     generated: str = _known(name).generate_msgdef(name, ros_version=2)[0]
     if name not in _OURS and not name.startswith(_MAVLINK_MSGS):
         return generated
-    _, separator, used = generated.partition(_SEPARATOR)
+    _, separator, used = generated.partition(SEPARATOR)
     return _own_text(name).rstrip("\n") + "\n" + separator + used
 
 

@@ -120,9 +120,9 @@ def test_another_encoding_or_frame_is_named(at, said):
         LoopTimingRow.unpack(bytes(data))
 
 
-@pytest.mark.parametrize("name", cdr._STANDARD)
+@pytest.mark.parametrize("name", cdr.standard_types())
 def test_a_short_definition_of_a_standard_type_is_that_of_ros(name):
-    text = STORE.generate_msgdef(name, ros_version=2)[0].split(schemas._SEPARATOR)[0]
+    text = STORE.generate_msgdef(name, ros_version=2)[0].split(cdr.SEPARATOR)[0]
     assert cdr.fields_of_text(text) == fields_of(name)
 
 
