@@ -26,7 +26,7 @@ from bridge.crazyflie.packets import (
     decode_health,
     decode_state,
 )
-from bridge.crazyflie.rules import Rules
+from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.crazyflie.vehicle import Vehicle
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import CRAZYFLIE_MARK
@@ -34,8 +34,9 @@ from bridge.mavlink.server import telemetry
 from bridge.mavlink.server.commands import ACCEPTED, REJECTED, Reply
 from bridge.mavlink.server.parameters import Parameters, fixed
 from bridge.mavlink.server.profile import ServerProfile
-from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server
+from bridge.mavlink.server.server import COMPONENT_ID, Server
 from bridge.mavlink.server.telemetry import Builder, Snapshot
+from flightstack.core.types import Vec3
 
 READINESS_S = 1.0  # time between two checks of the conditions for arming, s
 _RATE_HZ = 1000.0 / STATE.period_ms  # rate of new states, Hz
@@ -85,7 +86,7 @@ PROFILE = ServerProfile(
 class Node(Server[Vehicle]):
     """MAVLink server of a Crazyflie: call ``take`` and ``handle`` on arrival, then ``step``."""
 
-    def __init__(self, rules: Rules, system_id: int = SYSTEM_ID) -> None:
+    def __init__(self, options: CrazyflieOptions, drag_1_s: Vec3 | None) -> None:
         self.clock = BootClock()  # converts the firmware's time stamps
         self._streamed: list[Message] = []  # messages made from new states and not sent yet
         self._readiness_due_s, self._readiness = READINESS_S, ""
@@ -93,12 +94,13 @@ class Node(Server[Vehicle]):
         self._restarts = 0
         parameters = Parameters(
             (
-                fixed("MAV_SYS_ID", system_id),
+                fixed("MAV_SYS_ID", options.system_id),
                 fixed("MAV_COMP_ID", COMPONENT_ID),
                 fixed("MAV_TYPE", dialect.MAV_TYPE_QUADROTOR),
             )
         )
-        super().__init__(Vehicle(rules), PROFILE, parameters, _RATE_HZ, system_id=system_id)
+        vehicle = Vehicle(options, drag_1_s)
+        super().__init__(vehicle, PROFILE, parameters, _RATE_HZ, system_id=options.system_id)
         self._events: dict[type, Callable[[Any, float], None]] = {
             Connected: self.vehicle.connected,
             Lost: self.vehicle.lost,

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from bridge.crazyflie.node import Node
 from bridge.crazyflie.packets import SetParam
-from bridge.crazyflie.rules import ECHO_MAX_S, ESTIMATOR, KALMAN, CrazyflieOptions, Rules
+from bridge.crazyflie.rules import ECHO_MAX_S, ESTIMATOR, KALMAN, CrazyflieOptions
 from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mavlink.server.server import COMPONENT_ID
@@ -171,9 +171,6 @@ def run(
         package = (error.name or "cflib").partition(".")[0]
         raise ValueError(f"{package} is not installed: {pip_install('crazyflie')}") from error
     check_uri(options.uri)
-    rules = Rules(
-        options.speed_max_m_s, options.land_on_silence, poses is not None, drag_1_s, options.restore
-    )
     kind, host, port = parse_url(options.url)
     with ExitStack() as stack:
         endpoint = open_endpoint(
@@ -186,5 +183,5 @@ def run(
         stop = Stop().install()
         say(f"ready {kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}")
         sys.stdout.flush()
-        loop = Loop(Node(rules, options.system_id), link, endpoint, poses, say)
+        loop = Loop(Node(options, drag_1_s), link, endpoint, poses, say)
         return loop.run(stop, options.duration_s)

@@ -38,15 +38,6 @@ TAKEOFF_MAX_S = 15.0  # time-out of a take-off, s; a climb of 3 m takes 8 s
 TAKEOFF_M = 0.5  # default take-off height above home, m
 
 
-@dataclass(frozen=True, slots=True)
-class Rules:
-    speed_max_m_s: float = SPEED_MAX_M_S
-    land_on_silence: bool = False  # if set-points stop: True: the bridge lands it; False: motors stop
-    mocap: bool = False  # whether poses come from an external system
-    drag_1_s: Vec3 | None = None  # rotor drag for the firmware's filter, body axes; None: unchanged
-    restore: bool = False  # whether the firmware's parameters are restored when the bridge ends
-
-
 @dataclass(frozen=True, kw_only=True)
 class CrazyflieOptions(PoseOptions):
     """Options of the bridge: its connection, limits and firmware settings."""
@@ -59,7 +50,7 @@ class CrazyflieOptions(PoseOptions):
     speed_max_m_s: Annotated[float, Option(
         "--speed-max", "Highest speed of a set-point; a faster one is scaled down to it.", "M/S",
         span=(0.05, 5.0)
-    )] = 1.0  # fmt: skip
+    )] = SPEED_MAX_M_S  # fmt: skip
     land_on_silence: Annotated[bool, Option(
         "--land-on-silence",
         "Land when the client's set-points stop for 1 s; without it the firmware stops the motors at 2 s."

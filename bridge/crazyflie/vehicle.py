@@ -30,6 +30,7 @@ from bridge.crazyflie.rules import Settings
 from bridge.mavlink.server.commander import Commander, Setpoint
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mocap.checks import Passed
+from flightstack.core.types import Vec3
 
 INFO, WARNING = dialect.MAV_SEVERITY_INFO, dialect.MAV_SEVERITY_WARNING
 CRITICAL = dialect.MAV_SEVERITY_CRITICAL
@@ -45,13 +46,14 @@ class Vehicle(Condition, Commander):
     height_range_m = limits.HEIGHT_RANGE_M
     stream_lost_s = limits.STREAM_S
 
-    def __init__(self, rules: limits.Rules) -> None:
+    def __init__(self, options: limits.CrazyflieOptions, drag_1_s: Vec3 | None) -> None:
+        """``drag_1_s``: rotor drag for the firmware's filter, body axes; None: unchanged."""
         Commander.__init__(self)
-        Condition.__init__(self, mocap=rules.mocap)
-        self.rules = rules
+        Condition.__init__(self, mocap=options.mocap_key is not None)
+        self.options = options
         self.takeoff_z_m = limits.TAKEOFF_M
         self._arming = Arming()
-        self.settings = Settings(rules.drag_1_s, restore=rules.restore)
+        self.settings = Settings(drag_1_s, restore=options.restore)
         self._packets: list[Packet] = []
         self._pilot = Pilot()
         self._moved = False  # whether a velocity was sent since arming
@@ -305,11 +307,11 @@ class Vehicle(Condition, Commander):
         if not (self.armed and self.mode is FlightMode.OFFBOARD):
             return
         speed_m_s = math.hypot(*velocity_enu_m_s)
-        if speed_m_s > self.rules.speed_max_m_s:
-            share = self.rules.speed_max_m_s / speed_m_s
+        if speed_m_s > self.options.speed_max_m_s:
+            share = self.options.speed_max_m_s / speed_m_s
             x, y, z = velocity_enu_m_s
             velocity_enu_m_s = (share * x, share * y, share * z)
-            self.texts.refuse(f"Set-point cut to {self.rules.speed_max_m_s:g} m/s", now_s, "fast")
+            self.texts.refuse(f"Set-point cut to {self.options.speed_max_m_s:g} m/s", now_s, "fast")
         state = self.fresh_state(now_s)
         if yaw_rad is not None:
             yaw_rate_rad_s = yaw_rate(yaw_rad, state) if state is not None else 0.0
@@ -381,5 +383,5 @@ class Vehicle(Condition, Commander):
         if silence_s > limits.LEVEL_OUT_S and not self._stream_end_said and self._moved:
             self._stream_end_said = True
             self.texts.say(CRITICAL, "Set-points stopped: firmware levels out, motors off at 2 s")
-        if silence_s > limits.STREAM_S and (self.rules.land_on_silence or self.standing):
+        if silence_s > limits.STREAM_S and (self.options.land_on_silence or self.standing):
             self._fall_back("No set-points", now_s)

@@ -19,7 +19,7 @@ from bridge.crazyflie.packets import (
     SetParam,
     Velocity,
 )
-from bridge.crazyflie.rules import Rules
+from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.ros2.cdr import Pose
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.tables import CODE, LOGS
@@ -43,9 +43,9 @@ class Bench:
     ``mute``: packets from the firmware are lost; ``deaf``: packets to the firmware are lost.
     """
 
-    def __init__(self, firmware: Firmware | None = None, rules: Rules | None = None) -> None:
+    def __init__(self, firmware: Firmware | None = None, drag_1_s=None, **options) -> None:
         self.firmware = firmware or Firmware()
-        self.node = Node(rules or Rules())
+        self.node = Node(CrazyflieOptions(uri="bench", **options), drag_1_s)
         self.now_s = 0.0
         self.sent: list[tuple[float, Packet]] = []  # (time, packet) of all packets that the bridge sent
         self.out: list[tuple[float, object]] = []  # (time, message) of all telemetry that the bridge sent

@@ -25,7 +25,7 @@ from bridge.crazyflie.packets import (
     decompress_quaternion,
 )
 from bridge.crazyflie.process import Loop
-from bridge.crazyflie.rules import DRAG, UNKNOWN_DRAG, Rules
+from bridge.crazyflie.rules import DRAG, UNKNOWN_DRAG
 from bridge.frames import enu_from_ned, yaw_ned_from_enu
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.profiles import profile
@@ -292,12 +292,12 @@ def test_firmware_that_arms_itself_anew_every_30_seconds_is_no_one_who_disarms()
     assert bench.texts.count("Ready to arm") == 1
 
 
-RULES = Rules(drag_1_s=(0.46, 0.46, 0.4), restore=True)
+RULES = {"drag_1_s": (0.46, 0.46, 0.4), "restore": True}
 FOUND = {"stabilizer.estimator": 1.0, **dict.fromkeys(DRAG, 0.0)}
 
 
 def test_what_it_found_is_restored_once_and_confirmed():
-    bench = Bench(rules=RULES).run(0.1)
+    bench = Bench(**RULES).run(0.1)
     settings = bench.vehicle.settings
     packets = settings.leave()
     assert dict(packets) == FOUND
@@ -312,7 +312,7 @@ def test_a_firmware_that_cannot_be_told_its_drag_is_named():
     firmware = Firmware()
     for name in DRAG:
         del firmware.params[name]
-    assert UNKNOWN_DRAG in Bench(firmware, RULES).run(0.1).texts
+    assert UNKNOWN_DRAG in Bench(firmware, **RULES).run(0.1).texts
     assert UNKNOWN_DRAG not in Bench(firmware).run(0.1).texts
 
 

@@ -13,7 +13,6 @@ import pytest
 
 from bridge.crazyflie.packets import Order, SetParam
 from bridge.crazyflie.pilot import UNPLACED_M_S
-from bridge.crazyflie.rules import Rules
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mocap.checks import Passed
 from bridge.ros2.cdr import Pose
@@ -28,6 +27,7 @@ COMMANDS = {
     "arm": "400 1", "disarm": "400 0", "kill": "400 0 21196", "take-off": "22", "land": "21",
     "terminate": "185 1", "offboard": "176 1 6", "hold": "176 1 4 3",
 }  # fmt: skip
+FIRMWARE = ("auto_arm", "needs_poses", "clock_rate")  # options of the firmware model
 SENDERS = {"": CLIENT, "ground": GROUND, "other": OTHER}
 FACTS = {
     "armed": lambda b: b.vehicle.armed,
@@ -45,12 +45,12 @@ FACTS = {
 class Stage(Bench):
     """Plays the steps of a transcript; a step is a method, with "-" or " " instead of "_"."""
 
-    def __init__(self, *arguments, posed=False, tilt_deg=0.0):
+    def __init__(self, firmware, posed=False, tilt_deg=0.0, **options):
         """``posed``: whether the bridge sends external poses; ``tilt_deg``: see ``tilt``."""
         self.mark_s, self.results = 0.0, []
         self.posed = self.poses = posed
         self.tilt(tilt_deg)
-        super().__init__(*arguments)
+        super().__init__(firmware, **options)
 
     def step(self):
         w, x, y, z = self.quaternion
@@ -217,13 +217,12 @@ def flights():
 
 
 def begin(place=(0.0, 0.0), uptime_s=0.0, posed=False, tilt_deg=0.0, **options):
-    options |= {"needs_poses": True, "mocap": True} if posed else {}
-    firmware = Firmware(
-        Point(*place), **{k: v for k, v in options.items() if k in ("auto_arm", "needs_poses")}
-    )
+    model = {name: options.pop(name) for name in FIRMWARE if name in options}
+    if posed:
+        model["needs_poses"], options["mocap_key"] = True, "lab/pose"
+    firmware = Firmware(Point(*place), **model)
     firmware._boot_s = -uptime_s
-    rules = Rules(**{k: v for k, v in options.items() if k in Rules.__dataclass_fields__})
-    return Stage(firmware, rules, posed=posed, tilt_deg=tilt_deg)
+    return Stage(firmware, posed=posed, tilt_deg=tilt_deg, **options)
 
 
 @pytest.mark.parametrize(("options", "steps"), [pytest.param(*rest, id=name) for name, *rest in flights()])
