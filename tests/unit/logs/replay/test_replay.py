@@ -2,7 +2,6 @@
 
 import json
 import math
-import struct
 from dataclasses import replace as with_
 
 import pytest
@@ -60,18 +59,6 @@ def test_a_flight_replays_bit_by_bit(recorded):
     assert result.phases_recorded == result.phases_replayed
     assert [c.phase for c in result.phases_recorded][:2] == ["WAIT", "APPROACH"]
     assert result.command_ticks == 0
-
-
-@pytest.mark.parametrize("name", ["phase", "h_m", "own_position_enu_m.z", "setpoint_sent"])
-def test_a_flipped_bit_of_a_recorded_decision_is_found_and_named(recorded, step, tmp_path, name):
-    offset = offsets(step)[name]
-    changed = rewritten(recorded, tmp_path / "changed.mcap", change=at(STEP, lambda d: flipped(d, offset)))
-    result = replay(changed)
-    assert not result.equal
-    (found,) = result.outputs.first
-    assert (found.topic, found.tick, found.field) == (STEP, TICK, name)
-    assert found.recorded != found.replayed
-    assert (result.outputs.count, result.outputs.ticks) == (1, 1)
 
 
 def offsets(step):
@@ -294,16 +281,6 @@ def test_a_flight_without_a_thrust_reserve_records_no_power_and_leaves_its_state
     assert POWER not in topics
     states = [ControllerStateRow.unpack(m.data) for m in LogFile(recorded).messages({STATE})]
     assert all("ReserveMemory(" in each.layout and '"reserve":' not in each.state for each in states)
-
-
-def test_minus_zero_and_other_nans_are_differences(step):
-    for recorded, replayed in ((0.0, -0.0), (float("nan"), -float("nan"))):
-        offset = offsets(step)["h_m"]
-        a, b = (step[:offset] + struct.pack("<d", v) + step[offset + 8 :] for v in (recorded, replayed))
-        ((name, x, y),) = messages_of(CONTROLLER_STEP, a, b)
-        assert name == "h_m"
-        assert x != y
-        assert list(messages_of(CONTROLLER_STEP, a, a)) == []
 
 
 def test_a_last_tick_without_its_decisions_is_left_out(recorded, tmp_path):
