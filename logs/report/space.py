@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import plotly.graph_objects as go
 
+from flightstack.core.safety.barrier import Barrier
 from logs.curves import BOUNDARY, ESTIMATED, INK, LIMIT, TARGET, TRUE
 from logs.reader.flight_data import Flight, Floats
 from logs.recorder.markers import COLORS
 from logs.report.derived import Side, touch_index
 from logs.report.style import (
     UNSAFE,
-    boundary_height_m,
     layout,
     layout_3d,
     light,
@@ -62,7 +62,7 @@ def trajectory_3d(flight: Flight) -> go.Figure | None:
         return None
     figure = go.Figure()
     if flight.barrier is not None:
-        figure.add_trace(_surface(flight, _distance_max_m(tracks)))
+        figure.add_trace(_surface(flight.barrier, _distance_max_m(tracks)))
     angle = np.linspace(0.0, 2.0 * np.pi, 61)
     rim_m = flight.pad_radius_m * np.column_stack((np.cos(angle), np.sin(angle), np.zeros(61)))
     _line_3d(figure, rim_m, "rim of the pad", TARGET, 6)
@@ -87,11 +87,11 @@ def _camera(start_m: Floats) -> dict[str, float]:
     return {"x": 1.8 * float(np.cos(bearing)), "y": 1.8 * float(np.sin(bearing)), "z": 0.9}
 
 
-def _surface(flight: Flight, distance_max_m: float) -> go.Surface:
+def _surface(barrier: Barrier, distance_max_m: float) -> go.Surface:
     # rings are closer together near the apex, where the boundary bends
     d = distance_max_m * np.linspace(0.0, 1.0, _SURFACE_RINGS) ** 1.4
     angle = np.linspace(0.0, 2.0 * np.pi, _SURFACE_SPOKES)
-    height = np.repeat(boundary_height_m(flight, d)[:, None], len(angle), axis=1)
+    height = np.repeat(np.vectorize(barrier.height)(d)[:, None], len(angle), axis=1)
     rings = float(height.max()) / 6.0
     contour = {
         "show": True,
@@ -117,7 +117,7 @@ def altitude_over_distance(flight: Flight) -> go.Figure | None:
     bottom, top = min(-0.05, float(np.nanmin(heights)) - 0.03), float(np.nanmax(heights))
     if flight.barrier is not None:
         d = np.linspace(0.0, far, 300)
-        b = boundary_height_m(flight, d)
+        b = np.vectorize(flight.barrier.height)(d)
         top, floor = max(top, float(b.max())), np.full_like(d, bottom - 1.0)
         figure.add_trace(line(d, floor, "", "rgba(0,0,0,0)", showlegend=False, hoverinfo="skip"))
         name = "boundary h = 0, unsafe below"

@@ -223,13 +223,6 @@ def light(values: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     return np.asarray(values, dtype=np.float32)
 
 
-def boundary_height_m(flight: Flight, d_m: Floats) -> Floats:
-    """Return the boundary b(d) in m (paper eq. 5) at horizontal distances; needs a barrier."""
-    assert flight.barrier is not None
-    ad = flight.barrier.alpha_1_m * d_m
-    return np.asarray(flight.barrier.beta_m * ad * np.exp(-ad))
-
-
 def words(text: str) -> str:
     """Escape a text for a figure, where plotly interprets some HTML and ``%{...}``."""
     escaped = html.escape(one_line(text), quote=False)
