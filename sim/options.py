@@ -24,7 +24,6 @@ class VehicleOptions(shared.Signing, shared.Simulator):
         "--parameter", "Parameter of the autopilot, set before it starts; repeatable.", "NAME=VALUE",
         read=shared.numbers
     )] = field(default_factory=dict)  # fmt: skip
-    rate_hz: shared.Rate = 100
     lockstep: shared.Lockstep = False
     system_id: shared.SystemId = 1
     member: shared.OneMember = None
@@ -42,8 +41,6 @@ class WorldOptions(shared.Ros2, VehicleOptions):
 @dataclass(frozen=True, kw_only=True)
 class TargetOptions(shared.Ros2, shared.Clocked, shared.Simulator):
     """Options of the process that simulates the ground robot."""
-
-    rate_hz: shared.Rate = 100
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Options of the commands: annotated fields of a dataclass, or arguments of a function, declare each once.
 
-``rate_hz: Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))] = 100`` has name, help, range,
+``seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0`` has name, help, range,
 type and default. ``takes`` reads the dataclass from a command line, ``arguments`` those of a function;
 ``argv`` writes the arguments of a child process, and ``shared`` passes fields on to other options.
 """

@@ -72,7 +72,6 @@ ZenohConfig = Annotated[Path | None, Option(
     "FILE", path="file", exists=True
 )]  # fmt: skip
 Lockstep = Annotated[bool, Option("--lockstep", "Simulated time, as fast as possible, deterministic.")]
-Rate = Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))]
 Recorder = Annotated[Path | None, Option("--recorder", "Socket of a running `record`.", metavar="SOCKET")]
 Namespace = Annotated[str, Option("--namespace", "First part of all Zenoh keys and topics.")]
 Duration = Annotated[

@@ -148,7 +148,7 @@ class _Run:
         flying = kind.start(launcher, options, scenario, self._robots_at)
         if not kind.with_robots:
             own = plugged(
-                TargetOptions, launcher, options, **flying.clock, rate_hz=scenario.rate_hz,
+                TargetOptions, launcher, options, **flying.clock,
                 duration_s=others_s(scenario), listen=(self._robots_at,), connect=(vehicles[0].endpoint,),
             )  # fmt: skip
             launcher.start("target", own).wait_ready()

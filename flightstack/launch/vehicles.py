@@ -54,7 +54,7 @@ def _own(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at:
     child = launcher.start(
         "world",
         plugged(
-            WorldOptions, launcher, options, rate_hz=scenario.rate_hz, duration_s=others_s(scenario),
+            WorldOptions, launcher, options, duration_s=others_s(scenario),
             listen=(robots_at,), url="udpin:127.0.0.1:0", leave_out=tuple(elsewhere),
         ),
     )  # fmt: skip

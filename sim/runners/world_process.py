@@ -191,7 +191,7 @@ def target_main(team: Scenario, options: TargetOptions) -> int:
 
 def _drive(team: Scenario, options: TargetOptions, stop: Stop, stack: ExitStack) -> None:
     clock = chosen_clock(options.speed, options.clock, Follower.TARGET, lambda: stop.is_set)
-    grid = TickGrid(options.rate_hz)
+    grid = TickGrid(team.rate_hz)
     session = zenoh_link.open_session(
         options.listen, options.connect, config_file=options.zenoh_config, prompt=True
     )
@@ -236,7 +236,7 @@ def world_main(team: Scenario, options: VehicleOptions) -> int:
 
 
 def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
-    lockstep, grid, here = options.lockstep, TickGrid(options.rate_hz), _here(team, options)
+    lockstep, grid, here = options.lockstep, TickGrid(team.rate_hz), _here(team, options)
     ids = {number: options.system_id + number - 1 for number in here}
     endpoints = [_opened(options, number, ids[number], stack) for number in here]
     session = _session(team, options, stack)
@@ -250,7 +250,7 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
     for number, (endpoint, _), vehicle in zip(here, endpoints, simulated, strict=True):
         name = team.namespaces(options.namespace)[number]
         log = VehicleLog(feed, epoch_ns, Names(name, ids[number]))
-        autopilot = Autopilot(vehicle, options.rate_hz, system_id=ids[number], epoch_ns=epoch_ns)
+        autopilot = Autopilot(vehicle, team.rate_hz, system_id=ids[number], epoch_ns=epoch_ns)
         for parameter, value in options.parameters.items():
             autopilot.parameters.preset(parameter, value)
         nodes.append(VehicleNode(number, name, vehicle, autopilot, endpoint, log, partial(_tell, name)))

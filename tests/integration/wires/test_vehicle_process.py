@@ -33,7 +33,7 @@ RATE_HZ = 100
 
 
 def vehicle(seed: int, *, lockstep: bool, url: str = "udpin:127.0.0.1:0", **more):
-    return process("vehicle", seed=seed, url=url, lockstep=lockstep, rate_hz=RATE_HZ, **more)
+    return process("vehicle", seed=seed, url=url, lockstep=lockstep, **more)
 
 
 def test_its_time_is_that_of_the_wall() -> None:
