@@ -192,7 +192,7 @@ def _rises(values: Any, at: Any) -> Floats:
 
 def _velocity(axis: int) -> Row:
     def limit(sign: float) -> Callable[[Flight], float | None]:
-        return lambda f: None if f.velocity_max_m_s is None else sign * f.velocity_max_m_s[axis]
+        return lambda f: None if f.config is None else sign * f.config.limits.velocity_max_m_s[axis]
 
     def steps(value: Callable[[Steps], Floats]) -> Callable[[Flight], Values | None]:
         return _of("steps", lambda s: value(s)[:, axis])

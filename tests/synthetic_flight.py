@@ -49,7 +49,6 @@ class Rows:
         default_factory=lambda: {
             "scenario": "synthetic", "seed": "7", "filter": "paper", "mode": "lockstep",
             "rate_hz": str(RATE_HZ), "judge_alpha_1_m": "1.0", "judge_beta_m": "1.5",
-            "velocity_max_x_m_s": "0.2", "velocity_max_y_m_s": "0.2", "velocity_max_z_m_s": "0.5",
             "pad_radius_m": "0.1",
         }
     )  # fmt: skip

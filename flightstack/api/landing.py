@@ -211,7 +211,7 @@ def land(
     except ConfigError as error:  # the traceback shows the robot's function, then this call
         raise error.with_traceback(None) from error.__cause__
     steps = columns(Steps, rows, since(np.array(times_ns, dtype=np.int64), times_ns[0]))
-    seen, limits = done.seen, flown.onboard.limits
+    seen = done.seen
     flight = Flight(
         path=Path(flown.name),
         origin_ns=times_ns[0],
@@ -221,7 +221,6 @@ def land(
         events=seen.events,
         config=flown.onboard,
         barrier=flown.judged_by,
-        velocity_max_m_s=limits.velocity_max_m_s,
         pad_radius_m=seen.pad_radius_m,
     )
     return Landing(done.verdict, flight, seed)

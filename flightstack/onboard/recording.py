@@ -124,18 +124,7 @@ def describe(
 
 def _describe(feed: Feed, flight: Described) -> None:
     config, names = flight.config, flight.names
-    shape, limits = config.barrier.build(), config.limits.velocity_max_m_s
-    metadata = {
-        "filter": config.filter,
-        "mode": "real-time",
-        "rate_hz": str(config.loop.rate_hz),
-        "barrier_alpha_1_m": repr(shape.alpha_1_m),
-        "barrier_beta_m": repr(shape.beta_m),
-        "velocity_max_x_m_s": repr(limits[0]),
-        "velocity_max_y_m_s": repr(limits[1]),
-        "velocity_max_z_m_s": repr(limits[2]),
-        "pad_radius_m": repr(config.touchdown.pad_radius_m),
-    }
+    metadata = {"filter": config.filter, "mode": "real-time", "rate_hz": str(config.loop.rate_hz)}
     if boundary := own_boundary(config.filter):
         metadata["own_boundary"] = boundary
     feed.metadata(names.record("run"), {**metadata, **flight.run})

@@ -21,7 +21,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import labels, named
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
-from flightstack.core.types import Intent, Vec3
+from flightstack.core.types import Intent
 from logs.reader.flight_data import (
     ATTACHMENT,
     PAD_RADIUS_M,
@@ -170,7 +170,6 @@ def _flight(log: LogFile, label: str, by_kind: Mapping[str, list[Message]], prob
         attachments=attachments,
         config=config,
         barrier=_barrier(told),
-        velocity_max_m_s=_velocity_max(run, config),
         pad_radius_m=PAD_RADIUS_M if (radius_m := _number(told, "pad_radius_m")) is None else radius_m,
         pad_carries=run.get("pad") != NO_PAD,
         damage=tuple(damage),
@@ -264,13 +263,6 @@ def _barrier(told: dict[str, str]) -> Barrier | None:
         if alpha_1_m is not None and beta_m is not None:
             return Barrier(alpha_1_m, beta_m)
     return None
-
-
-def _velocity_max(run: dict[str, str], config: FlightConfig | None) -> Vec3 | None:
-    x, y, z = (_number(run, f"velocity_max_{axis}_m_s") for axis in "xyz")
-    if x is not None and y is not None and z is not None:
-        return (x, y, z)
-    return config.limits.velocity_max_m_s if config is not None else None
 
 
 def _number(run: dict[str, str], key: str) -> float | None:

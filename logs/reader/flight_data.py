@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from flightstack.common.strict_toml import from_table, parse_toml
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
-from flightstack.core.types import Intent, Phase, Vec3
+from flightstack.core.types import Intent, Phase
 from logs.schema.rows import ControllerStepColumns, FleetPairRow, LoopTimingColumns, TrueStateColumns
 
 Floats = NDArray[np.float64]
@@ -162,7 +162,6 @@ class Flight(Judged):
     spans: tuple[Span, ...] = ()  # messages to the other members, in order; empty for a vehicle alone
     attachments: dict[str, bytes] = field(default_factory=dict)  # files stored in the log, by name
     barrier: Barrier | None = None  # barrier of the verdict; ``None`` if the log does not hold it
-    velocity_max_m_s: Vec3 | None = None  # velocity box of the filter, m/s; ``None`` if not in the log
     member: str | None = None  # name of the vehicle in the log; None for a flight without a log
     label: str = ""  # name of the vehicle if the log has several
     pad_carries: bool = True  # whether the vehicle can stand on the pad; False only if the log says so

@@ -47,7 +47,7 @@ def test_lands_records_judges_and_reports(tmp_path):
     assert flight.complete
     assert flight.truth is None
     assert flight.metadata["run"]["vehicle"] == words[1]
-    assert flight.metadata["run"]["pad_radius_m"] == "0.1"
+    assert flight.pad_radius_m == 0.1
     assert (flight.metadata["preflight"]["profile"], flight.metadata["preflight"]["problem"]) == ("sitl", "")
     assert not any("UNSAFE" in value for value in flight.metadata["preflight"].values())
     assert (tmp_path / "flight" / "report.html").stat().st_size > 100_000

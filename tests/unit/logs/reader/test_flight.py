@@ -29,7 +29,6 @@ def test_arrays_hold_what_was_written(log):
     assert flight.origin_ns == EPOCH_NS
     assert flight.duration_s == pytest.approx((len(rows.steps) - 1) * 0.01)
     assert (flight.barrier.alpha_1_m, flight.barrier.beta_m) == (1.0, 1.5)
-    assert flight.velocity_max_m_s == (0.2, 0.2, 0.5)
     for index in (0, 500, len(rows.steps) - 1):
         step, true, timing = rows.steps[index], rows.truth[index], rows.timing[index]
         assert flight.steps.t_s[index] == pytest.approx(index * 0.01)
@@ -102,7 +101,7 @@ def test_barrier_from_the_configuration_if_the_run_names_none(log):
     flight = load_flight(log)
     assert flight.barrier.peak_height_m == pytest.approx(0.5)
     assert flight.barrier.peak_distance_m == pytest.approx(2.0)
-    assert flight.velocity_max_m_s == (0.3, 0.3, 0.4)
+    assert flight.config.limits.velocity_max_m_s == (0.3, 0.3, 0.4)
 
 
 def test_one_bad_odometry_sample_is_counted_not_fatal(log):
