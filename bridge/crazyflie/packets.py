@@ -58,17 +58,14 @@ class Outbox:
     def __init__(self) -> None:
         self._ready = threading.Condition()
         self._orders: deque[Order | SetParam] = deque()
-        self._velocity: tuple[Velocity, float] | None = None
-        self._pose: Pose | None = None
+        self._newest: dict[type, tuple[Velocity | Pose, float]] = {}  # newest of each kind, with its time, s
         self._woken = False
 
     def put(self, packet: Packet, now_s: float) -> None:
         """Add a packet; motors-off deletes the queued velocity."""
         with self._ready:
-            if isinstance(packet, Velocity):
-                self._velocity = (packet, now_s)
-            elif isinstance(packet, Pose):
-                self._pose = packet
+            if isinstance(packet, Velocity | Pose):
+                self._newest[type(packet)] = packet, now_s
             else:
                 self._add_order(packet)
             self._ready.notify()
@@ -76,7 +73,7 @@ class Outbox:
     def _add_order(self, order: Order | SetParam) -> None:
         urgent = order in _URGENT
         if urgent:
-            self._velocity = None
+            self._newest.pop(Velocity, None)
         if len(self._orders) >= ORDERS_MAX:
             if not urgent:
                 return
@@ -89,23 +86,20 @@ class Outbox:
     def get(self, timeout_s: float, clock: Callable[[], float]) -> Packet | None:
         """Return the next packet; None: no packet arrived within the time-out."""
         with self._ready:
-            self._ready.wait_for(
-                lambda: self._woken or self._orders or self._velocity or self._pose, timeout_s
-            )
+            self._ready.wait_for(lambda: self._woken or self._orders or self._newest, timeout_s)
             self._woken = False
             if self._orders:
                 return self._orders.popleft()
-            if self._velocity is not None:
-                (velocity, since_s), self._velocity = self._velocity, None
-                if clock() - since_s <= VELOCITY_AGE_MAX_S:
-                    return velocity
-            pose, self._pose = self._pose, None
-            return pose
+            for kind in (Velocity, Pose):
+                packet, since_s = self._newest.pop(kind, (None, 0.0))
+                if packet is not None and (kind is Pose or clock() - since_s <= VELOCITY_AGE_MAX_S):
+                    return packet
+            return None
 
     def clear(self) -> None:
         with self._ready:
             self._orders.clear()
-            self._velocity = self._pose = None
+            self._newest.clear()
 
     def wake(self) -> None:
         with self._ready:

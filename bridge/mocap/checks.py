@@ -64,11 +64,6 @@ class Passed(NamedTuple):
     resets: int  # number of restarts of the series of poses
 
 
-class Step(NamedTuple):
-    passed: tuple[Passed, ...]
-    problem: str | None  # reason why there is no good pose, or None
-
-
 _RATE_WINDOW_S = 1.0
 _REFUSALS = {
     Reading.UNUSABLE: Refusal.STAMP,
@@ -102,13 +97,13 @@ class PoseChecks:
     def __post_init__(self) -> None:
         self._clock = SenderClock(self.limits.late_max_s, self.limits.clock_proof_s)
 
-    def step(self, samples: Sequence[Sample], now_s: float, *, armed: bool) -> Step:
-        """Check samples in their order; no jump is accepted if the vehicle is armed."""
+    def step(self, samples: Sequence[Sample], now_s: float, *, armed: bool) -> tuple[Passed, ...]:
+        """Return the good samples, oldest first; no jump is accepted if the vehicle is armed."""
         good = [passed for sample in samples if (passed := self._judge(sample, armed)) is not None]
         self._count_rate(len(good), now_s)
         kept = tuple(passed for passed in good if self._due(passed.measured_s))
         self.passed += len(kept)
-        return Step(kept, self._problem(now_s))
+        return kept
 
     def _judge(self, sample: Sample, armed: bool) -> Passed | None:
         found = self._look(sample, armed)
@@ -177,7 +172,8 @@ class PoseChecks:
             self._rate_hz = self._in_window / span_s if math.isfinite(span_s) else None
             self._window_s, self._in_window = now_s, 0
 
-    def _problem(self, now_s: float) -> str | None:
+    def problem(self, now_s: float) -> str | None:
+        """Return the reason why there is no good pose, or None."""
         if self._last is None:
             return f"mocap: no pose yet{self._because()}"
         age_s = now_s - self._last.measured_s

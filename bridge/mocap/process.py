@@ -68,7 +68,7 @@ class MocapSource:
     def poll(self, now_s: float, *, armed: bool) -> tuple[Passed, ...]:
         """Return the good poses since the last call, oldest first; never blocks."""
         samples = [self._sample(sample, now_s) for sample in zenoh_link.drain(self._subscriber)]
-        passed, self.problem = self.checks.step(samples, now_s, armed=armed)
+        passed, self.problem = self.checks.step(samples, now_s, armed=armed), self.checks.problem(now_s)
         self._arrived = self._arrived or bool(samples)
         if self._arrived or armed:
             self._search.stop()  # in flight nothing is searched

@@ -25,8 +25,11 @@ _ADMIN = "@ros2_lv"
 _TOPIC = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _TYPE = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)", re.ASCII)
-_DDS_TYPE = re.compile(r"([A-Za-z]\w*)::msg::dds_::([A-Za-z]\w*)_", re.ASCII)
-_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
+_HASH = re.compile(rf"RIHS01_[0-9a-f]{{64}}|{NO_HASH}")
+_KEY = re.compile(
+    rf"(0|[1-9][0-9]{{0,2}})({_TOPIC.pattern})/([A-Za-z]\w*)::msg::dds_::([A-Za-z]\w*)_/({_HASH.pattern})",
+    re.ASCII,
+)
 
 
 class TopicKey(NamedTuple):
@@ -73,7 +76,7 @@ def dds_type(type_name: str) -> str:
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
     """Return a topic's rmw_zenoh key ``DOMAIN/TOPIC/TYPE/HASH``. Raises ValueError: a part is malformed."""
-    if not _HASH.fullmatch(type_hash) and type_hash != NO_HASH:
+    if not _HASH.fullmatch(type_hash):
         raise ValueError(
             f"type hash {type_hash!r}: RIHS01_ and 64 hexadecimal digits are needed, or {NO_HASH}"
         )
@@ -87,17 +90,11 @@ def any_type_key(domain: int, topic: str) -> str:
 
 def parse_topic_key(key: str) -> TopicKey | None:
     """Parse a key of rmw_zenoh; return None for any other key."""
-    parts = key.split("/")
-    if len(parts) < 4:
+    match = _KEY.fullmatch(key)
+    if match is None:
         return None
-    domain, *topic, dds, type_hash = parts
-    match = _DDS_TYPE.fullmatch(dds)
-    name = "/" + "/".join(topic)
-    if match is None or not re.fullmatch(r"0|[1-9][0-9]{0,2}", domain) or not _TOPIC.fullmatch(name):
-        return None
-    if not _HASH.fullmatch(type_hash) and type_hash != NO_HASH:
-        return None
-    return TopicKey(int(domain), name, f"{match[1]}/msg/{match[2]}", type_hash)
+    domain, topic, package, name, type_hash = match.groups()
+    return TopicKey(int(domain), topic, f"{package}/msg/{name}", type_hash)
 
 
 def bridge_key(topic: str) -> str:
