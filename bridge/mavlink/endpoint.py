@@ -16,7 +16,7 @@ from bridge.mavlink.codec.framing import FLAG_SIGNED, Framer, intact, without_si
 from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.signing import Refusal, Signer, SigningKey, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
-from bridge.mavlink.transport.byte_stream import ByteStream, open_stream
+from bridge.mavlink.transport.byte_stream import ByteStream
 from bridge.mavlink.transport.transport import DatagramTransport, EndpointCounters
 from flightstack.config.options import Signing
 
@@ -38,8 +38,7 @@ class LinkCounters:
 
 
 _CHUNKS_PER_CALL = 512  # maximum number of chunks in one call of receive()
-_RECEIVE_MAX_S = 0.004  # limit of the processor time of one call, s
-_UNTIMED_BYTES = 4096  # number of bytes read without reading the clock, which takes as long as a datagram
+_BYTES_PER_CALL = 16384  # number of bytes, about 4 ms of work, after which one call reads no more chunks
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 _OLD = frozenset({Refusal.STALE, Refusal.REPLAYED})  # refusals despite a correct signature
 _ANSWER_S = 1.0  # time between two replies to frames with old timestamps, which may be replayed, s
@@ -105,7 +104,7 @@ class Endpoint:
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._peers = PeerTable(configured if kind == "udpin" else (address,), max_peers)
         self._transport: ByteStream | DatagramTransport = (
-            open_stream(kind, address, self.counters)
+            ByteStream(kind, address, self.counters)
             if kind in ("serial", "tcp")
             else DatagramTransport(url, kind == "udpin", address, self.counters)
         )
@@ -132,9 +131,9 @@ class Endpoint:
         return self._signer is not None
 
     def receive(self) -> list[Received]:
-        """Return the received frames; never blocks or raises. After 4 kB it ends within 4 ms of work."""
+        """Return the received frames; never blocks or raises. After 16 kB the rest waits."""
         received: list[Received] = []
-        size, until_s = 0, math.inf
+        size = 0
         for _ in range(_CHUNKS_PER_CALL):
             chunk = self._transport.receive()
             if chunk is None:
@@ -143,11 +142,8 @@ class Endpoint:
             for frame in self._framer.push(data):
                 self._take(frame, peer, received)
             size += len(data)
-            if size > _UNTIMED_BYTES:
-                now_s = time.thread_time()
-                if now_s > until_s:
-                    break
-                until_s = min(until_s, now_s + _RECEIVE_MAX_S)
+            if size > _BYTES_PER_CALL:
+                break
         if self._signer is not None:
             self._signer.save_if_due()
         return received

@@ -13,7 +13,7 @@ from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
 from bridge.mavlink.endpoint import open_endpoint
 from bridge.mavlink.line_budget import plan
 from bridge.mavlink.profiles import profile
-from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
+from bridge.mavlink.transport.address import is_local, parse_url, resolve
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import (
     Follower,
@@ -76,7 +76,7 @@ class Onboard:
         self.wires = ZenohWires(config, options, self.namespace)
         self.fleet = _fleet(config, options, self.wires.session, self.namespace)
         age_max_s, signed = config.checks.own_age_max_s, options.signing_key is not None
-        line = plan(baud_of(options.vehicle_url), rate_hz, age_max_s, signed=signed)
+        line = plan(parse_url(options.vehicle_url).baud, rate_hz, age_max_s, signed=signed)
         self.link = VehicleLink(
             # the companion has the vehicle's MAVLink system id
             open_endpoint("onboard", options.vehicle_url, options.system_id, COMPONENT_ID, options),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import select
 import socket
 from collections.abc import Iterable, Sequence
@@ -12,11 +11,9 @@ from ipaddress import IPv4Address
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.transport.address import resolve
+from bridge.mavlink.transport.address import parse_peer
 from sim.px4.plant import COMPONENT_ID, SYSTEM_ID
 
-_ENDPOINT = re.compile(r"^([^:/\s]+):(\d{1,5})$")
-_ENDPOINT_HELP = "allowed is HOST:PORT, PORT up to 65535 (0 takes a free one), for example 127.0.0.1:4560"
 _CHUNK = 65536  # maximum bytes per read
 _SEND_MAX_S = 5.0  # maximum time for which PX4's receive buffer may be full, s
 _BAD_DATA: int = dialect.MAVLINK_MSG_ID_BAD_DATA  # negative, as is the id of unknown messages
@@ -29,10 +26,7 @@ class LinkClosedError(ConnectionError):
 
 def parse_endpoint(text: str, *, allow_unsigned: bool) -> tuple[str, int]:
     """Return address and port of ``HOST:PORT``."""
-    match = _ENDPOINT.match(text)
-    if match is None or int(match.group(2)) > 65535:
-        raise ValueError(f"TCP endpoint {text!r} is not understood: {_ENDPOINT_HELP}")
-    host, port = resolve(f"TCP endpoint {text!r}", match.group(1), int(match.group(2)), _ENDPOINT_HELP)
+    host, port = parse_peer(text, "TCP endpoint", port_min=0)
     if not IPv4Address(host).is_loopback and not allow_unsigned:
         raise ValueError(
             f"TCP endpoint {text!r} is open to a network, and PX4's simulator link knows no signatures: "

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mavlink.server.server import COMPONENT_ID
-from bridge.mavlink.transport.address import parse_udp_url
+from bridge.mavlink.transport.address import parse_url
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import (
@@ -310,7 +310,9 @@ def _ready(endpoints: Sequence[tuple[Endpoint, str]], stop: Stop) -> None:
 
 def _opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStack) -> tuple[Endpoint, str]:
     """Open the MAVLink endpoint of a vehicle; return the endpoint, and its URL with the actual port."""
-    kind, host, port = parse_udp_url(options.url, "the simulated vehicle")
+    kind, host, port = parse_url(options.url)
+    if kind not in ("udpin", "udpout"):
+        raise ValueError(f"{options.url!r}: the simulated vehicle supports UDP only; give udpin:HOST:PORT")
     port += number - 1 if port else 0
     if options.lockstep and options.peers:
         raise ValueError("--peer is for real time: in lockstep the companion calls first")

@@ -6,72 +6,55 @@ import re
 import socket
 import time
 from ipaddress import IPv4Address
+from typing import NamedTuple
 
 Peer = tuple[str, int]
 
 DEFAULT_BAUD = 921_600  # default speed of a serial line, bit/s; equal to PX4's TELEM2
 _BAUDS = range(1_200, 12_000_001)  # allowed speeds, bit/s
+_PORT_MAX = 65535
 _URL = re.compile(r"^(udpin|udpout|tcp):(?://)?([^:/\s]+):(\d{1,5})$")
-_IPV6 = re.compile(r"^\w+:(//)?(\[|[^/]*::)")
-_SERIAL = re.compile(r"^serial:(?://(?=/))?(/\S+?)(?::(\d{1,8}))?$")
+_SERIAL = re.compile(r"^(serial):(?://(?=/))?(/\S+?)(?::(\d{1,8}))?$")
 _URL_HELP = (
     "allowed is 'udpin:HOST:PORT' (listen; port 0 takes any free one), 'udpout:HOST:PORT' (send there "
-    "first), 'tcp:HOST:PORT' (connect there), HOST an IPv4 address or a name, PORT up to 65535, or "
-    f"'serial:DEVICE:BAUD' (without BAUD {DEFAULT_BAUD}), for example udpin:127.0.0.1:14540 or "
-    "serial:/dev/ttyACM0:57600"
+    "first), 'tcp:HOST:PORT' (connect there), HOST an IPv4 address (not IPv6) or a name, PORT up to "
+    f"{_PORT_MAX}, or 'serial:DEVICE:BAUD' (BAUD {_BAUDS.start} to {_BAUDS.stop - 1}, without it "
+    f"{DEFAULT_BAUD}), for example udpin:127.0.0.1:14540 or serial:/dev/ttyACM0:57600"
 )
 _PEER = re.compile(r"^([^:/\s]+):(\d{1,5})$")
-_PEER_HELP = "allowed is HOST:PORT, PORT 1 to 65535, for example 127.0.0.1:14550"
 
 
-def parse_url(url: str) -> tuple[str, str, int]:
-    """Split an endpoint URL into kind ("udpin", "udpout", "tcp"), host, port; or "serial", device, bit/s."""
-    line = _SERIAL.match(url)
-    if line is not None:
-        baud = int(line.group(2) or DEFAULT_BAUD)
-        if baud not in _BAUDS:
-            raise ValueError(
-                f"MAVLink URL {url!r} has {baud} baud: allowed is {_BAUDS.start} to {_BAUDS.stop - 1}"
-            )
-        return "serial", line.group(1), baud
-    match = _URL.match(url)
-    if match is None and _IPV6.search(url):
-        raise ValueError(
-            f"MAVLink URL {url!r} has an IPv6 address; MAVLink links here use IPv4 alone: give 127.0.0.1 for "
-            "this machine, or another address or name of IPv4"
-        )
-    if match is None:
-        raise ValueError(f"MAVLink URL {url!r} is not understood: {_URL_HELP}")
-    kind, host, port = match.group(1), match.group(2), int(match.group(3))
-    if port > 65535 or (port == 0 and kind != "udpin"):
-        raise ValueError(f"MAVLink URL {url!r} has port {port}: {_URL_HELP}")
-    return kind, host, port
+class Url(NamedTuple):
+    kind: str  # "udpin", "udpout", "tcp" or "serial"
+    host: str  # host, or device of a serial line
+    port: int  # port, or speed of a serial line, bit/s
+
+    @property
+    def baud(self) -> int | None:
+        """Speed of a serial line, bit/s; None for other links."""
+        return self.port if self.kind == "serial" else None
 
 
-def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
-    """Parse a URL of UDP as ``parse_url`` does; ``who`` is the subject of the error text."""
-    kind, host, port = parse_url(url)
-    if kind not in ("udpin", "udpout"):
-        raise ValueError(
-            f"MAVLink URL {url!r}: {who} supports UDP only; give udpin:HOST:PORT or udpout:HOST:PORT"
-        )
-    return kind, host, port
+def parse_url(url: str) -> Url:
+    """Parse an endpoint URL. Raises ValueError: bad URL."""
+    match = _SERIAL.match(url) or _URL.match(url)
+    if match is not None:
+        found = Url(match.group(1), match.group(2), int(match.group(3) or DEFAULT_BAUD))
+        ports = _BAUDS if found.baud else range(0 if found.kind == "udpin" else 1, _PORT_MAX + 1)
+        if found.port in ports:
+            return found
+    raise ValueError(f"MAVLink URL {url!r} is not understood: {_URL_HELP}")
 
 
-def baud_of(url: str) -> int | None:
-    """Return the speed of a serial line, bit/s; None for other links. Raises ValueError: bad URL."""
-    kind, _, number = parse_url(url)
-    return number if kind == "serial" else None
-
-
-def parse_peer(text: str) -> Peer:
-    """Return the address of a peer ``HOST:PORT``. Raises ValueError: bad text, or no IPv4 address."""
+def parse_peer(text: str, what: str = "MAVLink peer", port_min: int = 1) -> Peer:
+    """Return the address ``HOST:PORT``. Raises ValueError, with ``what``: bad text, or no IPv4 address."""
     match = _PEER.match(text)
-    if "[" in text or "::" in text:
-        raise ValueError(f"MAVLink peer {text!r} has an IPv6 address; MAVLink links here use IPv4 alone")
-    if match is None or not 1 <= int(match.group(2)) <= 65535:
-        raise ValueError(f"MAVLink peer {text!r} is not understood: {_PEER_HELP}")
-    return resolve(f"MAVLink peer {text!r}", match.group(1), int(match.group(2)), _PEER_HELP)
+    allowed = (
+        f"allowed is HOST:PORT, HOST an IPv4 address (not IPv6) or a name, PORT {port_min} to {_PORT_MAX}"
+    )
+    if match is None or not port_min <= int(match.group(2)) <= _PORT_MAX:
+        raise ValueError(f"{what} {text!r} is not understood: {allowed}, for example 127.0.0.1:14550")
+    return resolve(f"{what} {text!r}", match.group(1), int(match.group(2)), allowed)
 
 
 def resolve(what: str, host: str, port: int, help_text: str = _URL_HELP) -> Peer:

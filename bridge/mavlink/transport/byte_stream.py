@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import select
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Sequence
 
 from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import Chunk, EndpointCounters
 
 RETRY_S = 0.5  # time between two tries to open a lost connection, s
 _READ_BYTES = 4096  # maximum number of bytes of one read
+_SLICE_S = 0.005  # longest wait between two writes of pending bytes, s
 _NOTICES_MAX = 32  # maximum number of texts that wait for ``take_notices``
 OUTGOING_MAX = 4096  # maximum number of buffered bytes of TCP; less for a serial line
 _FRAME_MAX = 280  # length of the longest frame, bytes; minimum size of every queue
@@ -31,39 +34,32 @@ _SEND_BUFFER = 4096  # size of the kernel's buffer for TCP, bytes; small to limi
 
 
 class ByteStream:
-    """A serial line or TCP connection that is reopened after a loss.
-
-    ``name`` of the connection and ``peer`` of the other side are for notices and the log. ``connect`` opens a
-    channel, or starts to. ``outgoing_max``: maximum number of bytes that wait.
-    """
+    """A serial line or TCP connection that is reopened after a loss."""
 
     is_stream = True
     local_port = 0
 
-    def __init__(
-        self,
-        name: str,
-        peer: Peer,
-        connect: Callable[[], Channel],
-        counters: EndpointCounters,
-        *,
-        baud: int | None = None,
-        outgoing_max: int = OUTGOING_MAX,
-    ) -> None:
-        self.baud = baud
-        self._name, self._peer, self._connect, self._counters = name, peer, connect, counters
-        self._outgoing_max = outgoing_max
+    def __init__(self, kind: str, address: Peer, counters: EndpointCounters) -> None:
+        """``address``: device and baud ("serial"), or IPv4 address and port ("tcp").
+
+        Raises OSError: the serial line cannot be opened; a refused TCP connection is tried again.
+        """
+        host, number = address
+        self.baud = number if kind == "serial" else None
+        self._name = f"TCP connection to {host}:{number}"
+        self._outgoing_max = OUTGOING_MAX  # maximum number of bytes that wait
+        if self.baud is not None:
+            self._name = f"serial line {host}, {number} baud"
+            self._outgoing_max = _bytes_in(_QUEUE_S, number)
+        self._peer, self._counters = address, counters
         self._channel: Channel | None = None
-        self._was_up = self._closed = self._told = False
+        self._was_up = self._told = False  # whether it was ever connected; whether the loss is reported
         self._lost_s = self._retry_s = time.monotonic()
         self._outgoing = bytearray()  # pending frames; the first one may be sent in part
-        self._notices: list[str] = []
-        self._nothing, self._never = socket.socketpair()  # a descriptor that is never readable
-
-    def open_now(self) -> None:
-        """Open the connection for the first time. Raises OSError: this is not possible."""
-        self._channel = self._connect()
-        self._look()
+        self._notices: deque[str] = deque(maxlen=_NOTICES_MAX)
+        self._nothing = socket.socketpair()  # descriptors that are never readable
+        if self.baud is not None:
+            self._channel = _SerialChannel(address)
 
     def receive(self) -> Chunk | None:
         """Return the next bytes; None: no bytes have arrived."""
@@ -82,91 +78,66 @@ class ByteStream:
 
     def send(self, frames: Sequence[bytes], _peer: Peer) -> None:
         """Send or buffer frames; without a connection or room they are dropped."""
-        if self._ready() is None:
-            self._counters.send_errors += len(frames)
-            return
         for frame in frames:
-            if len(self._outgoing) + len(frame) > self._outgoing_max:
-                self._write()
-            if self._channel is None or len(self._outgoing) + len(frame) > self._outgoing_max:
+            if self._ready() is None:
+                self._counters.send_errors += 1
+            elif len(self._outgoing) + len(frame) > self._outgoing_max:
                 self._counters.outgoing_full += 1
             else:
                 self._outgoing += frame
-        self._write()
+        self._ready()
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for input and write pending frames meanwhile."""
         until_s = time.monotonic() + timeout_s
         while True:
-            channel = self._ready()
-            now_s = time.monotonic()
-            left_s = max(0.0, until_s - now_s)
-            if channel is None:
-                left_s = min(left_s, max(0.0, self._retry_s - now_s) if self._channel is None else RETRY_S)
-            pending = self._channel if channel is None or self._outgoing else None
-            readable, writable, _ = select.select(
-                (channel.fileno(),) if channel is not None else (),
-                (pending.fileno(),) if pending is not None else (),
-                (),
-                min(left_s, RETRY_S),
-            )
-            if readable:
+            channel, left_s = self._ready(), max(0.0, until_s - time.monotonic())
+            inputs = () if channel is None else (channel.fileno(),)
+            if select.select(inputs, (), (), min(left_s, _SLICE_S))[0]:
                 return True
-            if writable:
-                self._write()
-                if self._outgoing:  # wait while the slow line accepts bytes, to avoid a busy loop
-                    time.sleep(min(left_s, 0.001))
-            if time.monotonic() >= until_s:
+            if not left_s:
                 return False
 
     def fileno(self) -> int:
         """Descriptor of the connection; without one, a descriptor that is never readable."""
         channel = self._ready()
-        return self._nothing.fileno() if channel is None else channel.fileno()
+        return self._nothing[0].fileno() if channel is None else channel.fileno()
 
     def take_notices(self) -> list[str]:
-        notices, self._notices = self._notices, []
+        notices = list(self._notices)
+        self._notices.clear()
         return notices
 
     def close(self) -> None:
         """Close the connection; may be called twice."""
-        self._closed = True
-        if self._channel is not None:
-            self._write()
-        if self._channel is not None:
+        self._retry_s = math.inf
+        if self._ready() is not None and self._channel is not None:
             self._channel.close()
             self._channel = None
-        self._nothing.close()
-        self._never.close()
+        for end in self._nothing:
+            end.close()
 
     def _ready(self) -> Channel | None:
-        """Return the connection, reopened when due; None if there is none."""
-        if self._channel is None:
-            now_s = time.monotonic()
-            if self._closed or now_s < self._retry_s:
-                return None
-            self._retry_s = now_s + RETRY_S
-            try:
-                self._channel = self._connect()
-            except OSError as error:
-                self._fail(error)
-                return None
-        return self._look()
-
-    def _look(self) -> Channel | None:
-        """Return the established connection or None; report a new connection."""
-        channel = self._channel
-        assert channel is not None
+        """Return the connection, reopened when due, after writing what it takes; None: there is none."""
         try:
-            if not channel.established():
+            if self._channel is None:
+                if time.monotonic() < self._retry_s:
+                    return None
+                self._channel = (_SerialChannel if self.baud is not None else _TcpChannel)(self._peer)
+            if not self._channel.established():
                 return None
+            if self._told:
+                lost_s = time.monotonic() - self._lost_s
+                self._notices.append(f"{self._name} is connected again after {lost_s:.1f} s")
+            self._was_up, self._told = True, False
+            while self._outgoing and (written := self._channel.write(self._outgoing)):
+                del self._outgoing[:written]
+                self._counters.bytes_out += written
+        except BlockingIOError:  # no room
+            pass
         except OSError as error:
             self._lose(error)
-            return None
-        if self._told:
-            self._say(f"{self._name} is connected again after {time.monotonic() - self._lost_s:.1f} s")
-        self._was_up, self._told = True, False
-        return channel
+        return self._channel
 
     def _lose(self, error: OSError) -> None:
         """Close the connection and drop pending frames, which would be too old later."""
@@ -174,52 +145,14 @@ class ByteStream:
             self._channel.close()
             self._channel = None
         self._outgoing.clear()
-        self._retry_s = time.monotonic() + RETRY_S
-        if self._was_up and not self._told:
-            self._counters.connections_lost += 1
-        self._fail(error)
-
-    def _fail(self, error: OSError) -> None:
-        if self._told:
-            return
-        self._told, self._lost_s = True, time.monotonic()
-        what = "is lost" if self._was_up else "cannot be opened"
-        self._say(f"{self._name} {what} ({error.strerror or error}): tried again every {RETRY_S:g} s")
-
-    def _write(self) -> None:
-        """Write pending bytes as long as there is room."""
-        try:
-            while self._channel is not None and self._outgoing:
-                written = self._channel.write(self._outgoing)
-                if not written:
-                    return
-                del self._outgoing[:written]
-                self._counters.bytes_out += written
-        except BlockingIOError:
-            return
-        except OSError as error:
-            self._lose(error)
-
-    def _say(self, text: str) -> None:
-        self._notices = [*self._notices, text][-_NOTICES_MAX:]
-
-
-def open_stream(kind: str, address: Peer, counters: EndpointCounters) -> ByteStream:
-    """Open a serial line or TCP connection; ``address``: device and baud, or IPv4 address and port."""
-    if kind == "tcp":
-        name = f"TCP connection to {address[0]}:{address[1]}"
-        return ByteStream(name, address, lambda: _TcpChannel(address), counters, outgoing_max=OUTGOING_MAX)
-    device, baud = address
-    stream = ByteStream(
-        f"serial line {device}, {baud} baud",
-        address,
-        lambda: _SerialChannel(device, baud),
-        counters,
-        baud=baud,
-        outgoing_max=_bytes_in(_QUEUE_S, baud),
-    )
-    stream.open_now()
-    return stream
+        now_s = time.monotonic()
+        self._retry_s = now_s + RETRY_S
+        if not self._told:
+            self._told, self._lost_s = True, now_s
+            self._counters.connections_lost += self._was_up
+            what = "is lost" if self._was_up else "cannot be opened"
+            reason = error.strerror or error
+            self._notices.append(f"{self._name} {what} ({reason}): tried again every {RETRY_S:g} s")
 
 
 def _bytes_in(time_s: float, baud: int) -> int:
@@ -233,9 +166,10 @@ def _bytes_in(time_s: float, baud: int) -> int:
 class _SerialChannel:
     """An open serial port. Raises OSError: it cannot be opened or set up."""
 
-    def __init__(self, device: str, baud: int) -> None:
+    def __init__(self, address: Peer) -> None:
         import serial
 
+        device, baud = address
         self._queue_max = _bytes_in(_KERNEL_QUEUE_S, baud)
         try:
             self._port = serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True)

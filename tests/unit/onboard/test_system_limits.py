@@ -171,5 +171,5 @@ def test_what_is_no_text_names_the_encoding(data, said):
 )
 def test_ipv6_is_refused_by_its_name(url):
     for parse in (parse_url, parse_peer):
-        with pytest.raises(ValueError, match=re.escape("IPv4 alone")):
+        with pytest.raises(ValueError, match=re.escape("an IPv4 address (not IPv6)")):
             parse(url)
