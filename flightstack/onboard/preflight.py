@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -49,8 +48,6 @@ def check(
         line = plan(endpoint.baud, rate_hz, age_max_s, signed=endpoint.signed)
     except LineTooSlowError as error:
         return Report(None, None, (), str(error))
-    counters, began_s = endpoint.counters, time.monotonic()
-    before = (counters.bytes_in, counters.bytes_out)
     report = examine(
         endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
         accept_release=accept_release, stopped=stopped, say=say, senders=senders,
@@ -60,10 +57,7 @@ def check(
         report = replace(report, problem=too_low(table, report.rest_v) or None)
     if endpoint.baud is None:
         return report
-    took_s = time.monotonic() - began_s
-    came, went = (counters.bytes_in - before[0]) / took_s, (counters.bytes_out - before[1]) / took_s
-    measured = f"measured in {took_s:.1f} s: {came:.0f} B/s in, {went:.0f} B/s out"
-    return replace(report, line=f"serial line, {endpoint.baud} baud: {line.text}; {measured}")
+    return replace(report, line=f"serial line, {endpoint.baud} baud: {line.text}")
 
 
 def lines(report: Report, *, every: bool = False) -> Iterator[str]:

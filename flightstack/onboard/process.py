@@ -76,7 +76,7 @@ class Onboard:
         self.wires = ZenohWires(config, options, self.namespace)
         self.fleet = _fleet(config, options, self.wires.session, self.namespace)
         age_max_s, signed = config.checks.own_age_max_s, options.signing_key is not None
-        line = plan(parse_url(options.vehicle_url).baud, rate_hz, age_max_s, signed=signed)
+        every = plan(parse_url(options.vehicle_url).baud, rate_hz, age_max_s, signed=signed).every
         self.link = VehicleLink(
             # the companion has the vehicle's MAVLink system id
             open_endpoint("onboard", options.vehicle_url, options.system_id, COMPONENT_ID, options),
@@ -86,7 +86,7 @@ class Onboard:
             defer_timesync=options.lockstep,
             profile=profile(options.autopilot),
             origin=Origin(*origin) if origin is not None else None,
-            line=line,
+            every=every,
             power=config.reserve is not None,
         )
         self.log_file: Path | None = None

@@ -172,12 +172,12 @@ class _Run:
         if autopilot == AUTO and recognised in PROFILES:
             autopilot = recognised
         lockstep = onboard["lockstep"] == "true"
-        line = None
+        every = 1
         if "baud" in onboard:
             signed, age_max_s = onboard.get("signed") == "true", self.config.checks.own_age_max_s
-            line = plan(int(onboard["baud"]), self.config.loop.rate_hz, age_max_s, signed=signed)
+            every = plan(int(onboard["baud"]), self.config.loop.rate_hz, age_max_s, signed=signed).every
         found = self.result.wire = Tally()
-        self.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot, line, found)
+        self.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot, every, found)
 
     def write(self, at: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
         del taken, exec_s

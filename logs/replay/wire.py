@@ -17,7 +17,6 @@ from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
 from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.endpoint import Endpoint, Received
-from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles import profile
 from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import EndpointCounters
@@ -74,7 +73,7 @@ class WireReplay:
         system_id: int,
         lockstep: bool,
         autopilot: str,
-        line: LinePlan | None,
+        every: int,
         found: Tally,
     ) -> None:
         """Create the replayed link at tick 0, whose differences are added to ``found``."""
@@ -90,7 +89,7 @@ class WireReplay:
             defer_timesync=lockstep,
             profile=profile(autopilot),
             origin=Origin(*origin) if origin is not None else None,
-            line=line,
+            every=every,
             power=config.reserve is not None,
         )
         self._vehicle = LinkedVehicle(self._link, lockstep=lockstep)

@@ -22,7 +22,6 @@ from bridge.mavlink.client.texts import EVENT, TextAssembler, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Endpoint, LinkCounters
-from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles import PX4, Profile, found, refusal
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Landed, OwnState, Request
@@ -58,15 +57,16 @@ class VehicleLink:
         system_id: int = 1,
         defer_timesync: bool = False,
         origin: Origin | None = None,
-        line: LinePlan | None = None,
+        every: int = 1,
         power: bool = False,
     ) -> None:
         """Set up the link; it closes ``endpoint``, which has the vehicle's system id.
 
         ``takeoff_height_m``: climb of ``Request.TAKEOFF``; ``rate_hz``: rate of the loop, requested for
         position and attitude; ``profile`` None: the first heartbeat selects it; ``defer_timesync``: lockstep,
-        see below; ``origin``: sent to a vehicle that needs one and has none; ``line``: rates for a slow
-        serial line; ``power``: request the throttle, for ``VehicleState.power``.
+        see below; ``origin``: sent to a vehicle that needs one and has none; ``every``: ticks
+        between set-points and between states, on a slow serial line; ``power``: request the throttle, for
+        ``VehicleState.power``.
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
@@ -84,7 +84,7 @@ class VehicleLink:
         self.heard = False  # whether a message of the vehicle has arrived
         self._target = (system_id, dialect.MAV_COMP_ID_AUTOPILOT1)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
-        self._line, self._setpoints = line, 0
+        self._every, self._setpoints = every, 0
         self._requests = self._senders_for(profile) if profile is not None else None
         self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
         self._assembler = TextAssembler()
@@ -181,7 +181,7 @@ class VehicleLink:
             self._requests.sequencer.note_setpoint(now_s)
         self.state.follow(True)
         self._setpoints += 1
-        if self._line is not None and self._setpoints % self._line.setpoint_every:
+        if self._setpoints % self._every:
             return True  # a slow line skips this set-point; a newer set-point follows
         self._outgoing.append(velocity_setpoint(setpoint, self._target, now_s))
         return True
@@ -214,7 +214,7 @@ class VehicleLink:
 
     def silent_until_s(self, request: Request) -> float:
         """Return the time before which this link sends only set-points, if only vehicle states arrive."""
-        requests, waits = self._requests, self._outgoing or self._held or self._line
+        requests, waits = self._requests, self._outgoing or self._held or self._every > 1
         restarted = self.state.restarted_s != self._restarted_s
         if requests is None or waits or restarted or not self.state.following:
             return -math.inf
@@ -247,7 +247,7 @@ class VehicleLink:
         self.endpoint.close()
 
     def _senders_for(self, profile: Profile) -> _Requests:
-        state_hz = self._rate_hz if self._line is None else self._line.state_hz
+        state_hz = self._rate_hz / self._every
         rates_hz = {
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,
             dialect.MAVLINK_MSG_ID_ATTITUDE: state_hz,

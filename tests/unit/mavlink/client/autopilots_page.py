@@ -133,13 +133,11 @@ def line_rates():
         try:
             plan = line_plan(baud, config.loop.rate_hz, config.checks.own_age_max_s)
         except LineTooSlowError:
-            rows.append((str(baud), "refused", "", "", ""))
+            rows.append((str(baud), "refused", "", ""))
             continue
-        state, setpoint = (f"{hz:.3g} Hz" for hz in (plan.state_hz, plan.setpoint_hz))
-        rows.append((str(baud), state, f"{plan.in_bytes_s:.0f} B/s", setpoint, f"{plan.out_bytes_s:.0f} B/s"))
-    return _table(
-        ("baud", "rate of position and attitude", "received bytes", "rate of set-points", "sent bytes"), rows
-    )
+        sizes = (f"{size:.0f} B/s" for size in (plan.in_bytes_s, plan.out_bytes_s))
+        rows.append((str(baud), f"{plan.hz:.3g} Hz", *sizes))
+    return _table(("baud", "rate of position, attitude and set-points", "received bytes", "sent bytes"), rows)
 
 
 def tables():
