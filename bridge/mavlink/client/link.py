@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -34,14 +33,6 @@ _THROTTLE_HZ = 10.0  # requested rate of VFR_HUD if the thrust reserve is estima
 _TEXTS_MAX = 256  # maximum number of texts that wait for ``take_texts``
 _HELD_MAX = 4096  # maximum number of messages that wait for their tick in lockstep
 _RESTARTED = "restarted, or heard again after a silence: missing telemetry is requested again"
-
-
-class _Requests(NamedTuple):
-    """Senders for one autopilot; each repeats its requests until the vehicle shows their effect."""
-
-    sequencer: CommandSequencer
-    streams: StreamRequests
-    origin: OriginSender
 
 
 class VehicleLink:
@@ -85,8 +76,7 @@ class VehicleLink:
         self._target = (system_id, dialect.MAV_COMP_ID_AUTOPILOT1)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
         self._every, self._setpoints = every, 0
-        self._requests = self._senders_for(profile) if profile is not None else None
-        self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
+        self._use(profile or PX4)  # without a profile, only the kill is sent
         self._assembler = TextAssembler()
         self.endpoint = endpoint
         self._texts: list[tuple[int, str]] = []
@@ -107,7 +97,7 @@ class VehicleLink:
 
     @property
     def failed(self) -> str | None:
-        return self._requests.sequencer.failed if self._requests is not None else None
+        return self._sequencer.failed
 
     def adopt(self, profile: Profile) -> None:
         """Use the profile that the preflight check found."""
@@ -115,7 +105,7 @@ class VehicleLink:
             raise RuntimeError(f"the link flies by {self.state.profile.name} already, not by {profile.name}")
         self.state.profile = profile
         self.state.follow(profile.stream_in_takeoff)
-        self._requests = self._senders_for(profile)
+        self._use(profile)
 
     def poll(self, now_s: float) -> None:
         """Handle all messages that have arrived; queue the heartbeats and telemetry requests that are due.
@@ -155,11 +145,9 @@ class VehicleLink:
 
     def command(self, request: Request, now_s: float) -> None:
         """Send the due commands of the current request; called at every tick."""
-        if self._requests is None:
-            if request is Request.MOTORS_OFF:  # this command needs no profile
-                self._outgoing += self._kill.step(request, None, now_s)
+        sequencer = self._sequencer
+        if self.state.profile is None and request is not Request.MOTORS_OFF:
             return
-        sequencer, _, origin = self._requests
         sequencer.home_amsl_m, sequencer.above_home = self.state.home_amsl_m, self.state.above_home
         commands = sequencer.step(request, self.state.status, now_s)
         self._outgoing += commands
@@ -168,7 +156,7 @@ class VehicleLink:
         if request is Request.NONE:
             own, restarted_s = self.state.own, self.state.restarted_s
             known = self.state.origin_known or (own is not None and own.arrival_s >= restarted_s)
-            self._outgoing += origin.step(self.state.status, known, now_s)
+            self._outgoing += self._origin_sender.step(self.state.status, known, now_s)
 
     def send_setpoint(self, setpoint: ApprovedSetpoint, now_s: float) -> bool:
         """Queue a velocity; no other function sends one. False: not finite, or it would end a take-off."""
@@ -177,8 +165,7 @@ class VehicleLink:
         if profile is None or not self._may_stream(profile) or not math.isfinite(sum(velocity) + yaw):
             self.counters.setpoints_refused += 1
             return False
-        if self._requests is not None:
-            self._requests.sequencer.note_setpoint(now_s)
+        self._sequencer.note_setpoint(now_s)
         self.state.follow(True)
         self._setpoints += 1
         if self._setpoints % self._every:
@@ -209,18 +196,17 @@ class VehicleLink:
     @property
     def heeded(self) -> frozenset[int]:
         """Ids of the messages that have an effect on this link."""
-        asked = self._requests.streams.asked if self._requests is not None else ()
-        return frozenset((*self._handlers, *self.state.heeded, *asked))
+        return frozenset((*self._handlers, *self.state.heeded, *self._streams.asked))
 
     def silent_until_s(self, request: Request) -> float:
         """Return the time before which this link sends only set-points, if only vehicle states arrive."""
-        requests, waits = self._requests, self._outgoing or self._held or self._every > 1
-        restarted = self.state.restarted_s != self._restarted_s
-        if requests is None or waits or restarted or not self.state.following:
+        state, waits = self.state, self._outgoing or self._held or self._every > 1
+        restarted = state.restarted_s != self._restarted_s
+        if state.profile is None or waits or restarted or not state.following:
             return -math.inf
-        if not requests.sequencer.idle(request, self.state.status):
+        if not self._sequencer.idle(request, state.status):
             return -math.inf
-        return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, requests.streams.quiet_until_s)
+        return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, self._streams.quiet_until_s)
 
     def hear(self, now_s: float) -> bool:
         """Handle messages between ticks and send a due heartbeat; return False if more work is due."""
@@ -237,16 +223,16 @@ class VehicleLink:
         """Record ticks that ran without ``poll``; ``setpoints``: all of them sent a set-point, else none."""
         self.state.took(own)
         self._setpoints += ticks if setpoints else 0
-        if self._requests is not None:
-            for id_ in (dialect.MAVLINK_MSG_ID_ATTITUDE, dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
-                self._requests.streams.seen(id_, ticks)
-            if setpoints:
-                self._requests.sequencer.note_setpoint(own.arrival_s)
+        for id_ in (dialect.MAVLINK_MSG_ID_ATTITUDE, dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
+            self._streams.seen(id_, ticks)
+        if setpoints:
+            self._sequencer.note_setpoint(own.arrival_s)
 
     def close(self) -> None:
         self.endpoint.close()
 
-    def _senders_for(self, profile: Profile) -> _Requests:
+    def _use(self, profile: Profile) -> None:
+        """Make the senders for one autopilot; they repeat requests until the vehicle shows their effect."""
         state_hz = self._rate_hz / self._every
         rates_hz = {
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,
@@ -255,11 +241,9 @@ class VehicleLink:
             **profile.asked_hz,
             **({dialect.MAVLINK_MSG_ID_VFR_HUD: _THROTTLE_HZ} if self._power else {}),
         }
-        return _Requests(
-            CommandSequencer(profile, *self._target, self._takeoff_height_m),
-            StreamRequests(rates_hz, *self._target, profile.unset),
-            OriginSender(self._origin if profile.needs_origin else None, self._target[0]),
-        )
+        self._sequencer = CommandSequencer(profile, *self._target, self._takeoff_height_m)
+        self._streams = StreamRequests(rates_hz, *self._target, profile.unset)
+        self._origin_sender = OriginSender(self._origin if profile.needs_origin else None, self._target[0])
 
     def _recognise(self, heartbeat: Message) -> None:
         profile = found(heartbeat.autopilot)
@@ -269,19 +253,16 @@ class VehicleLink:
 
     def _may_stream(self, profile: Profile) -> bool:
         """Whether a set-point would neither end nor prevent a take-off of the vehicle."""
-        if profile.stream_in_takeoff or self._requests is None:
+        if profile.stream_in_takeoff:
             return True
         status = self.state.status
         standing = status is not None and status.landed is Landed.ON_GROUND
-        return self._requests.sequencer.request is not Request.TAKEOFF and (
-            self.state.following or not standing
-        )
+        return self._sequencer.request is not Request.TAKEOFF and (self.state.following or not standing)
 
     def _handle(self, message: Message, arrival_s: float) -> None:
         message_id: int = message.get_msgId()  # STATUSTEXT has a field named id, so .id cannot be used
-        if self._requests is not None:
-            self._requests.streams.seen(message_id)
-        elif message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+        self._streams.seen(message_id)
+        if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT and self.state.profile is None:
             self._recognise(message)
         handler = self._handlers.get(message_id)
         if handler is not None:
@@ -290,8 +271,7 @@ class VehicleLink:
             self.state.update(message, arrival_s)
 
     def _on_ack(self, message: Message, _arrival_s: float) -> None:
-        if self._requests is not None:
-            self._requests.sequencer.note_ack(message.command, message.result)
+        self._sequencer.note_ack(message.command, message.result)
 
     def _on_text(self, message: Message, _arrival_s: float) -> None:
         for severity, text in self._assembler.add(message):
@@ -305,8 +285,7 @@ class VehicleLink:
     def _said(self, severity: int, text: str) -> None:
         """Pass on a status text of the vehicle; the text may be the reason of a failed command."""
         self._say(severity, text)
-        if self._requests is not None:
-            self._requests.sequencer.note_text(text)
+        self._sequencer.note_text(text)
 
     def _on_timesync(self, message: Message, arrival_s: float) -> None:
         if message.tc1 != 0:
@@ -333,13 +312,13 @@ class VehicleLink:
         if now_s - self._heartbeat_at_s >= _HEARTBEAT_S - 1e-9:
             self._heartbeat_at_s = now_s
             self._outgoing.append(companion_heartbeat())
-        if self.state.autopilot is not None and self._requests is not None:
+        if self.state.autopilot is not None and self.state.profile is not None:
             if self.state.restarted_s != self._restarted_s:
                 self._restarted_s = self.state.restarted_s
-                self._requests.streams.restart()
-                self._requests.origin.restart()
+                self._streams.restart()
+                self._origin_sender.restart()
                 self._say(dialect.MAV_SEVERITY_INFO, _RESTARTED)
-            self._outgoing += self._requests.streams.step(now_s)
+            self._outgoing += self._streams.step(now_s)
         self._warn()
 
     def _warn(self) -> None:
