@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
@@ -17,25 +17,8 @@ from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.signing import Refusal, Signer, SigningKey, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
 from bridge.mavlink.transport.byte_stream import ByteStream
-from bridge.mavlink.transport.transport import DatagramTransport, EndpointCounters
+from bridge.mavlink.transport.transport import DatagramTransport
 from flightstack.config.options import Signing
-
-_SENDERS_MAX = 16  # maximum number of other systems and components with a counter
-
-
-@dataclass(slots=True)
-class LinkCounters:
-    foreign: int = 0  # number of frames from other systems or components
-    held_lost: int = 0  # number of frames received in lockstep for which no tick arrived
-    setpoints_refused: int = 0  # number of refused set-points: not finite, or sent during a take-off
-    # frames of other senders, by system and component
-    senders: dict[tuple[int, int], int] = field(default_factory=dict)
-
-    def add_foreign(self, sender: tuple[int, int]) -> None:
-        self.foreign += 1
-        if sender in self.senders or len(self.senders) < _SENDERS_MAX:
-            self.senders[sender] = self.senders.get(sender, 0) + 1
-
 
 _CHUNKS_PER_CALL = 512  # maximum number of chunks in one call of receive()
 _BYTES_PER_CALL = 16384  # number of bytes, about 4 ms of work, after which one call reads no more chunks
@@ -100,7 +83,7 @@ class Endpoint:
         # The recorder's callback: it receives every valid frame of both directions without the signature, and
         # frames of unknown messages, whose checksum cannot be checked.
         self.tap: Tap | None = None
-        self.counters = EndpointCounters()  # numbers of frames and bytes by outcome
+        self.counters = Counter[str]()  # numbers of frames and bytes by outcome, see docs/how_to/security.md
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._peers = PeerTable(configured if kind == "udpin" else (address,), max_peers)
         self._transport: ByteStream | DatagramTransport = (
@@ -153,7 +136,7 @@ class Endpoint:
         counters = self.counters
         refused = self._refused(frame)
         if refused is not None:
-            counters.add(refused.value)
+            counters[refused.value] += 1
             if refused in _OLD:
                 self._answer_stale(peer)
             return
@@ -166,14 +149,14 @@ class Endpoint:
         try:
             message = decode(frame)
         except Exception:  # an invalid frame from the network must never stop the loop
-            counters.undecodable += 1
+            counters["undecodable"] += 1
             return
         if message.get_msgId() == _SETUP_SIGNING:  # keys are read only from files and must not be logged
-            counters.setup_signing += 1
+            counters["setup_signing"] += 1
             return
-        counters.received += 1
+        counters["received"] += 1
         if not self._peers.heard(peer, heartbeat=message.get_msgId() == _HEARTBEAT):
-            counters.peers_refused += 1
+            counters["peers_refused"] += 1
         if self.tap is not None:
             self.tap(Direction.IN, frame, peer)
         received.append(Received(message, frame, peer))
@@ -182,7 +165,7 @@ class Endpoint:
         """Return the reason why signing rejects a frame; None: the frame is accepted."""
         signed = frame[2] & FLAG_SIGNED
         if self._signer is None:
-            self.counters.unchecked += signed  # handled like an unsigned frame
+            self.counters["unchecked"] += signed  # handled like an unsigned frame
             return None
         return self._signer.refusal(frame) if signed else Refusal.UNSIGNED
 
@@ -194,7 +177,7 @@ class Endpoint:
         self._answered_s = now_s
         frame = self._heartbeat.pack(self._mav)  # depends on wall time: neither numbered nor recorded
         self._transport.send((self._signer.sign(frame),), peer)
-        self.counters.stale_answered += 1
+        self.counters["stale_answered"] += 1
 
     def wait(self, timeout_s: float) -> bool:
         return self._transport.wait(max(0.0, timeout_s))
@@ -232,7 +215,7 @@ class Endpoint:
             wire = [self._signer.sign(frame) for frame in frames]
         for to in peers:
             self._transport.send(wire, to)
-        self.counters.sent += len(frames) * len(peers)
+        self.counters["sent"] += len(frames) * len(peers)
         if self.tap is not None:
             for frame in frames:
                 self.tap(Direction.OUT, frame, peers[0])

@@ -14,6 +14,7 @@ from bridge.mavlink.endpoint import open_endpoint
 from bridge.mavlink.line_budget import plan
 from bridge.mavlink.profiles import profile
 from bridge.mavlink.transport.address import is_local, parse_url, resolve
+from bridge.mavlink.transport.transport import dropped
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import (
     Follower,
@@ -119,9 +120,10 @@ class Onboard:
         for severity, text in link.take_texts():
             self.waiting.note_text(tick.now_s, severity, text)
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
-        if link.counters.foreign >= self._foreign_due:  # the report is repeated when the count doubles
-            self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
-            self._foreign_due = 2 * link.counters.foreign
+        foreign = link.foreign.total()
+        if foreign >= self._foreign_due:  # the report is repeated when the count doubles
+            self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {foreign}")
+            self._foreign_due = 2 * foreign
         notices = (*link.endpoint.take_notices(), *link.senders.take_notices())
         for text in (*notices, *self.wires.texts(tick.now_s), *self.fleet.texts()):
             self.warn(text, tick.unix_ns)
@@ -178,13 +180,12 @@ class Onboard:
     def close(self) -> None:
         """Close all links; the feed informs the recorder of its end."""
         counters, took_s = self.link.endpoint.counters, time.monotonic() - self.opened_s
-        if dropped := counters.dropped():
-            print(f"onboard: MAVLink frames rejected: {dropped}", file=sys.stderr)
+        if lost := dropped(counters):
+            print(f"onboard: MAVLink frames rejected: {lost}", file=sys.stderr)
         if self.link.endpoint.baud is not None:
+            came, went = counters["bytes_in"] / took_s, counters["bytes_out"] / took_s
             print(
-                f"onboard: serial line in {took_s:.1f} s: {counters.bytes_in / took_s:.0f} B/s in, "
-                f"{counters.bytes_out / took_s:.0f} B/s out, {counters.garbage_bytes} bytes in no frame, "
-                f"lost {counters.connections_lost} times",
+                f"onboard: serial line in {took_s:.1f} s: {came:.0f} B/s in, {went:.0f} B/s out",
                 file=sys.stderr,
             )
         # the fleet is first: in lockstep other members wait for its last message

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from operator import attrgetter
 
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.client.senders import Arrivals, why_silent
+from bridge.mavlink.client.senders import why_silent
 from flightstack.core.controller import WARN, Outputs
 from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import target_below
@@ -49,7 +48,7 @@ class _Pace:
         return f"{what}: one every {every_s:.2f} s ({1.0 / every_s:.1f} Hz); checks.{key} allows {most_s:g} s"
 
 
-_REFUSED = {  # by the fields of ``StateCounters``
+_REFUSED = {  # by the names of ``VehicleState.counters``
     "not_finite": "positions contain numbers that are not finite or out of range",
     "without_yaw": "positions arrive without ATTITUDE, which contains the heading",
     "out_of_order": "positions have a time that does not advance",
@@ -86,8 +85,8 @@ class WaitReport:
         self._config, self._system_id, self._link, self._wires = config, system_id, link, wires
         self._searches = searches
         self._due_s = PERIOD_S
-        self._arrivals = Arrivals()
-        self._refused: dict[str, int] = {}
+        self._counted: Counter[str] = Counter()  # counters of the endpoint at the last report
+        self._refused: Counter[str] = Counter()
         self._arrived = self._refused_before = self._accepted = 0  # numbers of target samples
         self._heartbeats, self._states, self._samples = _Pace(), _Pace(), _Pace()
         # newest texts of the vehicle that may be reasons, and newest ones of any severity, with their newest
@@ -157,16 +156,16 @@ class WaitReport:
 
     def _silence(self, heard_s: float | None) -> str:
         """Return why no heartbeat has arrived for this time; None: none has ever arrived."""
-        grown = self._arrivals.grown(self._link.endpoint.counters)
+        counted, self._counted = self._counted, self._link.endpoint.counters.copy()
         time = f" for {heard_s:.0f} s" if heard_s is not None else ""
-        return why_silent(self._system_id, grown, self._link.counters.senders, time=time)
+        return why_silent(self._system_id, self._counted - counted, self._link.foreign, time=time)
 
     def of_vehicle(self, at: Snapshot, now_s: float) -> Sequence[str]:
         """Return what is missing of the vehicle, one sentence each; the counters start anew."""
         checks, own, status = self._config.checks, at.inputs.own, at.inputs.status
         heard_s = now_s - status.arrival_s if status is not None else None
         own_age_s = now_s - own.arrival_s if own is not None else None
-        before, self._refused = self._refused, asdict(self._link.state.counters)
+        before, self._refused = self._refused, self._link.state.counters.copy()
         silence = self._silence(heard_s)
         beats = self._heartbeats.seldom("heartbeats", heard_s, "status_age_max_s", checks.status_age_max_s)
         rare = self._states.seldom("positions", own_age_s, "own_age_max_s", checks.own_age_max_s)
@@ -179,7 +178,7 @@ class WaitReport:
                 old = (
                     f"position is {own_age_s:.1f} s old; checks.own_age_max_s allows {checks.own_age_max_s:g}"
                 )
-            refused = (text for name, text in _REFUSED.items() if self._refused[name] > before.get(name, 0))
+            refused = (text for name, text in _REFUSED.items() if self._refused[name] > before[name])
             texts = [next(refused, old)]
         elif not rare and not at.own_ok:
             texts = ["position and velocity of the vehicle do not agree (checks.own_drift_max_m)"]

@@ -8,7 +8,7 @@ numbers.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -19,7 +19,6 @@ from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.profiles import profile
 from bridge.mavlink.transport.address import Peer
-from bridge.mavlink.transport.transport import EndpointCounters
 from bridge.target.odometry import RawSample
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
@@ -38,7 +37,7 @@ class RecordedEndpoint(Endpoint):
 
     def __init__(self, system_id: int) -> None:
         self.tap = None
-        self.counters = EndpointCounters()
+        self.counters = Counter()
         self.warnings = ()
         self.local_port, self.baud = 0, None
         self.incoming: deque[tuple[bytes, str]] = deque()  # recorded frames with the name of their peer

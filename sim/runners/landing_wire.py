@@ -8,6 +8,7 @@ decoded completely.
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,7 +18,6 @@ from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.transport.address import Peer
-from bridge.mavlink.transport.transport import EndpointCounters
 
 PEER: Peer = ("in-process", 0)
 
@@ -56,7 +56,7 @@ class Inlet(Endpoint):
 
     def __init__(self, system_id: int, component_id: int) -> None:
         self.tap = None
-        self.counters = EndpointCounters()
+        self.counters = Counter()
         self.warnings = ()
         self.other: Inlet = self  # the other end, which receives sent messages
         # function that runs the other side; called when this end waits

@@ -194,7 +194,7 @@ class LockstepVehicle:
                 self._give_up()
                 break
             wall_s = time.monotonic()
-            if wall_s - repeat_s > (_REPEAT_S if endpoint.counters.received else _REPEAT_UNHEARD_S):
+            if wall_s - repeat_s > (_REPEAT_S if endpoint.counters["received"] else _REPEAT_UNHEARD_S):
                 repeat_s = wall_s
                 self._repeat()
         # handle frames that the companion sent before its end

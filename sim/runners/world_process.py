@@ -21,6 +21,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mavlink.server.server import COMPONENT_ID
 from bridge.mavlink.transport.address import parse_url
+from bridge.mavlink.transport.transport import dropped
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import (
@@ -352,7 +353,6 @@ def _tell(name: str, armed: bool) -> None:
 
 
 def _close(endpoint: Endpoint) -> None:
-    dropped = endpoint.counters.dropped()
-    if dropped:
-        print(f"vehicle: MAVLink frames rejected: {dropped}", file=sys.stderr)
+    if lost := dropped(endpoint.counters):
+        print(f"vehicle: MAVLink frames rejected: {lost}", file=sys.stderr)
     endpoint.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -20,7 +21,7 @@ from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.client.texts import EVENT, TextAssembler, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.endpoint import Endpoint, LinkCounters
+from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.profiles import PX4, Profile, found, refusal
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Landed, OwnState, Request
@@ -61,9 +62,10 @@ class VehicleLink:
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
-        # ``state`` decodes telemetry and keeps the newest values and the profile; ``counters``: rejections
+        # ``state`` decodes telemetry and keeps the newest values and the profile
         self.state = VehicleState(profile)
-        self.counters, self.senders = LinkCounters(), Senders()
+        self.senders = Senders()
+        self.foreign = Counter[tuple[int, int]]()  # frames of other systems and components
         # lockstep: TIMESYNC requests are passed to ``take_timesync``, and each message gets the simulated
         # time of the TIMESYNC request that follows it
         self.defer_timesync = defer_timesync
@@ -120,7 +122,7 @@ class VehicleLink:
         for received in self.endpoint.receive():
             message = received.message
             if received.sender != target:
-                self.counters.add_foreign(received.sender)
+                self.foreign[received.sender] += 1
                 continue
             if not self.senders.admits(message, received.peer, now_s, armed=armed):
                 continue
@@ -134,10 +136,7 @@ class VehicleLink:
                 held, self._held = self._held, []
                 for one in held:
                     self._handle(one, tick_s)
-        surplus = len(self._held) - _HELD_MAX  # a vehicle that sends no TIMESYNC requests is not in lockstep
-        if surplus > 0:
-            self.counters.held_lost += surplus
-            del self._held[:surplus]
+        del self._held[:-_HELD_MAX]  # a vehicle that sends no TIMESYNC requests is not in lockstep
         if not self.heard:
             self._say_hello()
         elif tick_s is not None:
@@ -163,7 +162,6 @@ class VehicleLink:
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
         profile = self.state.profile
         if profile is None or not self._may_stream(profile) or not math.isfinite(sum(velocity) + yaw):
-            self.counters.setpoints_refused += 1
             return False
         self._sequencer.note_setpoint(now_s)
         self.state.follow(True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -18,7 +18,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import named
 from bridge.mavlink.transport.address import Peer
-from bridge.mavlink.transport.transport import EndpointCounters
 
 SILENT_S = 2.5  # time without a frame after which the known sender is not alive, s; heartbeats have 1 Hz
 _APART_S = 0.5  # time of alternating addresses that proves two senders, s; reordering takes less time
@@ -226,19 +225,6 @@ _DAMAGE: _Causes = (
 )
 
 _NO_DATA = "no data arrives; check that the vehicle is on and that its link leads to the address of --vehicle"
-
-
-class Arrivals:
-    """Measures how much an endpoint's counters have grown since the last call."""
-
-    def __init__(self) -> None:
-        self._before: dict[str, int] = {}
-
-    def grown(self, counters: EndpointCounters) -> dict[str, int]:
-        now = asdict(counters)
-        grown = {name: n - self._before.get(name, 0) for name, n in now.items()}
-        self._before = now
-        return {name: n for name, n in grown.items() if n > 0}
 
 
 def why_silent(

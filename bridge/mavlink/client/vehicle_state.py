@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import Counter
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -38,24 +38,14 @@ class Battery(NamedTuple):
     share: float | None  # remaining charge, 0 to 1
 
 
-@dataclass(slots=True)
-class StateCounters:
-    """Numbers of rejected telemetry messages by reason."""
-
-    not_finite: int = 0  # messages with NaN, infinite or implausibly large numbers
-    out_of_order: int = 0  # messages with a time stamp not later than the newest
-    ahead: int = 0  # messages with a time stamp in the future
-    without_yaw: int = 0  # positions without a recent attitude
-    other_autopilot: int = 0  # heartbeats of an autopilot that is not configured, or not of a multirotor
-
-
 class VehicleState:
     """Newest state and status of the vehicle from its messages; the caller has checked the sender."""
 
     def __init__(self, profile: Profile | None) -> None:
         # profile with the meaning of the modes; None: still unknown, so no status is available
         self.profile = profile
-        self.counters = StateCounters()
+        # numbers of rejected messages; ``onboard.waiting`` shows the reasons
+        self.counters = Counter[str]()
         self.own: OwnState | None = None  # newest vehicle state; None before a position and an attitude
         # newest status, None before a heartbeat; ``arrival_s`` is the heartbeat's arrival
         self.status: VehicleStatus | None = None
@@ -133,11 +123,11 @@ class VehicleState:
     def _on_position(self, m: Message, arrival_s: float) -> None:
         time_s: float = m.time_boot_ms * 1e-3
         if not _usable(m.x, m.y, m.z, m.vx, m.vy, m.vz):
-            self.counters.not_finite += 1
+            self.counters["not_finite"] += 1
         elif not self._in_time(self._position_clock, time_s, arrival_s):
             return
         elif self._yaw_enu_rad is None or abs(time_s - self._yaw_time_s) > _YAW_AGE_MAX_S:
-            self.counters.without_yaw += 1
+            self.counters["without_yaw"] += 1
         else:
             position, velocity = enu_from_ned((m.x, m.y, m.z)), enu_from_ned((m.vx, m.vy, m.vz))
             self.own = OwnState(arrival_s, time_s, position, velocity, self._yaw_enu_rad)
@@ -145,7 +135,7 @@ class VehicleState:
     def _on_attitude(self, m: Message, arrival_s: float) -> None:
         time_s: float = m.time_boot_ms * 1e-3
         if not _usable(m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed):
-            self.counters.not_finite += 1
+            self.counters["not_finite"] += 1
         elif self._in_time(self._attitude_clock, time_s, arrival_s):
             # the age of a heading is relative to the time stamp of the position
             self._yaw_enu_rad = yaw_enu_from_ned(m.yaw)
@@ -159,9 +149,9 @@ class VehicleState:
         if reading is Reading.STEPPED:
             self._restart(arrival_s)
         elif reading is Reading.AHEAD:
-            self.counters.ahead += 1
+            self.counters["ahead"] += 1
         elif not reading.good:
-            self.counters.out_of_order += 1
+            self.counters["out_of_order"] += 1
         return reading.good
 
     def _on_heartbeat(self, m: Message, arrival_s: float) -> None:
@@ -170,7 +160,7 @@ class VehicleState:
         self._beat_s = arrival_s
         self.autopilot, self.type, profile = m.autopilot, m.type, self.profile
         if profile is None or refusal(m.autopilot, m.type, profile) is not None:
-            self.counters.other_autopilot += 1  # ignored: its mode numbers have another meaning
+            self.counters["other_autopilot"] += 1  # ignored: its mode numbers have another meaning
             return
         armed = bool(m.base_mode & _ARMED)
         if not armed and not profile.stream_in_takeoff:

@@ -11,7 +11,7 @@ counts if its header is plausible, no checked frame starts within it, and the da
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
 from enum import IntEnum
 
 from bridge.mavlink.codec.messages import CRC_EXTRA, MESSAGES, checksum, message_id
@@ -24,18 +24,6 @@ _CHECKSUM = 2  # length of the checksum, bytes
 _SIGNATURE = 13  # number of bytes of link id, timestamp and signature
 FLAG_SIGNED = 0x01  # the only incompatibility flag that MAVLink 2 defines
 REST_MAX = 560  # maximum number of buffered bytes of a stream: two frames of the largest length
-
-
-@dataclass(slots=True)
-class FrameCounters:
-    """Counters of dropped bytes and frames, for the log and for diagnosis."""
-
-    garbage_bytes: int = 0  # number of bytes that belong to no accepted frame
-    bad_crc: int = 0  # number of possible frames of a known message with a wrong checksum
-    unknown_id: int = 0  # number of possible frames of an unknown message that following bytes do not confirm
-    unknown_frames: int = 0  # number of frames of unknown messages: recorded, but not checked or decoded
-    version_1: int = 0  # number of valid MAVLink 1 frames; they are rejected: MAVLink 1 has no signatures
-    undecodable: int = 0  # number of frames with a correct checksum and an invalid payload
 
 
 class NoFrame(IntEnum):
@@ -51,10 +39,11 @@ class Framer:
 
     Frames extend from marker to checksum, or to the end of the signature. After a frame, a stream waits for
     the complete next frame; after noise only for a header of a known message with a fitting length, so a
-    stray 0xFD does not delay frames. Only the first byte of a wrong candidate is skipped.
+    stray 0xFD does not delay frames. Only the first byte of a wrong candidate is skipped. Dropped bytes and
+    frames are counted by the names in docs/how_to/security.md.
     """
 
-    def __init__(self, counters: FrameCounters, *, stream: bool = False) -> None:
+    def __init__(self, counters: Counter[str], *, stream: bool = False) -> None:
         self._count, self._stream = counters, stream
         self._rest = b""
         self._in_sync = True  # whether a frame may start at the first buffered byte
@@ -67,15 +56,15 @@ class Framer:
             end = frame_end(data, pos, size, count)
             if end == NoFrame.UNKNOWN:
                 end = self._unknown_end(data, pos, size)
-                count.unknown_frames += end > 0
-                count.unknown_id += end == NoFrame.INVALID
+                count["unknown_frames"] += end > 0
+                count["unknown_id"] += end == NoFrame.INVALID
             if end == NoFrame.CUT_SHORT and self._worth_waiting(data, pos, size):
                 break
             self._in_sync = end > 0
             if end <= 0:
-                count.garbage_bytes += 1
+                count["garbage_bytes"] += 1
             elif data[pos] == _MARKER_V1:
-                count.version_1 += 1
+                count["version_1"] += 1
             else:
                 found.append(data[pos:end])
             pos = max(end, pos + 1)
@@ -99,14 +88,14 @@ class Framer:
         if self._stream and end == size:
             return NoFrame.CUT_SHORT
         within = (at for at in range(pos + 1, end) if data[at] == _MARKER_V2)
-        hides = any(frame_end(data, at, size, FrameCounters()) > 0 for at in within)
+        hides = any(frame_end(data, at, size, Counter()) > 0 for at in within)
         followed = end == size or data[end] == _MARKER_V2
         return end if followed and _has_sender(data, pos) and not hides else NoFrame.INVALID
 
 
-def split_frames(datagram: bytes, counters: FrameCounters | None = None) -> list[bytes]:
+def split_frames(datagram: bytes, counters: Counter[str] | None = None) -> list[bytes]:
     """Return every MAVLink 2 frame of a datagram, in order; ``counters`` counts skipped bytes."""
-    return Framer(counters if counters is not None else FrameCounters()).push(datagram)
+    return Framer(counters if counters is not None else Counter()).push(datagram)
 
 
 def with_signed_flag(frame: bytes) -> bytes:
@@ -120,10 +109,10 @@ def without_signature(frame: bytes) -> bytes:
 
 def intact(frame: bytes) -> bool:
     """Whether an unsigned frame of a known message has a correct checksum."""
-    return frame_end(frame, 0, len(frame), FrameCounters()) == len(frame)
+    return frame_end(frame, 0, len(frame), Counter()) == len(frame)
 
 
-def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
+def frame_end(data: bytes, pos: int, size: int, count: Counter[str]) -> int:
     """Return the end of the checked frame at ``pos``, or a :class:`NoFrame`; count a wrong checksum."""
     end = _claimed_end(data, pos, size)
     if end <= 0:
@@ -135,7 +124,7 @@ def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
     crc_at = pos + (_HEADER_V1 if old else _HEADER_V2) + data[pos + 1]
     if checksum(data[pos + 1 : crc_at] + extra) == data[crc_at] | data[crc_at + 1] << 8:
         return end
-    count.bad_crc += not old
+    count["bad_crc"] += not old
     return NoFrame.INVALID
 
 

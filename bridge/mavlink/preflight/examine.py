@@ -8,15 +8,16 @@ from __future__ import annotations
 import math
 import struct
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import companion_heartbeat, request_message
-from bridge.mavlink.client.senders import Arrivals, Senders, why_silent
+from bridge.mavlink.client.senders import Senders, why_silent
 from bridge.mavlink.codec.messages import Message, parameter_name
-from bridge.mavlink.endpoint import Endpoint, LinkCounters
+from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import table as rules
 from bridge.mavlink.preflight.table import Asked, Choice, Finding, Level, Needs, Release
 from bridge.mavlink.profiles import OWN_SITL, Encoding, Profile, found, marked, refusal
@@ -148,7 +149,7 @@ class Dialogue:
     def __init__(self, endpoint: Endpoint, system_id: int, senders: Senders) -> None:
         self.endpoint, self.target, self.senders = endpoint, (system_id, 1), senders
         self.heard = self.armed = False  # whether a heartbeat of the vehicle arrived; whether it is armed
-        self.foreign = LinkCounters()
+        self.foreign = Counter[tuple[int, int]]()
         self._beat_s = -math.inf
 
     def take(self, message: Message) -> None:
@@ -165,7 +166,7 @@ class Dialogue:
         for received in self.endpoint.receive():
             message = received.message
             if received.sender != self.target:
-                self.foreign.add_foreign(received.sender)
+                self.foreign[received.sender] += 1
             elif self.senders.admits(message, received.peer, now_s, armed=self.armed):
                 if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
                     self.heard = True
@@ -204,8 +205,8 @@ class _Check(Dialogue):
         super().__init__(endpoint, system_id, senders)
         self._chosen, self._stopped, self._say = chosen, stopped, say
         self._said_s = self.until_s = time.monotonic()
-        self._arrivals = Arrivals()
-        self._grown: Mapping[str, int] = {}  # last increase of the counters by received data
+        self._counted: Counter[str] = Counter()
+        self._grown: Counter[str] = Counter()  # last increase of the counters by received data
 
     def run(self, wait_s: float, *, accept_release: bool) -> bool:
         """Read firmware version and parameters; return False if no heartbeat arrived within ``wait_s``.
@@ -258,10 +259,12 @@ class _Check(Dialogue):
     def waits_for(self, time: str = "") -> str:
         """Return a text about the message that has not arrived yet; ``time``: see ``why_silent``."""
         if not self.heard:
-            grown = self._arrivals.grown(self.endpoint.counters)
+            counted = self._counted
+            self._counted = self.endpoint.counters.copy()
+            grown = self._counted - counted
             if grown.keys() - {"sent", "bytes_out", "send_errors"}:
                 self._grown = grown
-            return why_silent(self.target[0], self._grown, self.foreign.senders, time=time)
+            return why_silent(self.target[0], self._grown, self.foreign, time=time)
         if self.reader is None:
             return "the vehicle does not send its version (AUTOPILOT_VERSION)"
         names = [each.name.name for each in self.asked]
@@ -349,7 +352,7 @@ def _provision(
 
     def changed() -> bool:
         """Whether received frames show the change: they are signed, or unsigned after a removal."""
-        return bool(endpoint.counters.unsigned if remove else endpoint.counters.unchecked)
+        return bool(endpoint.counters["unsigned"] if remove else endpoint.counters["unchecked"])
 
     link.until(lambda: link.heard or changed(), wait_s)
     if not link.heard:

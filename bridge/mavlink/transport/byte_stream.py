@@ -13,11 +13,11 @@ import os
 import select
 import socket
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 
 from bridge.mavlink.transport.address import Peer
-from bridge.mavlink.transport.transport import Chunk, EndpointCounters
+from bridge.mavlink.transport.transport import Chunk
 
 RETRY_S = 0.5  # time between two tries to open a lost connection, s
 _READ_BYTES = 4096  # maximum number of bytes of one read
@@ -39,7 +39,7 @@ class ByteStream:
     is_stream = True
     local_port = 0
 
-    def __init__(self, kind: str, address: Peer, counters: EndpointCounters) -> None:
+    def __init__(self, kind: str, address: Peer, counters: Counter[str]) -> None:
         """``address``: device and baud ("serial"), or IPv4 address and port ("tcp").
 
         Raises OSError: the serial line cannot be opened; a refused TCP connection is tried again.
@@ -73,16 +73,16 @@ class ByteStream:
             return None
         if data is None:
             return None
-        self._counters.bytes_in += len(data)
+        self._counters["bytes_in"] += len(data)
         return Chunk(data, self._peer)
 
     def send(self, frames: Sequence[bytes], _peer: Peer) -> None:
         """Send or buffer frames; without a connection or room they are dropped."""
         for frame in frames:
             if self._ready() is None:
-                self._counters.send_errors += 1
+                self._counters["send_errors"] += 1
             elif len(self._outgoing) + len(frame) > self._outgoing_max:
-                self._counters.outgoing_full += 1
+                self._counters["outgoing_full"] += 1
             else:
                 self._outgoing += frame
         self._ready()
@@ -132,7 +132,7 @@ class ByteStream:
             self._was_up, self._told = True, False
             while self._outgoing and (written := self._channel.write(self._outgoing)):
                 del self._outgoing[:written]
-                self._counters.bytes_out += written
+                self._counters["bytes_out"] += written
         except BlockingIOError:  # no room
             pass
         except OSError as error:
@@ -149,7 +149,7 @@ class ByteStream:
         self._retry_s = now_s + RETRY_S
         if not self._told:
             self._told, self._lost_s = True, now_s
-            self._counters.connections_lost += self._was_up
+            self._counters["connections_lost"] += self._was_up
             what = "is lost" if self._was_up else "cannot be opened"
             reason = error.strerror or error
             self._notices.append(f"{self._name} {what} ({reason}): tried again every {RETRY_S:g} s")

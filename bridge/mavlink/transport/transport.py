@@ -1,14 +1,13 @@
-"""UDP for a MAVLink endpoint, and an endpoint's counters; ``byte_stream`` has serial lines and TCP."""
+"""UDP for a MAVLink endpoint, and the text of its counters; ``byte_stream`` has serial lines and TCP."""
 
 from __future__ import annotations
 
 import select
 import socket
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
-from bridge.mavlink.codec.framing import FrameCounters
 from bridge.mavlink.transport.address import Peer, local_host_for
 
 
@@ -20,39 +19,9 @@ class Chunk(NamedTuple):
 _PASSED = ("received", "sent", "bytes_in", "bytes_out", "unknown_frames", "stale_answered")
 
 
-@dataclass(slots=True)
-class EndpointCounters(FrameCounters):
-    """Counters of one endpoint, one for each reason to drop data."""
-
-    received: int = 0  # number of decoded frames
-    sent: int = 0  # number of frames passed to the socket, once per peer
-    bytes_in: int = 0  # number of received bytes
-    bytes_out: int = 0  # number of sent bytes
-    # datagrams that the operating system rejected, and frames that had no connection when they were due
-    send_errors: int = 0
-    outgoing_full: int = 0  # number of frames dropped because the buffer of a serial line or TCP was full
-    connections_lost: int = 0  # number of lost connections of serial lines and TCP
-    peers_refused: int = 0  # number of heartbeats of senders for which the peer table had no room
-    oversize: int = 0  # number of datagrams longer than 4096 bytes
-    setup_signing: int = 0  # number of ignored attempts to set a key over the network
-    unchecked: int = 0  # number of signed frames that were accepted without a check, because there is no key
-    # The next counters count only if there is a key.
-    stale_answered: int = 0  # number of heartbeats sent to peers whose signing clock is behind
-    unsigned: int = 0  # number of frames without a signature
-    bad_signature: int = 0  # number of frames that were forged, changed, or signed with another key
-    replayed: int = 0  # number of frames not later than the last frame of the same stream
-    stale: int = 0  # number of frames of a new stream that were a minute or more behind the local clock
-    ahead: int = 0  # number of frames more than an hour ahead of the local clock
-    reflected: int = 0  # number of frames with the ids of this endpoint
-    streams_refused: int = 0  # number of frames of a new stream for which the table had no room
-
-    def add(self, name: str) -> None:
-        setattr(self, name, getattr(self, name) + 1)
-
-    def dropped(self) -> str:
-        """Return the numbers of all dropped data as one line; empty if no data was dropped."""
-        counts = asdict(self)
-        return ", ".join(f"{name} {n}" for name, n in counts.items() if n and name not in _PASSED)
+def dropped(counters: Counter[str]) -> str:
+    """Return the numbers of all dropped data as one line (names: docs/how_to/security.md); empty: none."""
+    return ", ".join(f"{name} {n}" for name, n in sorted(counters.items()) if n and name not in _PASSED)
 
 
 _RECEIVED_MAX = 4096  # largest datagram, bytes; more than an Ethernet frame
@@ -66,7 +35,7 @@ class DatagramTransport:
     baud: int | None = None
     is_stream = False
 
-    def __init__(self, url: str, listens: bool, address: Peer, counters: EndpointCounters) -> None:
+    def __init__(self, url: str, listens: bool, address: Peer, counters: Counter[str]) -> None:
         self._counters = counters
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -95,9 +64,9 @@ class DatagramTransport:
             return None
         except OSError:  # the port of a peer, or the local port, was closed
             return Chunk(b"", ("", 0))
-        self._counters.bytes_in += len(datagram)
+        self._counters["bytes_in"] += len(datagram)
         if len(datagram) > _RECEIVED_MAX:
-            self._counters.oversize += 1
+            self._counters["oversize"] += 1
             return Chunk(b"", peer)
         return Chunk(datagram, peer)
 
@@ -122,13 +91,13 @@ class DatagramTransport:
     def _send(self, datagram: bytes, peer: Peer) -> None:
         for _ in range(2):
             try:
-                self._counters.bytes_out += self._socket.sendto(datagram, peer)
+                self._counters["bytes_out"] += self._socket.sendto(datagram, peer)
             except ConnectionRefusedError:
                 continue  # the error belongs to an earlier datagram; send this datagram again
             except OSError:  # full buffer or no route: a newer frame follows in the next tick
-                self._counters.send_errors += 1
+                self._counters["send_errors"] += 1
             return
-        self._counters.send_errors += 1
+        self._counters["send_errors"] += 1
 
 
 def _datagrams(frames: Sequence[bytes]) -> list[bytes]:

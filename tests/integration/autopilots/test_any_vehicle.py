@@ -64,7 +64,7 @@ def test_connects_and_tells_who_and_where_it_is(pilot):
     assert len(seen) / 2.0 >= 20.0, "states a second"
     assert pilot.status.landed is Landed.ON_GROUND
     assert not pilot.status.armed
-    assert pilot.link.state.counters.other_autopilot == 0
+    assert pilot.link.state.counters["other_autopilot"] == 0
     assert speed_m_s(pilot) < STANDING_M_S
 
 

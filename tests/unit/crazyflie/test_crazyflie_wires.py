@@ -176,7 +176,9 @@ def test_the_flight_stack_reads_its_state():
     )
     assert state.own.velocity_enu_m_s == pytest.approx((0.0, 0.3, 0.1), abs=0.01)
     assert state.own.position_enu_m == pytest.approx(bench.firmware.plant.position, abs=5e-3)
-    assert state.counters.not_finite == state.counters.out_of_order == state.counters.without_yaw == 0
+    assert (
+        state.counters["not_finite"] == state.counters["out_of_order"] == state.counters["without_yaw"] == 0
+    )
     assert state.battery.voltage_v == pytest.approx(4.1)
 
 

@@ -1,10 +1,11 @@
 """Tests faults of the MAVLink connection: lost, late, duplicated, damaged, changed messages, exceptions."""
 
+from collections import Counter
+
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.framing import split_frames
-from bridge.mavlink.transport.transport import EndpointCounters
 from sim.faults.link import CONCERNS, LinkFaults, Way, clock_ns
 from sim.plant.sensors import NS
 from sim.runners.vehicle_node import HELD_MAX, Wire
@@ -56,7 +57,7 @@ def out(*faults, make=position, seconds=10.0, end_s=None):
                 one.active, one.over = False, True
                 link.end(one, ms * MS)
         wire.send([make(ms)], [PEER], ms * MS)
-        counters = EndpointCounters()
+        counters = Counter()
         for raw in endpoint.sent:
             frames = split_frames(raw, counters)
             got += [(ms, parser.decode(bytearray(frame))) for frame in frames]

@@ -1,6 +1,7 @@
 """Tests the messages during a wait: each names the cause of the wait, and the key that limits the wait."""
 
 import math
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,8 +9,6 @@ from typing import NamedTuple
 
 import pytest
 
-from bridge.mavlink.client.vehicle_state import StateCounters
-from bridge.mavlink.transport.transport import EndpointCounters
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import Role
 from flightstack.common.pacing import Tick
@@ -36,11 +35,9 @@ TARGET = TargetState(0.02, (1.0, 0.0, 0.2), (0.0, 0.0, 0.0), 0.0)
 
 def waiting(counts=(), battery=1, refused=0, told=(), keys=()):
     """Return the reporter of a vehicle and a target that have sent this."""
-    state = SimpleNamespace(counters=StateCounters(), battery=battery)
-    for name in counts:
-        setattr(state.counters, name, 9)
-    endpoint = SimpleNamespace(counters=EndpointCounters())
-    link = SimpleNamespace(state=state, endpoint=endpoint, counters=SimpleNamespace(senders={}))
+    state = SimpleNamespace(counters=Counter(dict.fromkeys(counts, 9)), battery=battery)
+    endpoint = SimpleNamespace(counters=Counter())
+    link = SimpleNamespace(state=state, endpoint=endpoint, foreign=Counter())
     wires = SimpleNamespace(
         target=SimpleNamespace(text="cf1/target/odom"),
         odometry=SimpleNamespace(refused=refused, told=list(told)),

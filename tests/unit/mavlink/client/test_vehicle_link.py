@@ -49,7 +49,6 @@ def test_setpoint_on_the_wire(vehicle, link):
 def test_setpoint_that_is_not_finite_never_leaves(link, bad):
     assert not link.send_setpoint(Setpoint((0.0, bad, 0.0), 0.0), 0.0)
     assert not link.send_setpoint(Setpoint((0.0, 0.0, 0.0), bad), 0.0)
-    assert link.counters.setpoints_refused == 2
 
 
 def test_timesync_is_answered_at_once_in_real_time(vehicle, link):

@@ -1,10 +1,11 @@
 """Tests endpoints on serial lines and TCP connections that are full, in use, or not yet available."""
 
 import time
+from collections import Counter
 
 import pytest
 
-from bridge.mavlink.codec.framing import FrameCounters, split_frames
+from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.transport.byte_stream import RETRY_S
 from tests.processes.bounded import AT_ONCE_S, wait_for
@@ -42,29 +43,29 @@ def connected(far, endpoint):
 def test_full_line_drops_whole_messages_and_never_blocks(wire):
     far, endpoint = wire
     connected(far, endpoint)
-    began, sent = endpoint.counters.sent, 0
+    began, sent = endpoint.counters["sent"], 0
     longest_s = 0.0
-    while endpoint.counters.outgoing_full < 200:
+    while endpoint.counters["outgoing_full"] < 200:
         before_s = time.monotonic()
         endpoint.send([position(float(sent % 1000))])
         longest_s = max(longest_s, time.monotonic() - before_s)
         sent += 1
         assert sent < 200_000, "the buffers have no end"
     assert longest_s < AT_ONCE_S  # limit for a busy machine; a blocking write would never end
-    assert endpoint.counters.sent - began == sent
-    data, whole = bytearray(), sent - endpoint.counters.outgoing_full
+    assert endpoint.counters["sent"] - began == sent
+    data, whole = bytearray(), sent - endpoint.counters["outgoing_full"]
 
     def drained():
         while piece := far.read():
             data.extend(piece)
         endpoint.wait(0.005)
         endpoint.send([])
-        return len(split_frames(bytes(data), FrameCounters())) >= whole
+        return len(split_frames(bytes(data), Counter())) >= whole
 
     wait_for(drained, "what waited did not come out")
-    counters = FrameCounters()
+    counters = Counter()
     assert len(split_frames(bytes(data), counters)) == whole
-    assert counters == FrameCounters(), "half a frame came out"
+    assert counters == Counter(), "half a frame came out"
 
 
 def test_serial_port_in_use_is_a_clear_error(tmp_path):
@@ -113,7 +114,7 @@ def test_line_that_takes_nothing_is_not_turned_at_full_speed(tmp_path):
     """A wait with unsent bytes must not use the processor."""
     far = PtyEnd(tmp_path, 57_600)
     endpoint = Endpoint(far.url, 1, 191)
-    while not endpoint.counters.outgoing_full:
+    while not endpoint.counters["outgoing_full"]:
         endpoint.send([position()])
     before_s = time.thread_time()
     endpoint.wait(0.3)
