@@ -13,54 +13,29 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import msgspec
 from pymavlink.dialects.v20 import all as everything
 from pymavlink.dialects.v20 import ardupilotmega
 
-from bridge.mavlink.codec.messages import Definition, WideField, definitions
+from bridge.mavlink.codec.messages import wide_rows
 
 MESSAGES = Path(__file__).parents[1] / "bridge" / "mavlink" / "codec" / "wide_messages.json"
 _ABOUT = (
-    "MAVLink messages that pymavlink's dialect ardupilotmega lacks: id, name, CRC_EXTRA, fields (type, name, "
-    "array length, extension). Sources: pymavlink's dialect all; MAVLink's common.xml for those that no "
-    "dialect of pymavlink has. Renewed by: python -m tests.tables messages"
+    "MAVLink messages that pymavlink's dialect ardupilotmega lacks, as attributes of pymavlink's classes. "
+    "Sources: pymavlink's dialect all; MAVLink's common.xml for those that no dialect of pymavlink has. "
+    "Renewed by: python -m tests.tables messages"
 )
-
-
-def crc_extra(definition: Definition) -> int:
-    """Return CRC_EXTRA, the checksum of a message's field names and types (MAVLink serialization guide)."""
-    text = f"{definition.name} ".encode()
-    for field in definition.on_the_wire:
-        if not field.extension:
-            text += f"{field.kind} {field.name} ".encode() + bytes([field.array] if field.array else [])
-    crc: int = ardupilotmega.x25crc(text).crc
-    return (crc & 0xFF) ^ (crc >> 8)
-
-
-def read_class(cls: Any) -> Definition:
-    """Read one of pymavlink's classes; CRC_EXTRA, which excludes extensions, identifies their fields.
-
-    Raises ValueError: no number of extensions gives the CRC_EXTRA.
-    """
-    kinds = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
-    arrays = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
-    for extensions in range(len(cls.ordered_fieldnames)):
-        behind = cls.ordered_fieldnames[len(cls.ordered_fieldnames) - extensions :]
-        fields = tuple(WideField(kinds[n], n, arrays[n], n in behind) for n in cls.fieldnames)
-        made = Definition(cls.id, cls.msgname, cls.crc_extra, fields)
-        if crc_extra(made) == cls.crc_extra:
-            return made
-    raise ValueError(f"{cls.msgname}: CRC_EXTRA {cls.crc_extra} does not fit its fields")
+_ATTRIBUTES = ("id", "msgname", "crc_extra", "fieldnames", "fieldtypes", "ordered_fieldnames", "lengths",
+               "array_lengths")  # fmt: skip
 
 
 def messages_table() -> str:
     """Return the text of the file: messages of pymavlink are generated again, others are unchanged."""
-    table = {d.id: d for d in definitions()}  # a part of ardupilotmega.mavlink_map, too
-    narrow = ardupilotmega.mavlink_map.keys() - table.keys()
-    wide = {id_: cls for id_, cls in everything.mavlink_map.items() if id_ not in narrow}
-    made = {id_: d for id_, d in table.items() if id_ not in everything.mavlink_map}
-    made.update({id_: read_class(cls) for id_, cls in wide.items()})
-    rows = ",\n".join(json.dumps(msgspec.to_builtins(made[id_])) for id_ in sorted(made))
+    table = {row["id"]: row for row in wide_rows()}  # a part of ardupilotmega.mavlink_map, too
+    made = {id_: row for id_, row in table.items() if id_ not in everything.mavlink_map}
+    for id_ in everything.mavlink_map.keys() - (ardupilotmega.mavlink_map.keys() - table.keys()):
+        cls = everything.mavlink_map[id_]
+        made[id_] = {**{name: getattr(cls, name) for name in _ATTRIBUTES}, "format": cls.unpacker.format}
+    rows = ",\n".join(json.dumps(made[id_]) for id_ in sorted(made))
     return f'{{"about": {json.dumps(_ABOUT)},\n"messages": [\n{rows}\n]}}\n'
 
 

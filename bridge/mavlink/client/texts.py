@@ -15,7 +15,7 @@ from importlib.resources import files
 
 import msgspec
 
-from bridge.mavlink.codec.messages import CODES, Message
+from bridge.mavlink.codec.messages import Message
 
 _CHUNK = 50  # number of characters of a full chunk; a shorter chunk ends the text
 _CHUNKS_MAX = 16  # maximum number of chunks of a text: 800 characters
@@ -57,6 +57,11 @@ def clean(text: str) -> str:
 EVENT = 410  # message id; pymavlink has no name for it
 _SHOWN_MAX = 7  # highest level that equals a MAV_SEVERITY; above: protocol, disabled
 _ARGUMENT = re.compile(r"\{(\d+)(?::\.(\d+))?(m\^2|m/s|m_v|m|C)?\}")
+# code of the module ``struct`` by MAVLink type
+_CODES = {
+    "uint8_t": "B", "int8_t": "b", "uint16_t": "H", "int16_t": "h", "uint32_t": "I", "int32_t": "i",
+    "float": "f", "uint64_t": "Q", "int64_t": "q",
+}  # fmt: skip
 _UNITS = {None: "", "m": " m", "m_v": " m", "m^2": " m²", "m/s": " m/s", "C": " °C"}
 _TAG = re.compile(r"(?<!\\)</?[a-z][^>]*>")
 _ESCAPED = re.compile(r"\\(.)")
@@ -97,7 +102,7 @@ def _values(kinds: list[str], data: bytes) -> list[float | str]:
     at = 0
     for kind in kinds:
         enum = _table().enums.get(kind)
-        layout = struct.Struct("<" + CODES[enum.kind if enum is not None else kind])
+        layout = struct.Struct("<" + _CODES[enum.kind if enum is not None else kind])
         if at + layout.size > len(data):
             break
         (value,) = layout.unpack_from(data, at)
