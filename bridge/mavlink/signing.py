@@ -85,11 +85,7 @@ def make_key(path: Path) -> None:
 
 Stream = tuple[int, int, int]  # ids of link, system and component
 
-STREAMS_MAX = 64  # maximum number of streams; only holders of the key can fill the table
 TIMESTAMP_MAX = 2**48 - 1
-_STATE_READ_MAX = 65536  # maximum number of bytes that are read of a state file; 64 streams need 3000
-
-
 _Byte = Annotated[int, msgspec.Meta(ge=0, le=255)]
 _Timestamp = Annotated[int, msgspec.Meta(ge=0, le=TIMESTAMP_MAX)]
 _Row = tuple[_Byte, _Byte, _Byte, _Timestamp]  # stream ids and newest timestamp
@@ -100,19 +96,15 @@ class SigningState(msgspec.Struct):
 
     clock: _Timestamp  # clock of this process at the time of writing
     sent: _Timestamp  # timestamp of the last signed frame
-    # last accepted frame of each stream; the least recent stream is first
-    streams: Annotated[list[_Row], msgspec.Meta(max_length=STREAMS_MAX)]
+    streams: list[_Row]  # last accepted frame of each stream of the last minute
 
 
 def load_state(path: Path) -> SigningState:
     """Read the state file; without a file the state is empty."""
     try:
-        with path.open("rb") as file:
-            data = file.read(_STATE_READ_MAX)
+        return msgspec.json.decode(path.read_bytes(), type=SigningState)
     except FileNotFoundError:
         return SigningState(0, 0, [])
-    try:
-        return msgspec.json.decode(data, type=SigningState)
     except (ValueError, RecursionError) as error:
         raise ValueError(
             f"signing state {path} cannot be read ({error}): delete it, and frames of the minute before "
@@ -154,7 +146,6 @@ class Refusal(Enum):
     REPLAYED = "replayed"
     STALE = "stale"
     AHEAD = "ahead"
-    NO_ROOM = "streams_refused"
 
 
 class Signer:
@@ -183,17 +174,13 @@ class Signer:
         self._path = key.path.with_name(name) if key.path is not None else None
         state = load_state(self._path) if self._path is not None else SigningState(0, 0, [])
         self._stored, self._sent = state.clock, state.sent
-        # timestamp of the last accepted frame of each stream; the least recent stream is first
+        # timestamp of the last accepted frame of each stream; only holders of the key add streams
         self._streams: dict[Stream, int] = {row[:3]: row[3] for row in state.streams}
         self._start_ns = monotonic_ns()
         self._start = self._first_time()
         self._saved_s = self._start_ns / 1e9
         if self._path is not None:
             save_state(self._path, self._snapshot())  # written at the start, to detect missing permissions
-
-    @property
-    def streams(self) -> int:
-        return len(self._streams)
 
     def now(self) -> int:
         """Return the signing clock in ticks; it never goes back, not even after a restart."""
@@ -214,20 +201,14 @@ class Signer:
             return Refusal.BAD_SIGNATURE
         stamp = int.from_bytes(frame[-_STAMP:-_TAG], "little")
         stream = (frame[-_STAMP - 1], frame[5], frame[6])
-        streams, now = self._streams, self.now()
+        last, now = self._streams.get(stream), self.now()
         if stamp > now + AHEAD_TICKS:
             return Refusal.AHEAD
-        last = streams.get(stream)
-        if last is None:
-            if stamp < now - STALE_TICKS:
-                return Refusal.STALE
-            if len(streams) >= STREAMS_MAX and not self._make_room(now):
-                return Refusal.NO_ROOM
-        elif stamp <= last:
+        if last is None and stamp < now - STALE_TICKS:
+            return Refusal.STALE
+        if last is not None and stamp <= last:
             return Refusal.REPLAYED
-        else:
-            del streams[stream]  # the least recent stream must remain first
-        streams[stream] = stamp
+        self._streams[stream] = stamp
         return None
 
     def save_if_due(self) -> None:
@@ -249,7 +230,10 @@ class Signer:
             self.state_errors += 1
 
     def _snapshot(self) -> SigningState:
-        return SigningState(self.now(), self._sent, [(*ids, stamp) for ids, stamp in self._streams.items()])
+        """Return the state; frames of an older stream are rejected for their age alone."""
+        oldest = self.now() - STALE_TICKS
+        rows = [(*ids, stamp) for ids, stamp in self._streams.items() if stamp >= oldest]
+        return SigningState(self.now(), self._sent, rows)
 
     def _tag(self, data: bytes) -> bytes:
         keyed = self._keyed.copy()
@@ -270,11 +254,3 @@ class Signer:
         )
         # As in ArduPilot, the clock starts later than all frames that followed the last write.
         return stored + STALE_TICKS
-
-    def _make_room(self, now: int) -> bool:
-        """Drop the least recent stream if its age alone rejects its frames; return False if there is none."""
-        for stream, stamp in self._streams.items():
-            if stamp < now - STALE_TICKS:
-                del self._streams[stream]
-                return True
-        return False

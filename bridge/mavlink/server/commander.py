@@ -87,9 +87,7 @@ _CHUNK = 50  # maximum number of characters of one STATUSTEXT
 _TEXTS_MAX = 64  # maximum number of texts between two ticks
 # time between two refusals on one topic, s; a wrong stream repeats its error 100 times a second
 _SAME_GAP_S = 1.0
-_BURST = 20  # number of refusals on different topics sent without delay; a ground station starts with 12
-_PER_S = 5.0  # rate at which further refusals are sent, 1/s
-_TOPICS_MAX = 64
+_BURST = 20  # maximum number of refusals in that time; a ground station starts with 12
 
 
 class Text(NamedTuple):
@@ -102,9 +100,7 @@ class Texts:
 
     def __init__(self) -> None:
         self.waiting: list[Text] = []  # texts that wait to be sent
-        self._said_s: dict[str, float] = {}
-        self._credit = float(_BURST)
-        self._credit_s = -math.inf
+        self._said_s: dict[str, float] = {}  # time of the refusals of the last second by topic
         self._hidden = 0
         self._id = 0  # id of the newest text in chunks
 
@@ -117,19 +113,15 @@ class Texts:
     ) -> None:
         """Add a refusal, unless one of the topic (default: the text) was added in the last second."""
         topic = topic or text
-        if now_s - self._said_s.get(topic, -math.inf) < _SAME_GAP_S:
+        self._said_s = {of: at_s for of, at_s in self._said_s.items() if now_s - at_s < _SAME_GAP_S}
+        if topic in self._said_s:
             return
-        self._credit = min(_BURST, self._credit + max(0.0, now_s - self._credit_s) * _PER_S)
-        self._credit_s = now_s
-        if self._credit < 1.0:
+        if len(self._said_s) >= _BURST:
             self._hidden += 1
             return
-        self._credit -= 1.0
         if self._hidden:
             self.say(dialect.MAV_SEVERITY_WARNING, f"{self._hidden} refusals not shown")
             self._hidden = 0
-        if len(self._said_s) >= _TOPICS_MAX:
-            del self._said_s[min(self._said_s, key=self._said_s.__getitem__)]
         self._said_s[topic] = now_s
         self.say(severity, text)
 

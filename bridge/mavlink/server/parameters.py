@@ -79,7 +79,7 @@ class Parameters:
         self._index = {parameter.name: i for i, parameter in enumerate(self._table)}
         self._values = {parameter.name: parameter.default for parameter in self._table}
         self.version = 0  # counter that changes with every write
-        self.left_to_list = self._next = 0  # number of list values that are still to be sent
+        self.left_to_list: list[str] = []  # names of the requested list that are still to be sent
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -118,14 +118,11 @@ class Parameters:
 
     def list_all(self) -> None:
         """Start to send every value; a request during a list starts the list again."""
-        self.left_to_list = len(self._table)
+        self.left_to_list = list(self._index)
 
     def listing(self) -> list[Message]:
         """Return PARAM_VALUE of the next parameters of the requested list; empty: no list is requested."""
-        count = min(_LIST_AT_ONCE, self.left_to_list)
-        names = [self._table[(self._next + i) % len(self._table)].name for i in range(count)]
-        self.left_to_list -= count
-        self._next = (self._next + count) % len(self._table) if self.left_to_list else 0
+        names, self.left_to_list = self.left_to_list[:_LIST_AT_ONCE], self.left_to_list[_LIST_AT_ONCE:]
         return [self.message(name) for name in names]
 
     def set(self, name: str, wire_value: float, type_: int, *, armed: bool) -> Refused | None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import (
-    Quat,
     euler_from_quaternion,
     frd_from_flu,
     ned_frd_from_enu_flu,
@@ -28,24 +27,6 @@ from bridge.mavlink.server.profile import (
     VERSION,
     ServerProfile,
 )
-from flightstack.core.types import Vec3
-
-
-class EstimateLike(Protocol):
-    """State of the vehicle from its on-board estimator."""
-
-    @property
-    def position_enu_m(self) -> Vec3: ...  # position of the centre of mass, ENU
-
-    @property
-    def velocity_enu_m_s(self) -> Vec3: ...
-
-    @property
-    def quaternion(self) -> Quat: ...  # order w, x, y, z; attitude of FLU in ENU
-
-    @property
-    def angular_velocity_flu_rad_s(self) -> Vec3: ...
-
 
 V = TypeVar("V", bound=Commander)
 
@@ -56,7 +37,9 @@ class Snapshot(Generic[V]):
 
     vehicle: V
     profile: ServerProfile
-    estimate: EstimateLike
+    # state from the vehicle's estimator: position_enu_m of the centre of mass, velocity_enu_m_s, quaternion
+    # (w, x, y, z; FLU in ENU), angular_velocity_flu_rad_s
+    estimate: Any
     valid: bool  # whether position and velocity are good enough for control
     now_s: float  # time on the server's clock, on which the rates are based
     boot_s: float  # time on the vehicle's boot clock

@@ -9,7 +9,6 @@ from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.signing import (
     AHEAD_TICKS,
     STALE_TICKS,
-    STREAMS_MAX,
     Refusal,
     load_key,
     load_state,
@@ -97,18 +96,6 @@ def test_each_changed_bit_is_noticed(clock):
 )
 def test_new_stream_must_be_near_our_clock(clock, offset, refusal):
     assert clock.signer().refusal(signed(stamp=clock.ticks + offset)) is refusal
-
-
-def test_table_is_bounded_and_forgets_only_what_its_age_keeps_out(clock):
-    signer = clock.signer()
-    frames = [signed((2, n + 1), stamp=clock.ticks) for n in range(STREAMS_MAX + 1)]
-    assert [signer.refusal(f) for f in frames] == [None] * STREAMS_MAX + [Refusal.NO_ROOM]
-    clock.advance(61.0)
-    assert signer.refusal(signed((2, 2), stamp=clock.ticks)) is None
-    assert signer.refusal(signed((3, 1), stamp=clock.ticks)) is None
-    assert signer.streams == STREAMS_MAX
-    assert signer.refusal(frames[0]) is Refusal.STALE  # the frame of a removed stream is rejected
-    assert signer.refusal(frames[1]) is Refusal.REPLAYED
 
 
 # --- time stamps after a restart
