@@ -37,7 +37,7 @@ class LinePlan(NamedTuple):
     @property
     def text(self) -> str:
         return (
-            f"at {self.hz:.3g} Hz position and attitude need {self.in_bytes_s:.0f} B/s in, set-points "
+            f"position and attitude at {self.hz:.3g} Hz need {self.in_bytes_s:.0f} B/s in, set-points "
             f"{self.out_bytes_s:.0f} B/s out"
         )
 
