@@ -12,7 +12,8 @@ import click
 
 from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.mavlink.endpoint import open_endpoint
-from bridge.mavlink.preflight.examine import Report, provision
+from bridge.mavlink.preflight.examine import Examination, Report, provision
+from bridge.mavlink.profiles import profile
 from bridge.mavlink.signing import load_key
 from bridge.mocap.checks import MocapOptions
 from flightstack.common.hangup import say
@@ -63,11 +64,11 @@ def preflight(options: PreflightOptions) -> None:
         _set_up_signing(options)
     endpoint = open_endpoint("preflight", options.vehicle_url, options.system_id, _COMPONENT_ID, options)
     try:
-        report = checks.check(
-            endpoint, config, options.autopilot, options.system_id, wait_s=options.wait_s,
-            accept_release=options.accept_release,
+        vehicle = Examination(
+            endpoint, options.system_id, profile(options.autopilot),
             say=lambda text: print(f"preflight: {text}", file=sys.stderr),
         )  # fmt: skip
+        report = checks.check(vehicle, config, wait_s=options.wait_s, accept_release=options.accept_release)
         for notice in endpoint.take_notices():
             print(f"preflight: WARNING: {notice}", file=sys.stderr)
     finally:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
-from bridge.mavlink.client.senders import Senders
-from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.line_budget import LineTooSlowError, plan
-from bridge.mavlink.preflight.examine import Report, examine
+from bridge.mavlink.preflight.examine import Examination, Report
 from bridge.mavlink.preflight.table import Level, Needs
-from bridge.mavlink.profiles import OWN_SITL, profile
+from bridge.mavlink.profiles import OWN_SITL
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.reserve import too_low
@@ -27,31 +25,17 @@ def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
 
 
 def check(
-    endpoint: Endpoint,
-    config: FlightConfig,
-    autopilot: str,
-    system_id: int,
-    *,
-    wait_s: float,
-    accept_release: bool = False,
-    stopped: Callable[[], bool] = lambda: False,
-    say: Callable[[str], None] = lambda _text: None,
-    senders: Senders | None = None,
+    vehicle: Examination, config: FlightConfig, *, wait_s: float, accept_release: bool = False
 ) -> Report:
-    """Request the vehicle's parameters and check them.
-
-    ``autopilot``: name of a profile, or ``auto``; the other arguments are those of ``examine``.
-    """
-    accepted = config.vehicle.accepted_parameters
+    """Request the vehicle's parameters and check them; ``wait_s``: time-out of the first heartbeat."""
+    endpoint = vehicle.endpoint
     try:
         rate_hz, age_max_s = config.loop.rate_hz, config.checks.own_age_max_s
         line = plan(endpoint.baud, rate_hz, age_max_s, signed=endpoint.signed)
     except LineTooSlowError as error:
         return Report(None, None, (), str(error))
-    report = examine(
-        endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
-        accept_release=accept_release, stopped=stopped, say=say, senders=senders,
-    )  # fmt: skip
+    needs, accepted = needs_of(config, vehicle.target[0]), config.vehicle.accepted_parameters
+    report = vehicle.report(needs, accepted, wait_s=wait_s, accept_release=accept_release)
     table = config.reserve  # before the first voltage, the controller waits for one
     if table is not None and report.rest_v is not None and report.problem is None:
         report = replace(report, problem=too_low(table, report.rest_v) or None)

@@ -12,6 +12,7 @@ from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
 from bridge.mavlink.endpoint import open_endpoint
 from bridge.mavlink.line_budget import plan
+from bridge.mavlink.preflight.examine import Examination
 from bridge.mavlink.profiles import profile
 from bridge.mavlink.transport.address import is_local, parse_url, resolve
 from bridge.mavlink.transport.transport import dropped
@@ -269,11 +270,11 @@ def _preflight(onboard: Onboard, signals: Signals) -> Ended | None:
         onboard.say(f"preflight: {text}")
         onboard.log.event(time.time_ns(), WARN, f"preflight: {text}")
 
-    report = preflight.check(
-        endpoint, onboard.config, options.autopilot, options.system_id, wait_s=wait_s,
-        accept_release=options.accept_release, say=tell, senders=senders,
+    vehicle = Examination(
+        endpoint, options.system_id, profile(options.autopilot), senders, say=tell,
         stopped=lambda: signals.stop or signals.operator is not Operator.NONE,
     )  # fmt: skip
+    report = preflight.check(vehicle, onboard.config, wait_s=wait_s, accept_release=options.accept_release)
     endpoint.tap = tap
     senders.begin(0.0)
     for notice in (*endpoint.take_notices(), *senders.take_notices()):

@@ -10,6 +10,7 @@ import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -28,7 +29,6 @@ _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicl
 _HEARTBEAT_S = 1.0
 _VERSION_S = 0.5  # time between two requests of the version, s
 _VERSION_TRIES = 12  # number of requests of the version; a busy line of 57,600 baud loses most replies
-_VERSION_TRIES_UNNEEDED = 4  # number of requests of the version if the rules do not depend on it
 _SAY_S = 2.0  # time between two texts about the wait, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # time between two polls, s
@@ -189,56 +189,76 @@ class _EndedError(Exception):
     """The check ends without findings; the text is the reason."""
 
 
-class _Check(Dialogue):
+class Examination(Dialogue):
+    """Check of one vehicle; it consumes the messages of its endpoint.
+
+    ``chosen``: configured profile, None: the heartbeat selects it; ``senders``: stores the vehicle's address
+    for the flight; ``stopped``: returns True to end the check early; ``say``: receives a text about the wait
+    every two seconds.
+    """
+
     profile: Profile | None = None  # None before the first heartbeat
     release: Release | None = None
     refused: str | None = None
     rest_v: float | None = None
-    choice: Choice | None = None
     asked: tuple[Asked, ...] = ()
     reader: ParameterReader | None = None
 
     def __init__(
-        self, endpoint: Endpoint, system_id: int, senders: Senders, chosen: Profile | None,
-        stopped: Callable[[], bool], say: Callable[[str], None],
+        self, endpoint: Endpoint, system_id: int, chosen: Profile | None = None,
+        senders: Senders | None = None, stopped: Callable[[], bool] = lambda: False,
+        say: Callable[[str], None] = lambda _: None,
     ) -> None:  # fmt: skip
-        super().__init__(endpoint, system_id, senders)
+        super().__init__(endpoint, system_id, senders or Senders())
         self._chosen, self._stopped, self._say = chosen, stopped, say
-        self._said_s = self.until_s = time.monotonic()
+        self._said_s = self._until_s = time.monotonic()
         self._counted: Counter[str] = Counter()
         self._grown: Counter[str] = Counter()  # last increase of the counters by received data
 
-    def run(self, wait_s: float, *, accept_release: bool) -> bool:
-        """Read firmware version and parameters; return False if no heartbeat arrived within ``wait_s``.
+    def report(
+        self, needs: Needs, accepted: Collection[str], *, wait_s: float, accept_release: bool = False
+    ) -> Report:
+        """Read firmware version and parameters, and judge them.
 
-        ``accept_release``: for an unknown version, use the rules of another one. Raises _EndedError.
+        ``accepted``: names of accepted parameters; ``wait_s``: time-out of the first heartbeat;
+        ``accept_release``: allow an unknown release, with the nearest rules.
         """
-        self.until_s = time.monotonic() + wait_s
+        try:
+            choice, reader = self._read(wait_s, accept_release)
+        except _EndedError as ended:
+            return Report(self.profile, self.version, (), str(ended))
+        findings = tuple(rules.judge(self.asked, reader.values, reader.missing, needs, accepted))
+        notes = (choice.note,) if choice.note is not None else ()
+        return Report(
+            self.profile, self.version, findings, choice.problem, notes, choice.release, rest_v=self.rest_v
+        )
+
+    def _read(self, wait_s: float, accept_release: bool) -> tuple[Choice, ParameterReader]:
+        self._until_s = time.monotonic() + wait_s
         if not self.until(lambda: self.profile is not None, wait_s) or self.profile is None:
-            return False
-        self.until_s = time.monotonic() + _READ_MAX_S
-        ruled = self.profile is not OWN_SITL and rules.table(self.profile.name) is not None
-        tries = _VERSION_TRIES if ruled else _VERSION_TRIES_UNNEEDED
-        for _ in range(tries):
+            raise _EndedError(self.waits_for(f" within {wait_s:g} s"))
+        self._until_s = time.monotonic() + _READ_MAX_S
+        for _ in range(_VERSION_TRIES):
             number, unset = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, self.profile.unset
             self.turn([request_message(self.target, number, unset)])
             if self.until(lambda: self.release is not None, _VERSION_S):
                 break
-        profile, table = self.profile, rules.table(self.profile.name)
+        profile, table, choice = self.profile, rules.table(self.profile.name), Choice(None, None, None)
         if table is not None:
-            silence = f"no AUTOPILOT_VERSION in reply to {tries} requests within {tries * _VERSION_S:g} s"
+            tried = f"{_VERSION_TRIES} requests within {_VERSION_TRIES * _VERSION_S:g} s"
+            silence = f"no AUTOPILOT_VERSION in reply to {tried}"
             choice = rules.choose(table, self.release, silence, accept=accept_release)
             if profile is OWN_SITL:  # the rules of this profile do not depend on the release
                 choice = Choice(table.releases[-1], None, None)
-            self.choice, self.asked = choice, table.asked(profile.name, choice.release)
+            self.asked = table.asked(profile.name, choice.release or "")
         names = (each.name.name for each in self.asked)
         reader = self.reader = ParameterReader(names, *self.target, profile.encoding)
         self.until(
             lambda: reader.done and not self.senders.suspects,
-            self.until_s - time.monotonic(),
+            self._until_s - time.monotonic(),
             lambda: reader.step(time.monotonic()),
         )
-        return True
+        return choice, reader
 
     @property
     def version(self) -> str | None:
@@ -250,7 +270,7 @@ class _Check(Dialogue):
         now_s = time.monotonic()
         if now_s - self._said_s >= _SAY_S:
             self._said_s = now_s
-            self._say(f"waiting up to {self.until_s - now_s:.0f} s more: {self.waits_for()}")
+            self._say(f"waiting up to {self._until_s - now_s:.0f} s more: {self.waits_for()}")
         super().turn(requests)
         problem = self.refused or self.senders.doubled
         if problem is not None:
@@ -289,39 +309,6 @@ class _Check(Dialogue):
                 self.profile = own
 
 
-def examine(
-    endpoint: Endpoint,
-    system_id: int,
-    chosen: Profile | None,
-    needs: Needs,
-    accepted: Collection[str],
-    *,
-    wait_s: float,
-    accept_release: bool = False,
-    stopped: Callable[[], bool] = lambda: False,
-    say: Callable[[str], None] = lambda _text: None,
-    senders: Senders | None = None,
-) -> Report:
-    """Check the vehicle and return a report; the check consumes the messages of ``endpoint``.
-
-    ``chosen``: configured profile, None: the heartbeat selects it; ``accepted``: names of accepted
-    parameters; ``wait_s``: time-out of the first heartbeat; ``accept_release``: allow an unknown release,
-    with the nearest rules; ``stopped``: returns True to end the check early; ``say``: receives a text about
-    the wait every two seconds; ``senders``: stores the vehicle's address for the flight.
-    """
-    check = _Check(endpoint, system_id, senders or Senders(), chosen, stopped, say)
-    try:
-        complete = check.run(wait_s, accept_release=accept_release)
-    except _EndedError as ended:
-        return Report(check.profile, check.version, (), str(ended))
-    if not complete or check.reader is None:
-        return Report(None, None, (), check.waits_for(f" within {wait_s:g} s"))
-    findings = tuple(rules.judge(check.asked, check.reader.values, check.reader.missing, needs, accepted))
-    release, problem, note = check.choice or (None, None, None)
-    notes = (note,) if note is not None else ()
-    return Report(check.profile, check.version, findings, problem, notes, release, rest_v=check.rest_v)
-
-
 def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
     """Set or remove the MAVLink signing key of a vehicle on the ground by SETUP_SIGNING.
 
@@ -338,27 +325,22 @@ def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s
             f"{url!r} leads over a network, where the key could be read: set or remove it over a "
             "cable (serial:DEVICE) or loopback"
         )
-    endpoint = Endpoint(url, system_id, _COMPONENT_ID, signing_key=key if remove else None)
-    try:
-        return _provision(endpoint, system_id, key, remove=remove, wait_s=wait_s)
-    finally:
-        endpoint.close()
+    with closing(Endpoint(url, system_id, _COMPONENT_ID, signing_key=key if remove else None)) as endpoint:
+        return _provision(Dialogue(endpoint, system_id, Senders()), key, remove=remove, wait_s=wait_s)
 
 
-def _provision(
-    endpoint: Endpoint, system_id: int, key: SigningKey, *, remove: bool, wait_s: float
-) -> str | None:
-    link = Dialogue(endpoint, system_id, Senders())
+def _provision(link: Dialogue, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
+    counters = link.endpoint.counters
 
     def changed() -> bool:
         """Whether received frames show the change: they are signed, or unsigned after a removal."""
-        return bool(endpoint.counters["unsigned"] if remove else endpoint.counters["unchecked"])
+        return bool(counters["unsigned"] if remove else counters["unchecked"])
 
     link.until(lambda: link.heard or changed(), wait_s)
     if not link.heard:
         if changed():
             return "the vehicle does not sign: there is no key to remove"
-        return f"no heartbeat of system {system_id} within {wait_s:g} s"
+        return f"no heartbeat of system {link.target[0]} within {wait_s:g} s"
     if link.armed:
         return "the vehicle is armed: its key can be changed on the ground only"
     if changed():
@@ -367,7 +349,7 @@ def _provision(
     stamp = 0 if remove else (time.time_ns() - EPOCH_NS) // TICK_NS
     message = dialect.MAVLink_setup_signing_message(*link.target, list(secret), stamp)
     for _ in range(_KEY_TRIES):
-        endpoint.send([message], link.senders.known)
+        link.endpoint.send([message], link.senders.known)
         if link.until(changed, _KEY_PERIOD_S):
             return None
     what = "still signs" if remove else "does not sign"

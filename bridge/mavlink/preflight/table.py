@@ -86,7 +86,6 @@ class Rule:
     values: tuple[str, ...] = ()  # allowed whole numbers with their meaning, such as "4 (land)"
     bits_set: int | None = None
     bits_clear: int | None = None
-    not_zero: bool = False
     # upper limit of a second allowed range, which has no lower limit
     off: float | None = None
     off_text: str = ""
@@ -101,8 +100,6 @@ class Rule:
             return int(number) & self.bits_set == self.bits_set
         if self.bits_clear is not None:
             return not int(number) & self.bits_clear
-        if self.not_zero:
-            return number != 0.0
         low, high = _number(self.low, needs), _number(self.high, needs)
         return (low is None or number >= low - _SLACK) and (high is None or number <= high + _SLACK)
 
@@ -267,7 +264,7 @@ def release_of(message: Message) -> Release:
 
 
 class Choice(NamedTuple):
-    release: str  # release whose rules are checked
+    release: str | None  # release whose rules are checked; None: the profile has no rules
     problem: str | None  # reason why the vehicle may not fly, or None
     note: str | None  # information for the operator, or None
 

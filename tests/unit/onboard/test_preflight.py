@@ -6,7 +6,7 @@ import pytest
 
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import examine as module
-from bridge.mavlink.preflight.examine import examine
+from bridge.mavlink.preflight.examine import Examination
 from bridge.mavlink.preflight.table import Level, Needs, judge, table
 from bridge.mavlink.profiles import CRAZYFLIE, OWN_SITL, PX4
 from flightstack.common.strict_toml import ConfigError, from_table
@@ -90,7 +90,7 @@ class Vehicle(Served, Simulated):
 def talk(vehicle, chosen=None, **options):
     endpoint = Endpoint(vehicle.url, 1, 191)
     try:
-        return examine(endpoint, 1, chosen, NEEDS, (), wait_s=10.0, **options)
+        return Examination(endpoint, 1, chosen).report(NEEDS, (), wait_s=10.0, **options)
     finally:
         endpoint.close()
         vehicle.close()
@@ -119,7 +119,7 @@ def test_without_a_version_it_counts_as_the_real_one_whose_release_is_not_known(
 
 
 def test_a_profile_that_is_given_needs_no_version(monkeypatch):
-    monkeypatch.setattr(module, "_VERSION_TRIES_UNNEEDED", 1)
+    monkeypatch.setattr(module, "_VERSION_TRIES", 1)
     for profile, rules in ((OWN_SITL, "1.18"), (CRAZYFLIE, None)):
         report = talk(Vehicle(mute=("AUTOPILOT_VERSION",)), chosen=profile)
         assert (report.profile, report.version, report.rules, report.safe) == (profile, None, rules, True)
@@ -141,7 +141,7 @@ def test_a_battery_too_low_to_land_is_refused_with_what_it_needs(volts, armed, t
     vehicle = Vehicle(fake=FakeVehicle(battery_v=volts, armed=armed))
     endpoint = Endpoint(vehicle.url, 1, 191)
     try:
-        report = check(endpoint, from_table(FlightConfig, section), "auto", 1, wait_s=10.0)
+        report = check(Examination(endpoint, 1), from_table(FlightConfig, section), wait_s=10.0)
     finally:
         endpoint.close()
         vehicle.close()

@@ -39,8 +39,6 @@ def sides(rule):
     if rule.values:
         allowed = {float(value.split()[0]) for value in rule.values}
         return allowed, {*range(9)} - allowed
-    if rule.not_zero:
-        return {1.0, 64.0}, {0.0}
     if rule.bits_set is not None:
         return {rule.bits_set}, {rule.bits_set & ~(1 << n) for n in range(16) if rule.bits_set >> n & 1}
     if rule.bits_clear is not None:
@@ -147,7 +145,7 @@ def test_every_rule_has_one_condition_and_every_release_one_rule_for_a_name(auto
     assert list(rules.releases) == sorted(rules.releases, key=minor)
     for rule in rules.rule:
         ranged = rule.low is not None or rule.high is not None
-        others = (rule.values, rule.bits_set is not None, rule.bits_clear is not None, rule.not_zero)
+        others = (rule.values, rule.bits_set is not None, rule.bits_clear is not None)
         assert [ranged, *map(bool, others)].count(True) == 1, rule.means
         assert all(re.match(r"-?\d+ \(.+\)$", value) for value in (*rule.values, *rule.stops)), rule.means
         assert all(0 < len(name.name) <= 16 for name in rule.names), rule.means
