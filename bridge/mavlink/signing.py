@@ -24,7 +24,6 @@ import msgspec
 from bridge.mavlink.codec.framing import with_signed_flag
 
 KEY_BYTES = 32  # length of the secret key in MAVLink 2 signing, bytes
-_KEY_READ_MAX = 4096  # maximum number of bytes that are read of a key file; any valid file has far fewer
 _HEX = re.compile(rb"[0-9a-fA-F]{64}")
 _HELP = "a key file holds 32 bytes or 64 hexadecimal characters; `flightstack key FILE` makes one"
 
@@ -46,41 +45,31 @@ class SigningKey:
 def load_key(path: Path) -> SigningKey:
     """Read a key from a regular file with mode 0600 or 0400."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError as error:
-        raise ValueError(f"signing key {path}: {error.strerror}; {_HELP}") from error
-    try:
-        mode = os.fstat(descriptor).st_mode  # mode of the open file; the path may lead to another file
-        if not stat.S_ISREG(mode):
-            raise ValueError(f"signing key {path} is no ordinary file; {_HELP}")
+        mode = path.stat().st_mode
         if mode & 0o077:
             raise ValueError(
                 f"signing key {path} has mode {mode & 0o777:04o}: other users can access it; "
                 f"restrict it with  `chmod 600 {path}`, or a new key if they may have read it"
             )
-        data = os.read(descriptor, _KEY_READ_MAX)
-    finally:
-        os.close(descriptor)
-    text = data.strip()
-    if len(data) != KEY_BYTES and not _HEX.fullmatch(text):
+        data = path.read_bytes() if stat.S_ISREG(mode) else b""  # a device or pipe may have no end
+    except OSError as error:
+        raise ValueError(f"signing key {path}: {error.strerror}; {_HELP}") from error
+    if len(data) == KEY_BYTES:
+        return SigningKey(data, path)
+    if not _HEX.fullmatch(data.strip()):
         raise ValueError(f"signing key {path} holds {len(data)} bytes that are no key; {_HELP}")
-    return SigningKey(data if len(data) == KEY_BYTES else bytes.fromhex(text.decode()), path)
+    return SigningKey(bytes.fromhex(data.decode()), path)
 
 
 def make_key(path: Path) -> None:
     """Write a new random key as 64 hexadecimal characters; only the owner can read the file."""
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        path.touch(0o600, exist_ok=False)
     except FileExistsError as error:
         raise FileExistsError(
             error.errno, f"{path} exists and is not overwritten; give another name"
         ) from error
-    try:
-        with os.fdopen(descriptor, "w") as file:
-            file.write(secrets.token_hex(KEY_BYTES) + "\n")
-    except OSError as error:
-        path.unlink()
-        raise OSError(error.errno, error.strerror, str(path)) from error
+    path.write_text(secrets.token_hex(KEY_BYTES) + "\n")
 
 
 Stream = tuple[int, int, int]  # ids of link, system and component
@@ -114,12 +103,10 @@ def load_state(path: Path) -> SigningState:
 
 def save_state(path: Path, state: SigningState) -> None:
     """Write a state atomically, readable only by its owner. Raises OSError: it cannot be written."""
-    data = msgspec.json.encode(state)
     new = path.with_name(f"{path.name}.{os.getpid()}")
-    descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+    new.touch(0o600)
     try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
+        new.write_bytes(msgspec.json.encode(state))
         new.replace(path)
     except OSError:
         new.unlink(missing_ok=True)

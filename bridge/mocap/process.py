@@ -26,7 +26,6 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly
 from flightstack.core.parameters.flight import check_origin
-from flightstack.core.types import Landed, Mode, VehicleStatus
 
 SAY_S = 2.0  # time between two texts on the same topic, s
 CAPACITY = 256  # maximum number of samples between two polls; the oldest are dropped
@@ -202,8 +201,7 @@ class MocapVehicle:
         if needs is None or not self.heard(now_s):
             return messages
         messages += [needs.message(p, round(p.measured_s * 1e6)) for p in poses]
-        status = VehicleStatus(now_s, self._armed, Mode.UNKNOWN, Landed.UNKNOWN, False)
-        return messages + self._origin_sender.step(status, self._origin_known, now_s)
+        return messages + self._origin_sender.step(not (self._armed or self._origin_known), now_s)
 
     def _on_heartbeat(self, message: Message, now_s: float) -> None:
         self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)

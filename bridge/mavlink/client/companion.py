@@ -46,16 +46,14 @@ class OriginSender:
         """Send the origin again after a restart of the vehicle, which may have lost it."""
         self._tries = 0
 
-    def step(self, status: VehicleStatus | None, known: bool, now_s: float) -> list[Message]:
+    def step(self, wanted: bool, now_s: float) -> list[Message]:
         """Return the message to send now.
 
-        ``known``: the vehicle has sent its origin, or a local position, which requires an origin. Then no
-        message is sent, since setting the origin again resets the estimate.
+        ``wanted``: the vehicle is disarmed and has sent neither its origin nor a local position, which
+        requires an origin: setting the origin again resets the estimate.
         """
         origin = self._origin
-        if origin is None or status is None or status.armed or known or self._tries >= _TRIES:
-            return []
-        if now_s - self._last_s < _PERIOD_S:
+        if origin is None or not wanted or self._tries >= _TRIES or now_s - self._last_s < _PERIOD_S:
             return []
         self._tries += 1
         self._last_s = now_s

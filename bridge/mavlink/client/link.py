@@ -155,7 +155,9 @@ class VehicleLink:
         if request is Request.NONE:
             own, restarted_s = self.state.own, self.state.restarted_s
             known = self.state.origin_known or (own is not None and own.arrival_s >= restarted_s)
-            self._outgoing += self._origin_sender.step(self.state.status, known, now_s)
+            status = self.state.status
+            wanted = status is not None and not status.armed and not known
+            self._outgoing += self._origin_sender.step(wanted, now_s)
 
     def send_setpoint(self, setpoint: ApprovedSetpoint, now_s: float) -> bool:
         """Queue a velocity; no other function sends one. False: not finite, or it would end a take-off."""

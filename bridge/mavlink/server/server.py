@@ -17,7 +17,7 @@ from bridge.mavlink.codec.messages import Message, parameter_name
 from bridge.mavlink.server.commander import Right, Sender, Text, read_setpoint
 from bridge.mavlink.server.commands import Commands, Entry
 from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
-from bridge.mavlink.server.profile import FlightMode, ServerProfile, mode_of, why_no_mode
+from bridge.mavlink.server.profile import ServerProfile
 from bridge.mavlink.server.telemetry import Builder, Snapshot, Streams, V, autopilot_version, heartbeat
 
 SYSTEM_ID = 1
@@ -224,20 +224,14 @@ class Server(ABC, Generic[V]):
         return self.commands.run(message, sender, now_s)
 
     def _on_set_mode(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Handle SET_MODE; its only reply is a text."""
-        if message.target_system != self.system_id:
-            return []
-        vehicle = self.vehicle
-        pair = message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24 & 0xFF  # main mode, sub mode
-        mode = mode_of(*pair)
-        if mode is None:
-            reason: str | None = why_no_mode(*pair)
-        else:
-            right = Right.ANYBODY if mode is FlightMode.LAND else Right.OWNER
-            reason = vehicle.forbids(sender, right, now_s)
-            reason = vehicle.set_mode(mode, now_s) if reason is None else f"Mode refused: {reason}"
-        if reason is not None:
-            vehicle.texts.refuse(reason, now_s)
+        """Handle SET_MODE as DO_SET_MODE; its only reply is a text."""
+        if message.target_system == self.system_id:
+            main, sub = message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24 & 0xFF
+            command = dialect.MAVLink_command_long_message(
+                self.system_id, COMPONENT_ID, dialect.MAV_CMD_DO_SET_MODE, 0,
+                dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, main, sub, 0.0, 0.0, 0.0, 0.0,
+            )  # fmt: skip
+            self.commands.run(command, sender, now_s)
         return []
 
     def _on_timesync(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:

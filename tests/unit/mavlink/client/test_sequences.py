@@ -208,16 +208,13 @@ def test_a_stream_is_asked_for_while_it_does_not_come(wanted, seen, expected):
 
 def test_the_origin_is_told_once_a_second_on_the_ground_until_it_is_known():
     sender = OriginSender(Origin(47.0, 8.5, 400.0), 1)
-    assert sender.step(None, False, 0.0) == []
-    (message,) = sender.step(status(), False, 0.0)
+    assert sender.step(False, 0.0) == []
+    (message,) = sender.step(True, 0.0)
     assert (message.latitude, message.longitude, message.altitude) == (470_000_000, 85_000_000, 400_000)
-    for seen, known, now_s, count in (
-        (status(), False, 0.5, 0), (status(), False, 1.0, 1), (status(), True, 2.0, 0),
-        (status(armed=True), False, 2.0, 0),
-    ):  # fmt: skip
-        assert len(sender.step(seen, known, now_s)) == count
-    assert sum(len(sender.step(status(), False, 3.0 + tick)) for tick in range(200)) == 58
-    assert OriginSender(None, 1).step(status(), False, 0.0) == []
+    for wanted, now_s, count in ((True, 0.5, 0), (True, 1.0, 1), (False, 2.0, 0)):
+        assert len(sender.step(wanted, now_s)) == count
+    assert sum(len(sender.step(True, 3.0 + tick)) for tick in range(200)) == 58
+    assert OriginSender(None, 1).step(True, 0.0) == []
 
 
 def test_long_texts_are_put_together():
