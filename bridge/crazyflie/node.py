@@ -29,13 +29,11 @@ from bridge.crazyflie.packets import (
 from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.crazyflie.vehicle import Vehicle
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.profiles import CRAZYFLIE_MARK
 from bridge.mavlink.server import telemetry
 from bridge.mavlink.server.commands import ACCEPTED, REJECTED, Reply
 from bridge.mavlink.server.parameters import Parameters, fixed
-from bridge.mavlink.server.profile import ServerProfile
 from bridge.mavlink.server.server import COMPONENT_ID, Server
-from bridge.mavlink.server.telemetry import Builder, Snapshot
+from bridge.mavlink.server.telemetry import Snapshot, StreamTable
 from flightstack.core.types import Vec3
 
 READINESS_S = 1.0  # time between two checks of the conditions for arming, s
@@ -63,7 +61,7 @@ def _vfr_hud(s: Snapshot[Vehicle]) -> Message:
 
 
 # Streams in the order of a datagram, with default rates, Hz; None: with every state, or only on request
-_STREAMS: dict[int, tuple[Builder[Vehicle], float | None]] = {
+_STREAMS: StreamTable[Vehicle] = {
     _M.MAVLINK_MSG_ID_ATTITUDE: (telemetry.attitude, None),
     _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (telemetry.attitude_quaternion, 50.0),
     _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (telemetry.local_position_ned, None),
@@ -73,14 +71,6 @@ _STREAMS: dict[int, tuple[Builder[Vehicle], float | None]] = {
     _M.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 1.0),
     _M.MAVLINK_MSG_ID_VFR_HUD: (_vfr_hud, None),
 }
-PROFILE = ServerProfile(
-    mark=CRAZYFLIE_MARK,
-    sensors=_M.MAV_SYS_STATUS_SENSOR_3D_GYRO
-    | _M.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-    | _M.MAV_SYS_STATUS_SENSOR_3D_MAG
-    | _M.MAV_SYS_STATUS_SENSOR_BATTERY,
-    streams=_STREAMS,
-)
 
 
 class Node(Server[Vehicle]):
@@ -100,7 +90,7 @@ class Node(Server[Vehicle]):
             )
         )
         vehicle = Vehicle(options, drag_1_s)
-        super().__init__(vehicle, PROFILE, parameters, _RATE_HZ, system_id=options.system_id)
+        super().__init__(vehicle, _STREAMS, parameters, _RATE_HZ, system_id=options.system_id)
         self._events: dict[type, Callable[[Any, float], None]] = {
             Connected: self.vehicle.connected,
             Lost: self.vehicle.lost,
@@ -133,7 +123,7 @@ class Node(Server[Vehicle]):
         if vehicle.state is None or not vehicle.alive(now_s):
             return None
         known = vehicle.position_known(now_s)
-        return Snapshot(vehicle, self.profile, vehicle.state, known, now_s, vehicle.state.boot_ms / 1000.0)
+        return Snapshot(vehicle, vehicle.state, known, now_s, vehicle.state.boot_ms / 1000.0)
 
     def streamed(self, snapshot: Snapshot[Vehicle]) -> list[Message]:
         """Return the messages of the states since the last call; without states, those of the condition."""

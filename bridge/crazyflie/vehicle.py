@@ -27,6 +27,7 @@ from bridge.crazyflie.packets import (
 )
 from bridge.crazyflie.pilot import DESCENT_M_S, REFUSED, Arming, Done, Pilot, Stopped, yaw_rate
 from bridge.crazyflie.rules import Settings
+from bridge.mavlink.profiles import CRAZYFLIE_MARK
 from bridge.mavlink.server.commander import Commander, Setpoint
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mocap.checks import Passed
@@ -43,6 +44,13 @@ class Vehicle(Condition, Commander):
     Home is the horizontal origin, at the height where the vehicle stands or was armed.
     """
 
+    mark = CRAZYFLIE_MARK
+    sensors = (
+        dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
+        | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+        | dialect.MAV_SYS_STATUS_SENSOR_3D_MAG
+        | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
+    )
     height_range_m = limits.HEIGHT_RANGE_M
     stream_lost_s = limits.STREAM_S
 

@@ -28,7 +28,7 @@ from bridge.mavlink.server.server import SYSTEM_ID, Handler, Server
 from bridge.mavlink.server.telemetry import Snapshot
 from flightstack.core.types import Vec3
 from sim.autopilot.flight import Flight
-from sim.autopilot.telemetry import PX4, degrees_e7, x_of, y_of
+from sim.autopilot.telemetry import STREAMS, degrees_e7, x_of, y_of
 from sim.vehicle.vehicle import VehicleSim
 
 _HOME_REACH_M = 100.0  # largest distance of home from the room's origin
@@ -59,7 +59,7 @@ class Autopilot(Server[Flight]):
         parameters = Parameters(px4_parameters(system_id))
         self.flight = Flight(vehicle, parameters, 1.0 / rate_hz)
         self._epoch_ns = epoch_ns
-        super().__init__(self.flight, PX4, parameters, rate_hz, system_id=system_id)
+        super().__init__(self.flight, STREAMS, parameters, rate_hz, system_id=system_id)
 
     def control(self, now_s: float) -> None:
         """Compute the set-point; call it after ``handle`` and before the physics."""
@@ -68,7 +68,7 @@ class Autopilot(Server[Flight]):
     def snapshot(self, now_s: float) -> Snapshot[Flight]:
         """Return the state of the vehicle; its boot clock is the simulated time."""
         estimate = self.flight.vehicle.estimate()
-        return Snapshot(self.flight, self.profile, estimate, estimate.valid, now_s, now_s, self._epoch_ns)
+        return Snapshot(self.flight, estimate, estimate.valid, now_s, now_s, self._epoch_ns)
 
     def own_commands(self) -> dict[int, Entry]:
         m, owner = dialect, Right.OWNER

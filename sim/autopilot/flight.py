@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import yaw_from_quaternion
+from bridge.mavlink.profiles import SITL_MARK
 from bridge.mavlink.server.commander import Battery, Commander, Sender, Setpoint
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode
@@ -116,6 +117,14 @@ _ESTIMATE_LOST_S = 0.5  # time without a valid estimate after which the vehicle 
 
 
 class Flight(Commander):
+    mark = SITL_MARK
+    sensors = (
+        dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
+        | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+        | dialect.MAV_SYS_STATUS_SENSOR_3D_MAG
+        | dialect.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+        | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
+    )
     height_range_m = HEIGHT_RANGE_M
 
     def __init__(self, vehicle: VehicleSim, parameters: Parameters, period_s: float) -> None:

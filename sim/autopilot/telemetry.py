@@ -12,10 +12,8 @@ from bridge.frames import (
     ned_from_enu,
 )
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.profiles import SITL_MARK
 from bridge.mavlink.server import telemetry as common
-from bridge.mavlink.server.profile import ServerProfile
-from bridge.mavlink.server.telemetry import Builder, Snapshot
+from bridge.mavlink.server.telemetry import Snapshot, StreamTable
 from flightstack.core.types import Vec3
 from sim.autopilot.flight import Flight
 
@@ -136,7 +134,7 @@ def _system_time(s: Snapshot[Flight]) -> Message:
 
 # Streams in the order of a datagram, with the default rates, Hz: PX4's rates, or rates that clients need as
 # measured. None: at every tick, or on request only.
-_STREAMS: dict[int, tuple[Builder[Flight], float | None]] = {
+STREAMS: StreamTable[Flight] = {
     dialect.MAVLINK_MSG_ID_SYS_STATUS: (common.sys_status, 5.0),
     dialect.MAVLINK_MSG_ID_SYSTEM_TIME: (_system_time, 1.0),
     dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: (_servo_output_raw, 1.0),
@@ -155,11 +153,3 @@ _STREAMS: dict[int, tuple[Builder[Flight], float | None]] = {
     dialect.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 0.5),
     dialect.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 5.0),  # 30 Hz on PX4's onboard link; packing it is slow
 }
-_SENSORS = (
-    dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
-    | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-    | dialect.MAV_SYS_STATUS_SENSOR_3D_MAG
-    | dialect.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
-    | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
-)
-PX4 = ServerProfile(mark=SITL_MARK, sensors=_SENSORS, streams=_STREAMS)

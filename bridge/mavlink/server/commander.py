@@ -160,6 +160,8 @@ class Battery(NamedTuple):
 class Commander(ABC):
     """State and commands of one vehicle, as the server needs them."""
 
+    mark: ClassVar[bytes]  # 8 bytes in AUTOPILOT_VERSION.flight_custom_version: the kind of vehicle
+    sensors: ClassVar[int]  # MAV_SYS_STATUS_SENSOR bits that are always healthy
     height_range_m: ClassVar[tuple[float, float]]  # allowed range of the take-off height above home
 
     def __init__(self) -> None:
@@ -197,7 +199,7 @@ class Commander(ABC):
 
     @abstractmethod
     def sensors_healthy(self, now_s: float, /) -> int:
-        """Return the MAV_SYS_STATUS_SENSOR bits of healthy sensors, in addition to the profile's."""
+        """Return the MAV_SYS_STATUS_SENSOR bits of healthy sensors, in addition to ``sensors``."""
 
     @abstractmethod
     def problems(self, now_s: float, /) -> list[str]:

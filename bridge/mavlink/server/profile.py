@@ -1,4 +1,4 @@
-"""PX4 as this project's vehicles imitate it: modes, capabilities, and differences between the vehicles.
+"""PX4 as this project's vehicles imitate it: modes and capabilities.
 
 The constants are from PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``).
 ``bridge.mavlink.profiles`` describes how the flight stack uses an autopilot.
@@ -6,14 +6,11 @@ The constants are from PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mav
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
-
-from bridge.mavlink.codec.messages import Message
 
 _M = dialect
 
@@ -81,16 +78,3 @@ FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM that forces a disarm
 EVERY_TICK = (_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 # Indoors there is no GPS, but clients recognise a good position only by its bit (MAVSDK telemetry_impl.cpp).
 POSITION_SOURCE = _M.MAV_SYS_STATUS_SENSOR_GPS | _M.MAV_SYS_STATUS_SENSOR_VISION_POSITION
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServerProfile:
-    mark: bytes  # 8 bytes in AUTOPILOT_VERSION.flight_custom_version that identify the kind of vehicle
-    sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always healthy
-    # builder and default rate, Hz, by message id, in the order of a datagram; rate None: at every tick, or
-    # on request
-    streams: Mapping[int, tuple[Callable[[Any], Message], float | None]]
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> ServerProfile:
-        """Return itself: a profile is constant."""
-        return self

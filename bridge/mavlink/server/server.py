@@ -17,8 +17,15 @@ from bridge.mavlink.codec.messages import Message, parameter_name
 from bridge.mavlink.server.commander import Right, Sender, Text, read_setpoint
 from bridge.mavlink.server.commands import Commands, Entry
 from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
-from bridge.mavlink.server.profile import ServerProfile
-from bridge.mavlink.server.telemetry import Builder, Snapshot, Streams, V, autopilot_version, heartbeat
+from bridge.mavlink.server.telemetry import (
+    Builder,
+    Snapshot,
+    Streams,
+    StreamTable,
+    V,
+    autopilot_version,
+    heartbeat,
+)  # fmt: skip
 
 SYSTEM_ID = 1
 COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot only at this component id
@@ -62,18 +69,18 @@ class Server(ABC, Generic[V]):
     def __init__(
         self,
         vehicle: V,
-        profile: ServerProfile,
+        streams: StreamTable[V],
         parameters: Parameters,
         rate_hz: float,
         *,
         system_id: int = SYSTEM_ID,
     ) -> None:
         """``rate_hz``: rate of the ticks, and highest rate of any message."""
-        self.vehicle, self.profile, self.parameters = vehicle, profile, parameters
+        self.vehicle, self.parameters = vehicle, parameters
         self.system_id = system_id
-        self.streams: Streams[V] = Streams(rate_hz, profile)
+        self.streams: Streams[V] = Streams(rate_hz, streams)
         requestable: dict[int, Builder[V]] = {
-            **{id_: builder for id_, (builder, _) in profile.streams.items()},
+            **{id_: builder for id_, (builder, _) in streams.items()},
             dialect.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
         }

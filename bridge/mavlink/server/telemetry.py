@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -25,7 +25,6 @@ from bridge.mavlink.server.profile import (
     POSITION_SOURCE,
     PX4_CODES,
     VERSION,
-    ServerProfile,
 )
 
 V = TypeVar("V", bound=Commander)
@@ -36,7 +35,6 @@ class Snapshot(Generic[V]):
     """State of a vehicle at one time; all its telemetry is built from this."""
 
     vehicle: V
-    profile: ServerProfile
     # state from the vehicle's estimator: position_enu_m of the centre of mass, velocity_enu_m_s, quaternion
     # (w, x, y, z; FLU in ENU), angular_velocity_flu_rad_s
     estimate: Any
@@ -55,6 +53,9 @@ class Snapshot(Generic[V]):
 
 
 Builder = Callable[[Snapshot[V]], Message]
+# builder and default rate, Hz, by message id, in the order of a datagram; rate None: at every tick, or on
+# request
+StreamTable = Mapping[int, tuple[Builder[V], float | None]]
 
 
 def heartbeat(s: Snapshot[V]) -> Message:
@@ -115,8 +116,8 @@ def vfr_hud(s: Snapshot[V], throttle_percent: int) -> Message:
 
 
 def sys_status(s: Snapshot[V]) -> Message:
-    vehicle, present = s.vehicle, s.profile.sensors | POSITION_SOURCE
-    health = s.profile.sensors | vehicle.sensors_healthy(s.now_s)
+    vehicle, present = s.vehicle, s.vehicle.sensors | POSITION_SOURCE
+    health = vehicle.sensors | vehicle.sensors_healthy(s.now_s)
     ready = 0 if vehicle.problems(s.now_s) else dialect.MAV_SYS_STATUS_PREARM_CHECK
     battery = vehicle.battery
     return dialect.MAVLink_sys_status_message(
@@ -143,7 +144,7 @@ def battery_status(s: Snapshot[V]) -> Message:
 def autopilot_version(s: Snapshot[V]) -> Message:
     zeros = [0] * 8
     return dialect.MAVLink_autopilot_version_message(
-        CAPABILITIES, VERSION, 0, 0, 0, list(s.profile.mark), zeros, zeros, 0, 0, 0
+        CAPABILITIES, VERSION, 0, 0, 0, list(s.vehicle.mark), zeros, zeros, 0, 0, 0
     )
 
 
@@ -159,9 +160,14 @@ _INTERVAL_MAX_S = 2000.0  # longest interval, s; MESSAGE_INTERVAL counts microse
 class _Stream(Generic[V]):
     message_id: int
     build: Builder[V]
-    interval_s: float  # period of the stream, s; infinite: off
-    due_s: float
+    default_s: float  # default period of the stream, s; infinite: off
+    interval_s: float = field(init=False)  # present period, s
+    due_s: float = field(init=False)
     passed_s: float = -_OFF  # time of the last sending; a message is sent at most once per tick
+
+    def __post_init__(self) -> None:
+        self.interval_s = self.default_s
+        self.due_s = 0.0 if self.default_s < _OFF else _OFF
 
     def passes(self, now_s: float, limit_s: float) -> bool:
         """Whether the message is due before ``limit_s``; if so, the call schedules it one interval later."""
@@ -177,25 +183,18 @@ class _Stream(Generic[V]):
 class Streams(Generic[V]):
     """Intervals and due times of all messages; all peers share them, as on a PX4 port."""
 
-    def __init__(self, rate_hz: float, profile: ServerProfile) -> None:
+    def __init__(self, rate_hz: float, table: StreamTable[V]) -> None:
         """Set the default rates; no request raises a rate above ``rate_hz``."""
-        self._period_s = 1.0 / rate_hz
+        self._period_s = period_s = 1.0 / rate_hz
         self._hidden: frozenset[int] = frozenset()
-        self._default_s = dict.fromkeys(EVERY_TICK, self._period_s)
-        streams = profile.streams
-        self._default_s |= {
-            id_: max(self._period_s, 1.0 / hz) for id_, (_, hz) in streams.items() if hz is not None
-        }
-        self._streams: dict[int, _Stream[V]] = {
-            id_: _Stream(id_, streams[id_][0], self._default_s.get(id_, _OFF), 0.0)
-            for id_ in dict.fromkeys((*EVERY_TICK, *streams))
-        }
+        self._streams: dict[int, _Stream[V]] = {}
+        for id_ in dict.fromkeys((*EVERY_TICK, *table)):
+            build, hz = table[id_]
+            default_s = _OFF if hz is None else max(period_s, 1.0 / hz)
+            self._streams[id_] = _Stream(id_, build, period_s if id_ in EVERY_TICK else default_s)
         self._busy: list[_Stream[V]] = []  # streams that are sent at every tick
         self._lazy: list[_Stream[V]] = []  # streams with longer intervals
         self._lazy_due_s = 0.0  # earliest due time of these streams
-        for stream in self._streams.values():
-            if stream.interval_s == _OFF:
-                stream.due_s = _OFF
         self._sort()
 
     def known(self, message_id: int) -> bool:
@@ -223,7 +222,7 @@ class Streams(Generic[V]):
         if interval_us < 0.0:
             return _OFF
         if interval_us == 0.0:
-            return self._default_s.get(message_id, _OFF)
+            return self._streams[message_id].default_s
         return min(max(self._period_s, interval_us * 1e-6), _INTERVAL_MAX_S)
 
     def reset(self, now_s: float) -> None:

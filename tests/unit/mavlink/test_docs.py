@@ -11,7 +11,7 @@ from bridge.mavlink.server.parameters import INT32
 from bridge.mavlink.server.profile import EVERY_TICK, FlightMode
 from sim.autopilot.autopilot import px4_parameters
 from sim.autopilot.flight import STREAM_LOST
-from sim.autopilot.telemetry import PX4
+from sim.autopilot.telemetry import STREAMS
 from sim.plant.params import load
 from sim.px4.airframe import parameters
 from sim.px4.plant import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
@@ -38,11 +38,11 @@ def rows(section: str) -> list[list[str]]:
 def rate(message_id: int) -> str:
     if message_id == mav.MAVLINK_MSG_ID_HEARTBEAT:
         return "1 Hz, immediately after a change; not settable"
-    if message_id not in PX4.streams:
+    if message_id not in STREAMS:
         return "on request; not settable"
     if message_id in EVERY_TICK:
         return "every tick"
-    rate_hz = PX4.streams[message_id][1]
+    rate_hz = STREAMS[message_id][1]
     return f"{rate_hz:g} Hz" if rate_hz is not None else "off"
 
 
