@@ -1,6 +1,7 @@
 """Makes MAVLink frames for the tests of codec and endpoint."""
 
 import random
+import socket
 import struct
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -34,3 +35,22 @@ def raw_frame(message_id, payload, flags=0):
     body = bytes([len(payload), flags, 0, 7, 3, 4]) + message_id.to_bytes(3, "little") + payload
     crc = dialect.x25crc(body + bytes([dialect.mavlink_map[message_id].crc_extra])).crc
     return b"\xfd" + body + struct.pack("<H", crc) + (bytes(range(13)) if flags else b"")
+
+
+class Caller:
+    """A UDP socket that sends frames or messages to an endpoint and returns what the endpoint receives."""
+
+    def __init__(self, server, ids=(1, 191)):
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(5.0)
+        self.mav, self.server = dialect.MAVLink(None, *ids), server
+        self.address = self.socket.getsockname()
+
+    def put(self, *frames):
+        self.socket.sendto(b"".join(frames), ("127.0.0.1", self.server.local_port))
+        assert self.server.wait(5.0)
+        return self.server.receive()
+
+    def send(self, *messages):
+        return self.put(*(message.pack(self.mav) for message in messages))

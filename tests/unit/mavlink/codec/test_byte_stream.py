@@ -108,16 +108,3 @@ def test_peer_of_tcp_on_the_network_follows_the_policy_of_udpout():
     assert endpoint.receive() == []
     assert time.monotonic() - before_s < AT_ONCE_S
     endpoint.close()
-
-
-def test_line_that_takes_nothing_is_not_turned_at_full_speed(tmp_path):
-    """A wait with unsent bytes must not use the processor."""
-    far = PtyEnd(tmp_path, 57_600)
-    endpoint = Endpoint(far.url, 1, 191)
-    while not endpoint.counters["outgoing_full"]:
-        endpoint.send([position()])
-    before_s = time.thread_time()
-    endpoint.wait(0.3)
-    assert time.thread_time() - before_s < 0.15
-    endpoint.close()
-    far.close()

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.transport.address import parse_peer, parse_url
-from tests.unit.mavlink.codec.frames_of_messages import frames_of, position
+from tests.unit.mavlink.codec.frames_of_messages import Caller, frames_of, position
 from tests.unit.mavlink.signing.signing_helpers import KEY, heartbeat
 
 
@@ -93,24 +93,6 @@ def test_full_datagrams_do_not_keep_the_loop(pair):
         assert server.wait(5.0)
         server.receive()
     assert server.counters["received"] == 50 * 90
-
-
-class Caller:
-    """A UDP socket that sends and receives unsigned MAVLink messages."""
-
-    def __init__(self, server, ids=(1, 191)):
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(5.0)
-        self.mav = dialect.MAVLink(None, *ids)
-        self.server = server
-        self.address = self.socket.getsockname()
-
-    def send(self, *messages):
-        data = b"".join(message.pack(self.mav) for message in messages)
-        self.socket.sendto(data, ("127.0.0.1", self.server.local_port))
-        assert self.server.wait(5.0)
-        return self.server.receive()
 
 
 @pytest.fixture

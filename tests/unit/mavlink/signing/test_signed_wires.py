@@ -11,22 +11,16 @@ from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.signing import AHEAD_TICKS, STALE_TICKS, Signer
 from bridge.mavlink.transport.transport import dropped
 from tests.unit.mavlink.client.vehicle_link_fakes import linked
+from tests.unit.mavlink.codec.frames_of_messages import Caller
 from tests.unit.mavlink.signing.signing_helpers import COMPANION, KEY, S, forged, heartbeat, signed, theirs
 
 
-class Wire:
+class Wire(Caller):
     """A signed endpoint, and a socket that sends frames to it."""
 
     def __init__(self, key=KEY):
         self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=key)
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
-        self.address = self.socket.getsockname()
-
-    def put(self, *frames):
-        self.socket.sendto(b"".join(frames), ("127.0.0.1", self.endpoint.local_port))
-        assert self.endpoint.wait(5.0)
-        return self.endpoint.receive()
+        super().__init__(self.endpoint)
 
     def close(self):
         self.endpoint.close()
