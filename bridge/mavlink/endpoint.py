@@ -59,14 +59,12 @@ class Endpoint:
         system_id: int,
         component_id: int,
         *,
-        max_peers: int = 8,
         signing_key: SigningKey | None = None,
         always: Sequence[Peer] = (),
         allow_unsigned: bool = False,
     ) -> None:
         """Open the socket or serial line.
 
-        ``max_peers``: largest number of peers that the endpoint learns from their heartbeats.
         ``always``: peers of ``udpin`` that receive telemetry from the start and never expire.
         ``allow_unsigned``: permit listening on a network without a key.
         A refused TCP connection is no error: the endpoint retries, and ``take_notices`` reports it.
@@ -85,7 +83,7 @@ class Endpoint:
         self.tap: Tap | None = None
         self.counters = Counter[str]()  # numbers of frames and bytes by outcome, see docs/how_to/security.md
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
-        self._peers = PeerTable(configured if kind == "udpin" else (address,), max_peers)
+        self._peers = PeerTable(configured if kind == "udpin" else (address,))
         self._transport: ByteStream | DatagramTransport = (
             ByteStream(kind, address, self.counters)
             if kind in ("serial", "tcp")

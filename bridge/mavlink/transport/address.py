@@ -114,15 +114,15 @@ def check_policy(
     return f"MAVLink is not signed on {url!r}: {who} can command the vehicle"
 
 
+PEERS_MAX = 8  # maximum number of peers that an endpoint learns from their heartbeats
 EXPIRY_S = 10.0  # wall time without a heartbeat (1 Hz) after which a peer expires, s
 
 
 class PeerTable:
-    """Receivers of telemetry: ``configured`` peers, and at most ``peers_max`` senders of heartbeats."""
+    """Receivers of telemetry: ``configured`` peers, and senders of heartbeats."""
 
-    def __init__(self, configured: tuple[Peer, ...], peers_max: int) -> None:
+    def __init__(self, configured: tuple[Peer, ...]) -> None:
         self._configured = configured
-        self._peers_max = peers_max
         self._beating: dict[Peer, float] = {}  # time of the last frame of a peer that has sent a heartbeat
 
     @property
@@ -139,9 +139,9 @@ class PeerTable:
             if not heartbeat:
                 return True
             for other, heard_s in list(self._beating.items()):
-                if len(self._beating) >= self._peers_max and now_s - heard_s > EXPIRY_S:
+                if len(self._beating) >= PEERS_MAX and now_s - heard_s > EXPIRY_S:
                     del self._beating[other]
-            if peer not in self._configured and len(self._beating) >= self._peers_max:
+            if peer not in self._configured and len(self._beating) >= PEERS_MAX:
                 return False
         self._beating[peer] = now_s
         return True

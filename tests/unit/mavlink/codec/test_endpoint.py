@@ -96,8 +96,9 @@ def test_full_datagrams_do_not_keep_the_loop(pair):
 
 
 @pytest.fixture
-def server():
-    endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1, max_peers=2)
+def server(monkeypatch):
+    monkeypatch.setattr("bridge.mavlink.transport.address.PEERS_MAX", 2)
+    endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1)
     yield endpoint
     endpoint.close()
 
