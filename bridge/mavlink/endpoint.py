@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.framing import FLAG_SIGNED, Framer, intact, without_signature
+from bridge.mavlink.codec.framing import FLAG_SIGNED, Framer, without_signature
 from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.signing import Refusal, Signer, SigningKey, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
@@ -224,7 +224,7 @@ class Endpoint:
         Repetitions depend on wall time, so they are neither logged nor numbered. With a key the frame gets a
         new signature, since receivers reject a repeated timestamp.
         """
-        wire = self._signer.sign(frame) if self._signer is not None and intact(frame) else frame
+        wire = self._signer.sign(frame) if self._signer is not None else frame
         for to in (peer,) if peer is not None else self.peers:
             self._transport.send((wire,), to)
 

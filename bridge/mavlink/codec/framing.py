@@ -99,17 +99,12 @@ def split_frames(datagram: bytes, counters: Counter[str] | None = None) -> list[
 
 
 def with_signed_flag(frame: bytes) -> bytes:
-    """Set the signed flag of an unsigned frame and correct its checksum; the signature is added later."""
+    """Set the signed flag of an unsigned frame; a wrong checksum stays wrong. The signature follows."""
     return _with_flags(frame, len(frame), FLAG_SIGNED)
 
 
 def without_signature(frame: bytes) -> bytes:
     return _with_flags(frame, len(frame) - _SIGNATURE, 0)
-
-
-def intact(frame: bytes) -> bool:
-    """Whether an unsigned frame of a known message has a correct checksum."""
-    return frame_end(frame, 0, len(frame), Counter()) == len(frame)
 
 
 def frame_end(data: bytes, pos: int, size: int, count: Counter[str]) -> int:

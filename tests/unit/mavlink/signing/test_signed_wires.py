@@ -177,7 +177,7 @@ def test_vehicle_with_its_clock_behind_is_heard_after_one_answer(link):
     vehicle.socket.close()
 
 
-def test_a_repeat_is_no_replay_and_a_damaged_one_is_not_signed():
+def test_a_repeat_is_no_replay_and_a_damaged_one_stays_damaged():
     vehicle = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=KEY)
     companion = Endpoint(f"udpout:127.0.0.1:{vehicle.local_port}", 1, 191, signing_key=KEY)
     hello = heartbeat()
