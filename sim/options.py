@@ -78,7 +78,7 @@ class Px4SimOptions(shared.Simulator):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ValidateOptions(shared.Result):
+class ValidateOptions:
     """Options of the tool that compares the simulator with recorded flights."""
 
     folder: Annotated[Path, Option("DIR", exists=True, path="folder")]
@@ -93,5 +93,6 @@ class ValidateOptions(shared.Result):
     seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0
     workers: shared.Workers = None
     out: Annotated[Path | None, Option(
-        "--out", "Folder for page and JSON; default: a new folder in runs/.", path="folder"
+        "--out", "Folder for validate.json; default: a new folder in runs/.", path="folder"
     )] = None  # fmt: skip
+    as_json: shared.AsJson = False

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -76,6 +75,7 @@ def campaign(options: CampaignOptions) -> None:
 
 def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options: CampaignOptions) -> int:
     """Write the report page, and print the table or JSON; return the exit status."""
+    from logs.report.page import ReportError
     from sim.campaign.rows import failed_rows
     from sim.campaign.run import PAGE, ROWS, write_page
     from sim.campaign.summary import apart
@@ -88,7 +88,13 @@ def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options:
         )
     if flown.summary is None:
         return INCOMPLETE
-    page = _page(folder / PAGE, options, lambda path: write_page(path, wanted, flown))
+    page = folder / PAGE if options.with_report else None
+    try:
+        if page is not None:
+            write_page(page, wanted, flown)
+    except ReportError as error:  # the results stay valid
+        click.echo(f"flightstack: {error}", err=True)
+        page = None
     if options.as_json:
         click.echo(json.dumps(flown.summary))
     else:
@@ -104,20 +110,6 @@ def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options:
         click.echo(f"flightstack: {problem}", err=True)
         return WRONG_INPUT
     return INCOMPLETE if flown.missing else COMPLETE
-
-
-def _page(path: Path, options: shared.Result, write: Callable[[Path], None]) -> Path | None:
-    """Write a page and return its path; None if the user declines it or if it fails (results stay valid)."""
-    from logs.report.page import ReportError
-
-    if not options.with_report:
-        return None
-    try:
-        write(path)
-    except ReportError as error:
-        click.echo(f"flightstack: {error}", err=True)
-        return None
-    return path
 
 
 def _table(wanted: Plan, found: dict[str, Any]) -> Table:
@@ -164,20 +156,10 @@ def validate(options: ValidateOptions) -> None:
     folder = options.out or new_folder("validate")
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "validate.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-
-    def write_page(path: Path) -> None:
-        from logs.report.page import write
-        from sim.validation.run import validation_page
-
-        write(path, validation_page(found))
-
-    page = _page(folder / "validate.html", options, write_page)
     if options.as_json:
         click.echo(json.dumps(found))
     else:
         _print_criteria(console, found)
-        if page is not None:
-            console.print(f"report  {page}", soft_wrap=True)
     sys.exit(PASSED if found["passed"] else FAILED)
 
 

@@ -2,7 +2,6 @@
 
 Every number is a statistic over flights with a 95 % interval from bootstrap over flights, because the samples
 of one flight are correlated.
-One object holds the results of a comparison, for ``--json`` and the page.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from scipy.stats import bootstrap
 
 from sim.flights.recording import Floats
 from sim.options import ValidateOptions
-from sim.validation.closed_loop import Flown
 from sim.validation.open_loop import HORIZONS_S
 from sim.validation.run import Compared
 from sim.validation.sensing import SPEED_EDGES_M_S
@@ -264,15 +262,10 @@ CRITERIA = (
 )  # fmt: skip
 
 
-QUANTITIES = ("position_m", "velocity_m_s", "attitude_rad")
-PREDICTORS = ("model", "constant_velocity", "ideal")
-SIDES = ("recorded", "simulated")
-
-
 def summary(
     options: ValidateOptions, flights: Sequence[Compared], verdicts: Sequence[Verdict]
 ) -> dict[str, Any]:
-    """Return the object that ``--json`` prints; medians over flights with 95 % intervals, SI units."""
+    """Return the object that ``--json`` prints; SI units, intervals of 95 %."""
     used = [flight for flight in flights if flight.used]
     met = bool(used) and all(verdict.met for verdict in verdicts)
     told = causes(verdicts) if used else ["nothing is left to compare with"]
@@ -285,9 +278,6 @@ def summary(
         "used_s": sum(flight.used_s for flight in used),
         "left_out": [_left_out(flight) for flight in flights if not flight.used],
         "cut": [_left_out(flight) for flight in used if flight.left_out],
-        "open_loop": {f"{seconds:g}": _horizon(used, place) for place, seconds in enumerate(HORIZONS_S)},
-        "closed_loop": _closed_loop(used),
-        "sensing": {name: _sensing(used, name) for name in ("position", "velocity")},
         "criteria": [_verdict(verdict) for verdict in verdicts],
         "passed": met,
         "causes": [] if met else told,
@@ -317,52 +307,11 @@ def _left_out(flight: Compared) -> dict[str, Any]:
     return {"name": flight.name, "reasons": reasons(flight)}
 
 
-def _of(found: Estimate | None) -> dict[str, Any]:
-    if found is None:
-        return {"value": None, "interval": [None, None]}
-    return {"value": plain(found.value), "interval": plain([found.low, found.high])}
-
-
-def _numbers(used: Sequence[Compared], path: str, statistic: Statistic = np.median) -> dict[str, Any]:
-    return _of(estimate(used, statistic, path))
-
-
-def _horizon(used: Sequence[Compared], place: int) -> dict[str, Any]:
-    told: dict[str, Any] = {}
-    for quantity in QUANTITIES:
-        found = {p: _numbers(used, f"open_loop.horizons.{place}.{quantity}.{p}") for p in PREDICTORS}
-        told[quantity] = {p: each["value"] for p, each in found.items()}
-        told[quantity]["interval"] = {p: each["interval"] for p, each in found.items()}
-    return told
-
-
-def _closed_loop(used: Sequence[Compared]) -> dict[str, Any]:
-    return {"flights": sum(flight.closed_loop is not None for flight in used)} | {
-        name: {side: _numbers(used, f"closed_loop.{side}.{name}") for side in SIDES}
-        for name in ("tracking_rms_m", *Flown._fields)
-    }
-
-
-def _sensing(used: Sequence[Compared], name: str) -> dict[str, Any]:
-    """Summarise position or velocity errors: median delay, and the rms over flights for each speed range."""
-    told: dict[str, Any] = {"speed_m_s": list(SPEED_EDGES_M_S)}
-    for side in SIDES:
-        where = f"sensing.{side}.{name}"
-        bands = range(len(SPEED_EDGES_M_S) - 1)
-        told[side] = {
-            "delay_s": _numbers(used, f"{where}.delay_s"),
-            "by_speed": [_numbers(used, f"{where}.by_speed.{band}", _rms) for band in bands],
-        }
-    return told
-
-
-def _rms(values: Floats, axis: int) -> Any:
-    return np.sqrt((values**2).mean(axis=axis))
-
-
 def _verdict(verdict: Verdict) -> dict[str, Any]:
     c = verdict.criterion
     return {
         "part": c.part, "text": c.text, "limit": c.limit, "reason": c.reason, "found": verdict.text,
-        **_of(verdict.found), "met": verdict.met, "word": verdict.word,
+        "value": plain(verdict.found and verdict.found.value),
+        "interval": plain([verdict.found.low, verdict.found.high] if verdict.found else [None, None]),
+        "met": verdict.met, "word": verdict.word,
     }  # fmt: skip

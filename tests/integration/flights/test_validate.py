@@ -13,11 +13,7 @@ import pytest
 
 from sim.flights.recording import COLUMNS
 from tests import recorded
-from tests.integration.logs.test_report_page import Page, browse, errors  # noqa: F401
 from tests.integration.runs import called
-
-HORIZONS = ("0.1", "0.25", "0.5")
-FIGURES = 3
 
 
 def validate(folder, out, *options, code=None):
@@ -96,14 +92,13 @@ def test_bad_flights_are_told_one_line_each_and_the_others_go_on(mixed):
 
 def test_csv_and_parquet_tell_the_same_and_every_part_is_there(mixed):
     told, _ = mixed
-    for quantity in ("position_m", "velocity_m_s", "attitude_rad"):
-        for horizon in HORIZONS:
-            errors = told["open_loop"][horizon][quantity]
-            assert all(errors[p] > 0.0 for p in ("model", "constant_velocity", "ideal"))
     good, hole = told["by_flight"]
+    for errors in good["open_loop"]["horizons"]:
+        for quantity in ("position_m", "velocity_m_s", "attitude_rad"):
+            assert all(errors[quantity][p] > 0.0 for p in ("model", "constant_velocity", "ideal"))
     assert None not in (good["closed_loop"], hole["closed_loop"])
     assert good["used_s"] > hole["used_s"] > 3.0
-    assert told["sensing"]["position"]["recorded"]["delay_s"]["value"] is not None
+    assert good["sensing"]["recorded"]["position"]["delay_s"] is not None
 
 
 def test_nothing_left_is_exit_status_1(tmp_path):
@@ -142,18 +137,13 @@ def test_other_names_and_units_are_read_by_a_table_of_columns(tmp_path):
     assert told["used"] == 1
 
 
-def test_the_terminal_shows_criteria_and_causes_and_the_page_opens(tmp_path, monkeypatch, browse):  # noqa: F811
+def test_the_terminal_shows_criteria_and_causes(tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     done = called("validate", recorded.PIECE.parent, "--out", tmp_path, "--workers", 1)
     assert "1 of 1 flights, 4 s, beside crazyflie21_room" in done.out
     assert "position after 0.1 s / constant velocity" in " ".join(done.out.split())
     told = json.loads((tmp_path / "validate.json").read_text())
     assert all(cause in " ".join(done.out.split()) for cause in told["causes"])
-    dom, console = browse(tmp_path / "validate.html")
-    assert errors(console) == []
-    seen = Page(dom)
-    assert seen.body["data-figures"] == seen.body["data-figures-drawn"] == str(FIGURES)
-    assert "figure8_medium_6s" in seen.text
 
 
 @pytest.mark.slow

@@ -125,14 +125,6 @@ def test_the_summary_is_json_and_counts_every_flight_once():
     assert told["flights"] == told["used"] + len(told["left_out"]) == 3
     assert told["left_out"] == [{"name": "bad", "reasons": ["in the air for 0.0 s only"]}]
     assert told["cut"] == [{"name": "cut", "reasons": ["values missing (NaN) (1.2 s)"]}]
-    assert list(told["open_loop"]) == ["0.1", "0.25", "0.5"]
-    for errors in told["open_loop"].values():
-        for quantity in ("position_m", "velocity_m_s", "attitude_rad"):
-            assert (
-                errors[quantity]["model"] < errors[quantity]["ideal"] < errors[quantity]["constant_velocity"]
-            )
-    assert told["closed_loop"]["duty"]["recorded"]["value"] == pytest.approx(0.85)
-    assert told["sensing"]["position"]["simulated"]["by_speed"][1]["value"] == pytest.approx(0.01)
     assert told["passed"]
     assert told["causes"] == []
 
