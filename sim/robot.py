@@ -22,7 +22,7 @@ from flightstack.core.types import Vec3
 from sim.chance import stream
 from sim.plant.params import load
 from sim.plant.sensors import BLOCK, NS, MeasurementChannel
-from sim.plant.state_error import DELAY, TURN, WIDTH, PastRecord, mismeasured_path, state_errors
+from sim.plant.state_error import DELAY, TURN, WIDTH, ErrorRows, PastRecord, mismeasured_path
 from sim.scenarios.tables import PathKind, StateError, TargetLink, TargetSpec
 
 DRIVE_LAG_S = 0.1  # first-order lag of the drive, s; not documented by ROBOTIS, assumed 0.05 to 0.15 s
@@ -313,7 +313,7 @@ class TargetError:
     """
 
     def __init__(self, spec: StateError, seed: int, rate_hz: float) -> None:
-        self._rows = state_errors(spec, seed, "target", rate_hz)
+        self._rows = ErrorRows(spec, seed, "target", rate_hz)
         self._left = np.empty((0, WIDTH))
         self._past = new(PastRecord)
         self._past.rate = rate_hz

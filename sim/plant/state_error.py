@@ -2,13 +2,13 @@
 
 A row of random numbers for each sample is drawn in advance. The sample is computed from the row and the true
 path: a delayed position plus a small error, a velocity with errors that grow with speed, and a rotated
-attitude. ``Rows`` come from a model (``ModelRows``) or from recorded flights (``TapeRows``).
+attitude.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import Annotated
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Cell, Record
 from sim.chance import stream
 from sim.scenarios.tables import StateError
-
-if TYPE_CHECKING:
-    from sim.flights.tape import Piece, Tape
 
 # columns of a row of errors
 DELAY = 0  # delay of the position, s; negative: prediction
@@ -33,8 +30,6 @@ WIDTH = 15
 PAST = 128  # number of stored states: 0.25 s at 500 Hz
 DELAY_MAX_S = 0.2
 DELAY_MIN_S = -0.1  # smallest delay, s: longest prediction at constant velocity
-CUT_S = (3.0, 8.0)  # shortest and longest segment of a recorded flight, s
-FADE_S = 0.2  # duration of the transition between two segments, s
 SMOOTH_S = 0.02  # smoothing time, s; the correlation of recorded errors is 0.98 to 0.99 after 10 ms
 SETTLED = 12.0  # settling time of the noise before its use, divided by its time constant
 
@@ -101,13 +96,6 @@ def mismeasured_path(
             measured[k, i] = past[0].late[i]
 
 
-class Rows(Protocol):
-    """Source of the state errors of one flight, sample by sample."""
-
-    def take(self, count: int) -> F64:
-        """Return the errors of the next samples, (count, WIDTH)."""
-
-
 class Noise:
     """Correlated normal noise of several values with variance one: white noise through two first-order lags.
 
@@ -138,7 +126,7 @@ class Noise:
 _NOISY = (*range(POSITION, POSITION + 3), AHEAD, ASIDE, VELOCITY + 2, *range(TURN, TURN + 3))  # noisy columns
 
 
-class ModelRows:
+class ErrorRows:
     """Errors from the statistical model with the parameters of ``StateError``.
 
     ``purpose``: name of the random stream; all purposes share the delay; ``rate_hz``: rate of the samples.
@@ -187,70 +175,3 @@ class ModelRows:
 def _within(draw: float) -> float:
     """Limit a standard normal number to two standard deviations, the range of recorded flights."""
     return max(-2.0, min(2.0, draw))
-
-
-class TapeRows:
-    """Errors of one recorded flight: joined random segments of the flight."""
-
-    def __init__(self, tape: Tape, rng: np.random.Generator, rate_hz: float) -> None:
-        self._rng = rng
-        self._step = 1.0 / (rate_hz * tape.step_s)  # number of recorded samples per simulated sample
-        self._pieces = [_rows(piece) for piece in tape.pieces]
-        lengths = np.array([len(piece) for piece in self._pieces], dtype=np.float64)
-        self._shares = lengths / lengths.sum()
-        self._fade = max(1, round(FADE_S * rate_hz))
-        self._cut_samples = (CUT_S[0] / tape.step_s, CUT_S[1] / tape.step_s)
-        self._left = self._cut()
-
-    def take(self, count: int) -> F64:
-        """Return the errors of the next samples, (count, WIDTH)."""
-        while len(self._left) < count + self._fade:
-            self._left = self._joined(self._left, self._cut())
-        rows, self._left = self._left[:count], self._left[count:]
-        return rows
-
-    def _cut(self) -> F64:
-        """Draw a random segment, resampled to the rate of the samples."""
-        piece = self._pieces[int(self._rng.choice(len(self._pieces), p=self._shares))]
-        last = len(piece) - 1
-        length = min(float(last), float(self._rng.uniform(*self._cut_samples)))
-        start = float(self._rng.uniform(0.0, last - length))
-        if self._step == 1.0:
-            return piece[round(start) : round(start) + round(length)]
-        at = np.arange(start, start + length, self._step)
-        return np.stack([np.interp(at, np.arange(len(piece)), column) for column in piece.T], axis=1)
-
-    def _joined(self, before: F64, after: F64) -> F64:
-        """Join two segments with a linear transition, because recordings have no jumps."""
-        fade = min(self._fade, len(before), len(after))
-        share = (np.arange(1, fade + 1) / (fade + 1))[:, None]
-        between = before[len(before) - fade :] * (1.0 - share) + after[:fade] * share
-        return np.concatenate((before[: len(before) - fade], between, after[fade:]))
-
-
-def _rows(piece: Piece) -> F64:
-    from sim.flights.tape import STILL_M_S
-
-    p = piece
-    still = STILL_M_S[0] * p.along, STILL_M_S[1] * p.across
-    columns = (
-        p.delay_s, p.velocity_delay_s, p.position_m, p.along, p.across, *still, p.velocity_m_s, p.turn_rad,
-    )  # fmt: skip
-    rows: F64 = np.column_stack(columns)
-    return rows
-
-
-def state_errors(spec: StateError, seed: int, purpose: str, rate_hz: float) -> Rows:
-    """Return the error source that the scenario selects.
-
-    ``purpose``: name of the random stream; ``rate_hz``: rate of the samples.
-    Raises RecordingError: the folder of flights, or a usable flight in it, is missing.
-    """
-    if spec.tape is None:
-        return ModelRows(spec, seed, purpose, rate_hz)
-    from sim.flights.tape import draw_tape, tape_folder  # a late import: only recorded flights need pyarrow
-
-    rng = stream(seed, f"{purpose}.tape")
-    chooser = stream(seed, "capture.tape") if spec.delay_shared else rng
-    tape = draw_tape(tape_folder(spec.tape), chooser)
-    return TapeRows(tape, rng, rate_hz)

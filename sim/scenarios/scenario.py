@@ -42,7 +42,6 @@ from sim.scenarios.tables import (
     Judge,
     Start,
     StartKind,
-    StateError,
     TargetLink,
     TargetSpec,
     VehicleSpec,
@@ -249,7 +248,10 @@ def load(name_or_file: str | Path) -> Scenario:
     table = read_toml(path)
     try:
         found = _built(path, table)
-        return Scenario.of(_in_place(each, path.parent) for each in found.members)
+        for name in (name for each in found.members for name in (each.onboard.filter, each.target.function)):
+            if name:
+                look_here(name)
+        return found
     except ConfigError as error:
         text = str(error)
         raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
@@ -331,25 +333,3 @@ def _configured(path: Path, shared: dict[str, Any], own: dict[str, Any], number:
         kept["takeoff"] = {"start_offset_m": takeoff["start_offset_m"]}
     file = configurations.FILES.named(path, f"member {number}: config", own.pop("config"))
     return {**shared, "onboard": over(configurations.FILES.table(file), kept)}
-
-
-def _in_place(scenario: Scenario, beside: Path) -> Scenario:
-    """Return a vehicle's scenario with an imported filter and the full paths of its error tapes.
-
-    ``scenario``: as read; ``beside``: folder of its file, where tapes may be.
-    """
-    for name in (scenario.onboard.filter, scenario.target.function):
-        if name:
-            look_here(name)
-    vehicle, odometry = scenario.vehicle, scenario.odometry
-    vehicle = replace(vehicle, own=_placed(vehicle.own, beside))
-    return replace(
-        scenario, vehicle=vehicle, odometry=replace(odometry, error=_placed(odometry.error, beside))
-    )
-
-
-def _placed(error: StateError | None, folder: Path) -> StateError | None:
-    """Return this error with the full path of its tape, if the tape is in ``folder``."""
-    if error is None or error.tape is None or not (folder / error.tape).is_dir():
-        return error
-    return replace(error, tape=str((folder / error.tape).resolve()))

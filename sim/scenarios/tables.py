@@ -148,10 +148,9 @@ class StateError:
     docs/how_it_works/own_state.md. Values are standard deviations unless stated otherwise.
     """
 
-    tape: str | None = None  # folder of recorded flights; their error replaces the model below
     delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position, mean of all flights
     delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread of the mean delay between flights
-    delay_shared: bool = False  # whether vehicle and target have one mean delay, or tapes of one flight
+    delay_shared: bool = False  # whether vehicle and target have one mean delay
     delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # fast variation of the delay, median flight
     delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # time constant T in (1 + t/T) exp(-t/T)
     # spread of the fast variation's logarithm between flights

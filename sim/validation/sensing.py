@@ -16,11 +16,11 @@ from scipy.optimize import minimize_scalar
 from flightstack.compiled.records import cell, new
 from sim.flights.recording import Floats
 from sim.flights.screening import Screened
-from sim.flights.tape import DELAY_S
-from sim.plant.state_error import PastRecord, mismeasured_path, state_errors
+from sim.plant.state_error import ErrorRows, PastRecord, mismeasured_path
 from sim.scenarios.tables import StateError
 
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # edges of the speed bands around 0.2, 0.5, 0.75 and 1 m/s
+DELAY_S = (-0.1, 0.2)  # range of an estimate's delay; outside it the clocks differ
 DRAWS = 6  # number of simulated estimates per flight; the model's errors differ between flights
 SLOWEST = 10.0  # percentage of the samples, the slowest ones, that determine the offset
 
@@ -101,7 +101,7 @@ def compare(flight: Screened, seed: int, error: StateError | None = None) -> Sen
 
     The model's only input is the true path of the flight: delay and size of the errors are drawn for each of
     ``DRAWS`` estimates. Single flights therefore differ; over many flights both agree if the model is right.
-    ``error``: parameters, or a tape; None: the defaults.
+    ``error``: parameters; None: the defaults.
     """
     r = flight.recording
     estimates = (r.estimate_position_m, r.estimate_velocity_m_s)
@@ -111,7 +111,7 @@ def compare(flight: Screened, seed: int, error: StateError | None = None) -> Sen
     recorded = _errors(flight, pieces, [np.column_stack((estimates[0][p], estimates[1][p])) for p in pieces])
     simulated = []
     for draw in range(DRAWS):
-        rows = state_errors(error or StateError(), DRAWS * seed + draw, "own", 1.0 / r.step_s)
+        rows = ErrorRows(error or StateError(), DRAWS * seed + draw, "own", 1.0 / r.step_s)
         measured = []
         for piece in pieces:
             past = new(PastRecord)

@@ -151,8 +151,7 @@ def _rows(scenario: Scenario) -> list[_Row]:
     )
     for error, table, link, errors in links:
         if error is not None:
-            if error.tape is None:
-                rows.append(_Row(f"{table}.delay_s", f"{errors}.delay_s", "s", near=DELAY_M_S))
+            rows.append(_Row(f"{table}.delay_s", f"{errors}.delay_s", "s", near=DELAY_M_S))
             continue
         rows.append(_Row(f"{table}.delay_s", f"{link}.delay_s", "s", near=DELAY_M_S))
         rows.append(_Row(f"{table}.position_noise_m", f"{link}.position_noise_m", "m", share=NOISE_SHARE))

@@ -18,7 +18,7 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Record, scalars
 from sim.firmware.estimator import EstimatorRecord, correct, correct_tilt, replace_estimate
 from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
-from sim.plant.state_error import TURN, WIDTH, PastRecord, mismeasure, state_errors
+from sim.plant.state_error import TURN, WIDTH, ErrorRows, PastRecord, mismeasure
 from sim.plant.states import rotation_axes
 from sim.scenarios.tables import OdometryLink, StateError
 from sim.world.bodies import BodyRecord
@@ -101,7 +101,7 @@ class MocapTape:
         self._errors = None
         self._error_rows = record.errors.reshape(ROWS, WIDTH)
         if error is not None:
-            self._errors, self._delay_ns = state_errors(error, seed, "own", link.rate_hz), 0
+            self._errors, self._delay_ns = ErrorRows(error, seed, "own", link.rate_hz), 0
             record.recorded, record.past.rate = True, link.rate_hz
         self._losses = Losses(link, seed, "mocap.loss")
         self._noise_left = np.empty((0, VALUES))

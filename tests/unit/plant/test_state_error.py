@@ -18,9 +18,9 @@ from sim.plant.state_error import (
     VELOCITY,
     VELOCITY_DELAY,
     WIDTH,
+    ErrorRows,
     PastRecord,
     mismeasure,
-    state_errors,
 )
 from sim.scenarios.tables import StateError
 
@@ -34,12 +34,12 @@ FINE = StateError(
 
 
 def drawn(spec, seed=1, count=400, purpose="own"):
-    return state_errors(spec, seed, purpose, RATE_HZ).take(count)
+    return ErrorRows(spec, seed, purpose, RATE_HZ).take(count)
 
 
 @given(parts=st.lists(st.integers(1, 90), min_size=1, max_size=6), seed=st.integers(0, 2**64 - 1))
 def test_rows_do_not_depend_on_how_many_are_taken_at_once(parts, seed):
-    rows = state_errors(StateError(), seed, "own", RATE_HZ)
+    rows = ErrorRows(StateError(), seed, "own", RATE_HZ)
     taken = np.concatenate([rows.take(count) for count in parts])
     assert np.array_equal(taken, drawn(StateError(), seed, sum(parts)))
 

@@ -36,7 +36,7 @@ EXTRAS = {
     "logs.view": {"view"},
     "sim": {"sim"},
     "sim.flights": {"sim", "export"},
-    "sim.validation": {"sim", "export", "report"},
+    "sim.validation": {"sim", "export"},
     "sim.campaign": {"sim", "cluster", "report", "export"},
 }
 # distributions whose extension is loaded by name, without an import statement

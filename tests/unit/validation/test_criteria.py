@@ -39,7 +39,7 @@ def flight(name="a", *, thrust=1.01, flown=FLOWN, simulated=FLOWN, recorded=ERRO
     return Compared(
         name, 20.0, (),
         open_loop.OpenLoop(horizons=horizons, thrust_ratio=thrust, starts=200),
-        closed_loop.ClosedLoop(controller="pid", thrust=1.0, recorded=flown, simulated=simulated),
+        closed_loop.ClosedLoop(thrust=1.0, recorded=flown, simulated=simulated),
         sensing.Sensing(sensing.Errors(recorded, recorded), sensing.Errors(sensed, sensed)),
         open_loop.OpenLoop(horizons=random, thrust_ratio=thrust, starts=200),
     )  # fmt: skip

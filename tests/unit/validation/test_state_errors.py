@@ -6,7 +6,7 @@ import pytest
 from flightstack.compiled.records import cell, new
 from sim.flights.recording import Recording, read_columns
 from sim.flights.screening import Screened, load
-from sim.plant.state_error import PastRecord, mismeasured_path, state_errors
+from sim.plant.state_error import ErrorRows, PastRecord, mismeasured_path
 from sim.scenarios.tables import StateError
 from sim.validation.sensing import compare
 from tests.recorded import flights
@@ -29,7 +29,7 @@ def made(seed, error, seconds=30.0):
     velocity = np.gradient(position, t, axis=0)
     past, states = new(PastRecord), np.empty((len(t), 6))
     past.rate = 100.0
-    rows = state_errors(error, seed, "own", 100.0).take(len(t))
+    rows = ErrorRows(error, seed, "own", 100.0).take(len(t))
     mismeasured_path(cell(past), position, velocity, rows, states)
     upright, none = np.tile((1.0, 0.0, 0.0, 0.0), (len(t), 1)), np.zeros((len(t), 4))
     recording = Recording(
