@@ -22,7 +22,6 @@ from bridge.mavlink.server.commands import (
     integer,
 )
 from bridge.mavlink.server.parameters import REAL32, Parameter, Parameters, fixed, one_of, real
-from bridge.mavlink.server.parameters import integer as whole
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.server import SYSTEM_ID, Handler, Server
 from bridge.mavlink.server.telemetry import Snapshot
@@ -33,8 +32,6 @@ from sim.vehicle.vehicle import VehicleSim
 
 _HOME_REACH_M = 100.0  # largest distance of home from the room's origin
 _CHANGE_MODE = 1  # MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
-_UNITS = dialect.enums["FAILURE_UNIT"]
-_KINDS = dialect.enums["FAILURE_TYPE"]
 
 
 class Autopilot(Server[Flight]):
@@ -76,7 +73,6 @@ class Autopilot(Server[Flight]):
             m.MAV_CMD_DO_SET_HOME: Entry(self._set_home, owner, place=True),
             m.MAV_CMD_DO_REPOSITION: Entry(self._pause, owner, place=True),
             m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: Entry(self._reboot, owner),
-            m.MAV_CMD_INJECT_FAILURE: Entry(self._inject_failure, owner),
         }
 
     def own_handlers(self) -> dict[int, Handler]:
@@ -128,33 +124,11 @@ class Autopilot(Server[Flight]):
             self.streams.reset(command.now_s)
         return answer(reason, DENIED)
 
-    def _inject_failure(self, command: Command) -> Answer:
-        unit, kind = integer(command.given(1)), integer(command.given(2))
-        instance = integer(command.given(3) or 0.0)
-        if not self.parameters["SYS_FAILURE_EN"]:
-            return Answer(DENIED, "Failure refused: SYS_FAILURE_EN is 0")
-        if unit is None or kind is None or instance is None or instance < 0:
-            return Answer(DENIED, "Failure refused: unit, type and instance are whole numbers")
-        reason = self.flight.vehicle.inject_failure(unit, kind, instance)
-        if reason is None:
-            text = f"Failure: {_name(_UNITS, unit)} {_name(_KINDS, kind)}"
-            self.flight.texts.say(dialect.MAV_SEVERITY_NOTICE, f"{text} {instance}" if instance else text)
-            return Answer()
-        return Answer(UNSUPPORTED, f"Failure refused: {reason}")
-
     def _point(self, command: Command) -> Vec3 | None:
         latitude, longitude, height_m = command.given(5), command.given(6), command.given(7)
         if latitude is None or longitude is None or height_m is None:
             return None
         return (x_of(longitude), y_of(latitude), command.local_z_m(height_m, self.flight.home_enu_m))
-
-
-def _name(names: dict[int, object], number: int) -> str:
-    entry = names.get(number)
-    if entry is None:
-        return str(number)
-    name = str(getattr(entry, "name", number)).removeprefix("FAILURE_UNIT_").removeprefix("FAILURE_TYPE_")
-    return name.lower().replace("_", " ")
 
 
 # Parameters have PX4's names, units and values. Fixed parameters describe the simulator or have no effect.
@@ -186,7 +160,7 @@ _OWN = (
     fixed("GF_ACTION", 0),  # there is no fence
     fixed("GF_MAX_HOR_DIST", 0.0, REAL32),
     fixed("GF_MAX_VER_DIST", 0.0, REAL32),
-    whole("SYS_FAILURE_EN", 0, 0, 1),  # whether command 420 may inject failures
+    fixed("SYS_FAILURE_EN", 0),  # no failures by command 420
     real("MIS_TAKEOFF_ALT", 0.5, 0.1, 20.0, in_flight=True),  # height above the take-off position, m
     real("MPC_TKO_SPEED", 0.5, 0.1, 1.0, in_flight=True),  # climb speed of the take-off, m/s
     real("MPC_LAND_SPEED", 0.3, 0.1, 0.8, in_flight=True),  # sink speed of the landing, m/s

@@ -148,16 +148,6 @@ CONCERNS: dict[What, tuple[Way, frozenset[int] | None]] = {
     What.SETPOINTS: (Way.IN, frozenset({dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED})),
     What.CLOCK: (Way.OUT, None),
 }
-# Link faults do not affect these commands, because they end faults.
-_COMMANDS = frozenset(
-    {
-        dialect.MAVLINK_MSG_ID_COMMAND_LONG,
-        dialect.MAVLINK_MSG_ID_COMMAND_INT,
-        dialect.MAVLINK_MSG_ID_COMMAND_ACK,
-    }
-)
-
-
 HELD_BACK_NS = 30_000_000  # delay of a reordered message, ns: three ticks at 100 Hz
 
 Due = list[int]  # arrival times of a message, ns; none if lost, two if duplicated
@@ -206,8 +196,6 @@ class LinkFaults:
     def fate(self, way: Way, message: Message, now_ns: int) -> Fate:
         """Apply all faults to one message, which may be changed; call it once for each message, in order."""
         id_: int = message.get_msgId()
-        if id_ in _COMMANDS and message.command == dialect.MAV_CMD_INJECT_FAILURE:
-            return Fate((now_ns,))
         due, damaged, stall = [now_ns], False, None
         for running, rewrite, lost in self._running:
             concerned, ids = CONCERNS[running.fault.what]

@@ -1,4 +1,4 @@
-"""All faults of one vehicle, scheduled or from MAV_CMD_INJECT_FAILURE, and their messages.
+"""All faults of one vehicle.
 
 This code runs only when a fault starts, ends or is active; the compiled loop has only two values per motor.
 """
@@ -6,18 +6,16 @@ This code runs only when a fault starts, ends or is active; the compiled loop ha
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from collections.abc import Iterable, Sequence
 
 from flightstack.compiled.records import F64
 from flightstack.core.types import Vec3
 from sim.faults.link import CONCERNS, LinkFaults
 from sim.faults.samples import EstimateFaults, SampleFaults, Shape
-from sim.faults.schedule import RUNNING_MAX, Effect, Running, ScheduledFaults
+from sim.faults.schedule import Effect, Running, ScheduledFaults
 from sim.plant.params import Rotor
 from sim.plant.rotors import BatteryRecord, RotorRecord
-from sim.scenarios.fault_spec import After, Fault, Kind, What
+from sim.scenarios.fault_spec import Fault, Kind, What
 
 EMPTY_V = 3.0  # cell voltage at rest; firmware platform_defaults_cf2.h: DEFAULT_BAT_CRITICAL_LOW_VOLTAGE
 
@@ -93,98 +91,6 @@ class BatteryFaults:
         b.voltage_v -= volts + (b.full_v - b.empty_v) * charge_a_s / b.charge_a_s
 
 
-MOTORS = (1, 2, 3, 4)
-OK: int = dialect.FAILURE_TYPE_OK
-
-Make = Callable[[tuple[int, ...]], list[Fault]]  # function from motor numbers to faults
-
-_OFFSET_M = (0.3, 0.0, 0.0)  # position error of a "wrong" measurement
-
-
-def _motors(kind: Kind) -> Make:
-    return lambda motors: [Fault(What.MOTOR, kind, motor=motor) for motor in motors]
-
-
-def _mocap(kind: Kind) -> Make:
-    offset_m = _OFFSET_M if kind is Kind.WRONG else None
-    return lambda _: [Fault(What.MOCAP, kind, offset_m=offset_m)]
-
-
-def _link(*kinds: Kind) -> Make:
-    return lambda _: [Fault(what, kind) for kind in kinds for what in (What.LINK_OUT, What.LINK_IN)]
-
-
-_D = dialect
-_TYPES: dict[int, Kind] = {
-    _D.FAILURE_TYPE_OFF: Kind.OFF,
-    _D.FAILURE_TYPE_STUCK: Kind.STUCK,
-    _D.FAILURE_TYPE_GARBAGE: Kind.GARBAGE,
-    _D.FAILURE_TYPE_WRONG: Kind.WRONG,
-    _D.FAILURE_TYPE_SLOW: Kind.SLOW,
-    _D.FAILURE_TYPE_DELAYED: Kind.DELAYED,
-    _D.FAILURE_TYPE_INTERMITTENT: Kind.INTERMITTENT,
-}
-_POSITION: dict[int, Make] = {type_: _mocap(kind) for type_, kind in _TYPES.items()}
-# failure unit and type (except OK) to faults, with the defaults of the fault table
-FAILURES: dict[int, dict[int, Make]] = {
-    _D.FAILURE_UNIT_SENSOR_GPS: _POSITION,
-    _D.FAILURE_UNIT_SENSOR_VIO: _POSITION,
-    _D.FAILURE_UNIT_SYSTEM_MOTOR: {
-        _D.FAILURE_TYPE_OFF: _motors(Kind.DEAD),
-        _D.FAILURE_TYPE_STUCK: _motors(Kind.STUCK),
-        _D.FAILURE_TYPE_WRONG: _motors(Kind.WEAK),
-    },
-    _D.FAILURE_UNIT_SYSTEM_BATTERY: {
-        _D.FAILURE_TYPE_OFF: lambda _: [Fault(What.BATTERY, Kind.OFF)],
-        _D.FAILURE_TYPE_WRONG: lambda _: [Fault(What.BATTERY, Kind.DROP)],
-    },
-    _D.FAILURE_UNIT_SYSTEM_MAVLINK_SIGNAL: {
-        type_: _link(Kind.REORDER, Kind.DUPLICATE) if kind is Kind.WRONG else _link(kind)
-        for type_, kind in _TYPES.items()
-    },
-}
-# components whose faults FAILURE_TYPE_OK ends, by failure unit
-PARTS: dict[int, frozenset[What]] = {
-    unit: frozenset(fault.what for make in kinds.values() for fault in make(MOTORS))
-    for unit, kinds in FAILURES.items()
-}
-
-
-def _names(prefix: str) -> dict[int, str]:
-    found = {k: v for k, v in vars(dialect).items() if k.startswith(prefix) and not k.endswith("_ENUM_END")}
-    return {number: name.removeprefix(prefix) for name, number in found.items()}
-
-
-UNITS = _names("FAILURE_UNIT_")
-TYPES = _names("FAILURE_TYPE_")
-
-
-def motors_of(unit: int, instance: int) -> tuple[int, ...] | str:
-    """Return the numbers of the motors (none for other units), or an error text for an invalid instance."""
-    if unit != dialect.FAILURE_UNIT_SYSTEM_MOTOR:
-        if instance in (0, 1):
-            return ()
-        return f"{UNITS[unit]}: found instance {instance}, allowed: 0 or 1"
-    if instance == 0:
-        return MOTORS
-    return (instance,) if instance in MOTORS else f"{UNITS[unit]}: found instance {instance}, allowed: 0 to 4"
-
-
-def faults_of(unit: int, kind: int, instance: int) -> list[Fault] | str:
-    """Return the faults of FAILURE_UNIT, FAILURE_TYPE and instance (0: all), or an error text; OK: none."""
-    if unit not in FAILURES:
-        names = ", ".join(UNITS[u] for u in FAILURES)
-        return f"failure unit {UNITS.get(unit, unit)} is not simulated; these are: {names}"
-    kinds = FAILURES[unit]
-    if kind != OK and kind not in kinds:
-        names = ", ".join(["OK", *(TYPES[k] for k in kinds)])
-        return f"{UNITS[unit]}: failure type {TYPES.get(kind, kind)} is not simulated; these are: {names}"
-    motors = motors_of(unit, instance)
-    if isinstance(motors, str) or kind == OK:
-        return motors if isinstance(motors, str) else []
-    return kinds[kind](motors)
-
-
 MocapSample = tuple[float, ...]  # sample of motion capture: x, y, z (ENU, m), yaw (rad)
 
 
@@ -219,42 +125,10 @@ class Faults(ScheduledFaults):
     @property
     def next_ns(self) -> int:
         """Time of the next start or end of a fault, or of the next due or delayed sample."""
-        return min(self._schedule.next_ns, self.mocap.release_ns, self.own_state.due_ns)
-
-    @property
-    def waits_for_takeoff(self) -> bool:
-        """Whether ``took_off`` must be called at the take-off."""
-        return self._schedule.waits_for(After.TAKEOFF)
-
-    def took_off(self, now_ns: int) -> None:
-        """Start faults that are relative to the first take-off."""
-        self._schedule.refer(After.TAKEOFF, now_ns)
-
-    def inject(self, unit: int, kind: int, instance: int, now_ns: int) -> str | None:
-        """Apply MAV_CMD_INJECT_FAILURE; return the reason of a rejection. OK also ends scheduled faults."""
-        found = faults_of(unit, kind, instance)
-        if isinstance(found, str):
-            return found
-        if kind == OK:
-            self._heal(unit, instance, now_ns)
-            return None
-        active = {running.fault for running in self._schedule.active}
-        fresh = [fault for fault in found if fault not in active]  # repeated commands are ignored
-        if len(active) + len(fresh) > RUNNING_MAX:
-            return f"{len(active)} faults are on, at most {RUNNING_MAX} are possible; heal some"
-        self.fail(fresh, now_ns)
-        return None
+        return min(self.change_ns, self.mocap.release_ns, self.own_state.due_ns)
 
     def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
         """Start faults now; a fault relative to ``time`` does not start before its time."""
         self.quiet = False
-        self._schedule.add(faults, now_ns)
+        self.add(faults, now_ns)
         self.run(now_ns)
-
-    def _heal(self, unit: int, instance: int, now_ns: int) -> None:
-        motors = motors_of(unit, instance)
-        for running in self._schedule.active:
-            fault = running.fault
-            meant = fault.what in PARTS[unit] and (fault.motor is None or fault.motor in motors)
-            if meant and fault.cell.healable:
-                self._apply(self._schedule.end(running), now_ns)

@@ -79,26 +79,13 @@ class TargetFaults(ScheduledFaults):
         """Whether a fault locks the robot's wheels."""
         return self._wheels.locked > 0
 
-    @property
-    def waits_for_landing(self) -> bool:
-        """Whether a fault waits for the start of the landing."""
-        return self._schedule.waits_for(After.LANDING)
-
     def quiet_until(self, until_ns: int) -> bool:
         """Whether no fault is active and none starts until ``until_ns``."""
-        return not self.locked and not self._samples.active and until_ns < self._schedule.next_ns
-
-    def landing_began(self, now_ns: int) -> None:
-        """Start the faults that wait for the landing; further calls have no effect."""
-        self._schedule.refer(After.LANDING, now_ns)
-
-    def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
-        """Add faults, effective from the next sample; faults relative to ``time`` wait for their start."""
-        self._schedule.add(faults, now_ns)
+        return not self.locked and not self._samples.active and until_ns < self.change_ns
 
     def deliver(self, now_ns: int, samples: list[Sample]) -> list[Sample]:
         """Return the samples that the robot sends now; without faults it sends ``samples``."""
-        if now_ns >= self._schedule.next_ns:
+        if now_ns >= self.change_ns:
             self.run(now_ns)
         return self._samples.deliver(now_ns, samples) if self._samples.active else samples
 
@@ -221,7 +208,7 @@ class Robot(ABC):
     @property
     def waits(self) -> bool:
         """Whether the start of the landing can still change its path or its faults."""
-        return not self._driving or self._motion.faults.waits_for_landing
+        return not self._driving or self._motion.faults.waits_for(After.LANDING)
 
     def _drive(self, until_tick: int) -> None:
         """Compute the motion of the robot, driving or at rest, up to a tick."""
@@ -229,7 +216,7 @@ class Robot(ABC):
         while motion.tick < until_tick:
             end, goes_at = until_tick, self._go_tick
             if NO_GO < goes_at <= motion.tick + 1:
-                motion.faults.landing_began(self._grid.ns(goes_at))
+                motion.faults.refer(After.LANDING, self._grid.ns(goes_at))
                 if not self._driving:
                     self._driving = True
                     self._drives_off(motion.tick + 1)

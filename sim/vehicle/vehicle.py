@@ -22,7 +22,7 @@ from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
 from sim.plant.rotors import drain, speed_at_no_duty, speed_limit
 from sim.plant.sensors import NS_PER_MS, Imu, ms_from
 from sim.plant.states import Estimate, quaternion_from_axes, rotation_axes
-from sim.scenarios.fault_spec import Fault, Kind, What
+from sim.scenarios.fault_spec import After, Fault, Kind, What
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.tables import StartKind
 from sim.vehicle.judge import NONE_MS
@@ -140,8 +140,8 @@ class VehicleSim(Physics):
         """
         faults, mocap, now_ms = self.faults, self._mocap, self._ms
         now_ns = now_ms * NS_PER_MS
-        if now_ms % PERIOD_MS == 0 and faults.waits_for_takeoff and self.airborne:
-            faults.took_off(now_ns)
+        if now_ms % PERIOD_MS == 0 and faults.waits_for(After.TAKEOFF) and self.airborne:
+            faults.refer(After.TAKEOFF, now_ns)
         if now_ns >= faults.next_ns:
             faults.run(now_ns)
         if now_ns >= faults.own_state.due_ns:
@@ -153,10 +153,6 @@ class VehicleSim(Physics):
                 self._firmware.estimator.correct(x, y, z, yaw)
             next_ms = min(next_ms, mocap.next_ms())
         return min(next_ms, ms_from(faults.next_ns))
-
-    def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
-        """Apply MAV_CMD_INJECT_FAILURE with FAILURE_UNIT and FAILURE_TYPE; return the reason if rejected."""
-        return self.faults.inject(unit, kind, instance, self._ms * NS_PER_MS)
 
     def collide(self) -> None:
         """Simulate a collision with another vehicle: the propellers break, and no motor has thrust."""

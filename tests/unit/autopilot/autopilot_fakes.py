@@ -42,8 +42,6 @@ class FakeVehicle:
     duty: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     trim_velocity_enu_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reboots: int = 0
-    failures: dict[tuple[int, int], int] = field(default_factory=dict)  # failure type by (unit, instance)
-    failure_refusal: str | None = None
 
     @property
     def landed(self) -> bool:
@@ -75,11 +73,6 @@ class FakeVehicle:
         self.reboots += 1
         self.locked = False
         return None
-
-    def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
-        if self.failure_refusal is None:
-            self.failures[unit, instance] = kind
-        return self.failure_refusal
 
     def advance(self, dt_s: float) -> None:
         wanted = self.setpoint if self.armed and self.setpoint is not None else (0.0, 0.0, -3.0)
@@ -143,7 +136,7 @@ class Rig(Served):
     def state(self) -> list[object]:
         flight = self.autopilot.flight
         home = [round(v, 4) for v in flight.home_enu_m]
-        rest = [home, round(flight.takeoff_z_m, 6), self.vehicle.reboots, dict(self.vehicle.failures)]
+        rest = [home, round(flight.takeoff_z_m, 6), self.vehicle.reboots]
         return [*super().state()[:-1], *rest]
 
 

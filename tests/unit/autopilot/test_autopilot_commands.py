@@ -76,23 +76,6 @@ def test_reboot_unlocks_disarmed_and_is_denied_armed() -> None:
     assert rig.vehicle.armed
 
 
-def test_failures_need_the_parameter_and_say_why_not() -> None:
-    rig = Rig()
-    assert rig.command(420, 101.0, 1.0, 2.0) == DENIED
-    assert set_int(rig, "SYS_FAILURE_EN", 1) == 1
-    assert rig.command(420, 101.0, 1.0, 2.0) == ACCEPTED
-    assert rig.command(420, 100.0, 1.0) == ACCEPTED
-    assert rig.vehicle.failures == {(101, 2): 1, (100, 0): 1}
-    rig.vehicle.failure_refusal = "gyro: only motors fail"
-    assert rig.command(420, 0.0, 1.0) == UNSUPPORTED
-    texts = rig.texts()
-    assert texts[1:] == [
-        "Failure: system motor off 2",
-        "Failure: system battery off",
-        "Failure refused: gyro: only motors fail",
-    ]
-
-
 def rig_with(**parameters: float) -> Rig:
     rig = Rig()
     for name, value in parameters.items():

@@ -3,7 +3,7 @@
 import pytest
 
 from sim.faults.samples import HELD_MAX, EstimateFaults, SampleFaults, Shape
-from sim.faults.schedule import Schedule
+from sim.faults.schedule import ScheduledFaults
 from sim.plant.sensors import NEVER_NS, NS
 from sim.plant.states import Estimate
 from sim.runners.robot import TargetFaults
@@ -75,7 +75,7 @@ def test_faults_of_the_target_wait_for_the_landing_and_are_told():
     seen = []
     for ms in range(0, 4000, 10):
         if ms >= 1000:
-            faults.landing_began(1000 * MS)  # a repeated call has no effect
+            faults.refer(After.LANDING, 1000 * MS)  # a repeated call has no effect
         seen += faults.deliver(ms * MS, [target(ms / 1000)])
     assert [str(t) for t in faults.take_texts()] == [
         "Fault: target odometry stuck",
@@ -88,9 +88,10 @@ def test_faults_of_the_target_wait_for_the_landing_and_are_told():
 
 
 def test_random_streams_do_not_depend_on_other_faults_being_there():
-    alone, both = Schedule(3), Schedule(3)
-    garbage = fault(What.MOCAP, Kind.GARBAGE)
-    alone.add([garbage])
-    both.add([garbage, fault(What.CLOCK, Kind.GARBAGE)])
-    draws = [s.due(0)[0].running.rng.random() for s in (alone, both)]
-    assert draws[0] == draws[1]
+    garbage, draws = fault(What.MOCAP, Kind.GARBAGE), []
+    for others in ((), (fault(What.CLOCK, Kind.GARBAGE),)):
+        stage = SampleFaults(SHAPE)
+        faults = ScheduledFaults([garbage, *others], 3, {What.MOCAP: stage, What.CLOCK: SampleFaults(SHAPE)})
+        faults.run(0)
+        draws.append(stage.deliver(0, [(0, 0.0, 0.0)]))
+    assert draws[0] == draws[1] != [(0, 0.0, 0.0)]

@@ -12,11 +12,10 @@ from tests.unit.mavlink.server.served import TICK_S, Bridged, Served
 
 
 class Simulated(Rig):
-    """The simulated autopilot, with failure injection enabled."""
+    """The simulated autopilot."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.server.parameters.preset("SYS_FAILURE_EN", 1.0)
         self.run(TICK_S)
 
     offboard = Served.offboard

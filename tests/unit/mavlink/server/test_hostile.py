@@ -19,8 +19,7 @@ from tests.unit.mavlink.server.served import GROUND_STATION, STRANGER, setpoint
 NAN = math.nan
 EXTREMES = [b"\x00", b"\xff", b"\x7f", b"\x80", b"\x7f\xc0", b"\x80\x7f", b"\xff\xff\xff\x7f"]
 VALUES = (NAN, 0.0, 1.0, -1.0, 6.0, 4.0, 21196.0, 1e30, math.inf)
-PARAMETERS = ["COM_OF_LOSS_T", "MPC_XY_P", "MIS_TAKEOFF_ALT", "COM_OBL_RC_ACT",
-              "SYS_FAILURE_EN", "MAV_SYS_ID"]  # fmt: skip
+PARAMETERS = ["COM_OF_LOSS_T", "MPC_XY_P", "MIS_TAKEOFF_ALT", "COM_OBL_RC_ACT", "MAV_SYS_ID"]
 
 
 def frame_of(cls, id_: int, payload: bytes):
