@@ -15,9 +15,9 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from flightstack.common.text import failed_code
@@ -209,34 +209,26 @@ def _largest(ages_s: Any) -> float | None:
 
 
 _NAMES = [f.name for f in fields(Row)]
-_KINDS = {f.name: str(f.type).removesuffix(" | None") for f in fields(Row)}
 _HEADER = ",".join(_NAMES) + "\r\n"
 
 
 def _text(row: Row) -> str:
     out = io.StringIO()
     values = (getattr(row, name) for name in _NAMES)
-    csv.writer(out).writerow(
-        "" if v is None else str(v).lower() if isinstance(v, bool) else repr(v) if isinstance(v, float) else v
-        for v in values
-    )
+    csv.writer(out).writerow(str(value).lower() if isinstance(value, bool) else value for value in values)
     return out.getvalue()
 
 
-def _value(name: str, text: str) -> Any:
-    kind = _KINDS[name]
-    if name == "outcome" and text not in _OUTCOMES:
-        raise ValueError(f"the outcome is {text!r}")
-    if kind == "str":
-        return sys.intern(text)  # one object for equal texts: a million landings have few different reasons
-    if text == "":
-        return None
-    if kind == "bool":
-        return {"true": True, "false": False}[text]
-    number = int(text) if kind == "int" else float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"{name} is {text}, a finite number is needed")
-    return number
+def _row(values: list[str]) -> Row:
+    given = {name: value for name, value in zip(_NAMES, values, strict=True) if value}
+    # one object for equal texts: a million landings have few different reasons
+    row = msgspec.convert({**given, "reason": sys.intern(given.get("reason", ""))}, Row, strict=False)
+    if row.outcome not in _OUTCOMES:
+        raise ValueError(f"the outcome is {row.outcome!r}")
+    for name in _NAMES:
+        if isinstance(value := getattr(row, name), float) and not math.isfinite(value):
+            raise ValueError(f"{name} is {value}, a finite number is needed")
+    return row
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -254,10 +246,10 @@ def read_rows(path: Path) -> list[Row]:
             if head is not None and head.rstrip("\r\n") != _HEADER.rstrip():
                 raise RowsError(f"{path}: the first line is not that of a file of rows; give another --out")
             for values in csv.reader(lines):
-                rows.append(Row(*(_value(n, v) for n, v in zip(_NAMES, values, strict=True))))
+                rows.append(_row(values))
         except RowsError:
             raise
-        except (ValueError, KeyError, csv.Error) as error:
+        except (ValueError, csv.Error) as error:
             if isinstance(error, UnicodeDecodeError) and not rows and error.start == 0:
                 text = "found UTF-16 or another encoding; save it as UTF-8, or give another --out"
                 raise RowsError(f"{path}: {text}") from None
@@ -299,9 +291,7 @@ class RowsFile:
     def __enter__(self) -> RowsFile:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
 
