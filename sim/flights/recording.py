@@ -58,7 +58,6 @@ QUANTITIES: dict[str, Quantity] = {
     "battery": Quantity(1, {"V": 1.0, "mV": 1e-3}, required=True),
     "estimate_position": Quantity(3, _LENGTH),
     "estimate_velocity": Quantity(3, _SPEED),
-    "estimate_attitude": Quantity(3, _ANGLE),
     "setpoint_position": Quantity(3, _LENGTH),
     "setpoint_yaw": Quantity(1, _ANGLE),
     "thrust_command": Quantity(1, _DUTY),
@@ -88,7 +87,6 @@ class Recording:
     # estimate_position_m, estimate_velocity_m_s: (n, 3) output of the on-board estimator
     estimate_position_m: Floats | None = None
     estimate_velocity_m_s: Floats | None = None
-    estimate_attitude_rad: Floats | None = None  # (n, 3) attitude of the on-board estimator: roll, pitch, yaw
     setpoint_position_m: Floats | None = None  # (n, 3) position set-points, world
     setpoint_yaw_rad: Floats | None = None  # (n,) yaw set-points
     thrust_command: Floats | None = None  # (n,) thrust command of the PID controller, 0 to 1
@@ -213,7 +211,6 @@ def _recording(name: str, arrays: dict[str, Floats]) -> Recording:
     optional = {
         "estimate_position_m": "estimate_position",
         "estimate_velocity_m_s": "estimate_velocity",
-        "estimate_attitude_rad": "estimate_attitude",
         "setpoint_position_m": "setpoint_position",
         "setpoint_yaw_rad": "setpoint_yaw",
         "thrust_command": "thrust_command",

@@ -33,7 +33,7 @@ DUTY = 0.5  # typical duty cycle in flight, within a factor of 2
 TILT_MAX_DEG = 60.0  # largest median tilt of a flight
 OPPOSITE = -0.5  # correlation below which an axis has the wrong sign
 # smallest motion that is compared, SI units; smaller motions are noise
-MOVES = {"attitude": 0.05, "position": 0.05, "velocity": 0.05, "tilt": 0.01}
+MOVES = {"attitude": 0.05, "position": 0.05, "velocity": 0.05}
 
 
 class _Scale(NamedTuple):
@@ -91,10 +91,6 @@ def _scales(r: Recording) -> Iterator[_Scale]:
         ("estimate_velocity", r.estimate_velocity_m_s, r.velocity_m_s, MOVES["velocity"], "velocity"),
         ("setpoint_position", r.setpoint_position_m, r.position_m, MOVES["position"], "position"),
     ]
-    if r.estimate_attitude_rad is not None:
-        pairs.append(
-            ("estimate_attitude", r.estimate_attitude_rad[:, :2], _roll_pitch(r), MOVES["tilt"], "attitude")
-        )  # fmt: skip
     for name, values, reference, least, told in pairs:
         if values is None:
             continue
@@ -116,20 +112,14 @@ def _turned(r: Recording) -> Iterator[str]:
             "rotation from body (forward, left, up) to world (z up)"
         )
         return
-    yield from _signs("rates", band(r.rates_rad_s, r.step_s), band(rates_rad_s(r), r.step_s), "attitude")
-    if r.estimate_attitude_rad is not None:
-        yield from _signs("estimate_attitude", r.estimate_attitude_rad[:, :2], _roll_pitch(r), "tilt")
-
-
-def _signs(name: str, values: Floats, reference: Floats, kind: str) -> Iterator[str]:
-    good = np.isfinite(values).all(axis=1) & np.isfinite(reference).all(axis=1)
-    if _width(reference) <= MOVES[kind] or not good.any():
+    values, reference = band(r.rates_rad_s, r.step_s), band(rates_rad_s(r), r.step_s)
+    if _width(reference) <= MOVES["attitude"]:
         return
-    for axis in range(values.shape[1]):
-        a, b = (v[good, axis] - v[good, axis].mean() for v in (values, reference))
+    for axis in range(3):
+        a, b = (v[:, axis] - v[:, axis].mean() for v in (values, reference))
         size = float(np.sqrt((a**2).sum() * (b**2).sum()))
         if size > 0.0 and float((a * b).sum()) / size < OPPOSITE:
-            yield f"{name}: column {axis + 1} is opposite to the attitude; set its sign, or mend the attitude"
+            yield f"rates: column {axis + 1} is opposite to the attitude; set its sign, or mend the attitude"
 
 
 def _width(values: Floats) -> float:
@@ -144,13 +134,6 @@ def _matrix(r: Recording) -> Floats:
         return np.eye(3)[None]
     made: Floats = Rotation.from_quat(good, scalar_first=True).as_matrix()
     return made
-
-
-def _roll_pitch(r: Recording) -> Floats:
-    """Return (n, 2) roll and pitch from motion capture; NaN: no pose."""
-    w, x, y, z = r.attitude.T
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    return np.stack([roll, np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))], axis=1)
 
 
 BAND_HZ = (0.5, 6.0)  # frequency band of a Crazyflie's attitude; above it the attitude's derivative is noise

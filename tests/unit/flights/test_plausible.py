@@ -33,11 +33,6 @@ def wobbling(seconds=16.0, late_s=0.0):
     rates = np.gradient(logged.as_euler("xyz"), t, axis=0)  # turn rates, rad/s; the angles are small
     for axis, values in zip("xyz", rates.T, strict=True):
         columns[f"imu_gyro_{axis}"] = values
-    roll, pitch = turned.as_euler("ZYX").T[[2, 1]]
-    columns["att_stateEstimate_roll"], columns["att_stateEstimate_pitch"] = (
-        np.degrees(roll),
-        -np.degrees(pitch),
-    )
     columns["sp_ctrltarget_x"] = columns["px"]
     columns["sp_ctrltarget_y"] = columns["py"]
     for axis in "xyz":
@@ -67,15 +62,10 @@ def test_a_flight_in_the_units_of_the_table_is_used(tmp_path):
         (("pwr_pm_vbat",), 1000.0, "battery: the median is .* unit mV would fit"),
         (tuple(f"est_stateEstimate_{a}" for a in "xyz"), 100.0, "estimate_position: .* unit cm would fit"),
         (tuple(f"est_stateEstimate_v{a}" for a in "xyz"), 1000.0, "estimate_velocity: .* mm/s would fit"),
-        (
-            ("att_stateEstimate_roll", "att_stateEstimate_pitch"), math.pi / 180.0,
-            "estimate_attitude: .* unit rad would fit",
-        ),
         (("sp_ctrltarget_x", "sp_ctrltarget_y"), 1000.0, "setpoint_position: .* unit mm would fit"),
         (("imu_gyro_x", "imu_gyro_y", "imu_gyro_z"), 9000.0, "no unit fits: are these its columns"),
         (("imu_gyro_x", "imu_gyro_y", "imu_gyro_z"), 0.0, "rates: 0 times .* are these its columns"),
         (("imu_gyro_y",), -1.0, "rates: column 2 is opposite to the attitude; set its sign"),
-        (("att_stateEstimate_pitch",), -1.0, "estimate_attitude: column 2 is opposite"),
     ],
 )  # fmt: skip
 def test_other_units_and_signs_are_noticed_and_named(tmp_path, names, factor, says):

@@ -45,12 +45,12 @@ def read(tmp_path, columns, suffix=".parquet"):
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
 def test_units_and_signs_become_those_of_the_project(tmp_path, suffix):
     columns = flight()
-    columns["att_stateEstimate_pitch"] = np.full_like(columns["t"], 10.0)
+    columns["sp_ctrltarget_yaw"] = np.full_like(columns["t"], 10.0)
     found = read(tmp_path, columns, suffix)
     assert found.time_s[0] == 0.0
     assert found.step_s == pytest.approx(1.0 / RATE_HZ, rel=1e-4)
     assert found.duty.max() == pytest.approx(50000.0 / PWM_MAX)
-    assert found.estimate_attitude_rad[0].tolist() == pytest.approx([0.0, -math.radians(10.0), 0.0])
+    assert found.setpoint_yaw_rad[0] == pytest.approx(math.radians(10.0))
     assert not found.by_pid
 
 
@@ -89,7 +89,7 @@ def test_a_flight_that_cannot_be_read_says_why(tmp_path, change, says):
         ("[time]\ncolumns = ['t']\nunit = 's'\n", r"\[position\] is missing"),
         (COLUMNS.read_text().replace('unit = "V"', 'unit = "volts"'), "allowed: V, mV"),
         (COLUMNS.read_text().replace('columns = ["t"]', 'columns = ["t", "u"]'), "a list of 1 is needed"),
-        (COLUMNS.read_text().replace("sign = [1, -1, 1]", "sign = [1, -2, 1]"), "signs are 1 or -1"),
+        (COLUMNS.read_text().replace('unit = "V"', 'unit = "V"\nsign = [-2]'), "signs are 1 or -1"),
         ("not toml", "not TOML"),
     ],
 )
