@@ -20,7 +20,7 @@ from flightstack.common.processes import may_fork
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.terminal import Bar, Terminal
 from flightstack.core.parameters.filters import given
-from flightstack.verify.certificate import problems
+from flightstack.verify.certificate import refuse
 from logs.report.style import layout
 from sim.campaign.rows import Row, failed_rows, row_of
 from sim.campaign.summary import kinds, summary
@@ -201,9 +201,7 @@ def _columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
 def _checked(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:
     """Return a checked scenario with the changes made for each vehicle."""
     made = scenario(name, changes, filter=filter)
-    found = dict.fromkeys(problem for each in made.members for problem in problems(each.onboard))
-    if found:
-        raise ConfigError(f"{made.name}: refused before take-off: " + "; ".join(found))
+    refuse((each.onboard for each in made.members), made.name)
     return made
 
 

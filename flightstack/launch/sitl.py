@@ -27,7 +27,7 @@ from flightstack.launch.vehicles import (
     to_the_floor_m,
 )
 from flightstack.onboard.recording import Described, describe, log_in, new_folder
-from flightstack.verify.certificate import problems
+from flightstack.verify.certificate import refuse
 from logs.schema import NO_PAD, SCENARIO, Names
 from sim.options import TargetOptions
 from sim.robot import try_out
@@ -81,9 +81,7 @@ def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
                 f"--duration: found {options.duration_s:g}, a positive number of seconds is needed"
             )
         scenario = replace(scenario, duration_max_s=options.duration_s)
-    found = problems(scenario.onboard)
-    if found:
-        raise ConfigError(f"{name or options.scenario}: refused before take-off: " + "; ".join(found))
+    refuse([scenario.onboard], name or options.scenario)
     return scenario
 
 

@@ -49,7 +49,7 @@ from flightstack.onboard.runner import (
 )
 from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.zenoh_wires import ZenohWires
-from flightstack.verify.certificate import certificate_of, problems
+from flightstack.verify.certificate import certificate_of, refuse
 from logs.recorder.feed import Feed
 from logs.schema import Names
 from logs.schema.events import CAUSE, ONBOARD
@@ -201,9 +201,7 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
     """Fly until the vehicle has landed, the flight is aborted, the operator ends it, or its time is over."""
     _check_speed(options)
     chosen_clock(options.speed, options.clock, Follower.ONBOARD, lockstep=options.lockstep)
-    found = problems(config)
-    if found:
-        raise ConfigError("refused before take-off: " + "; ".join(found))
+    refuse([config])
     if not (options.unproven or options.lockstep or certificate_of(config)):
         raise ConfigError(
             f"refused before take-off: filter {config.filter} has no certificate of its own; "

@@ -9,7 +9,10 @@ subclasses. The paper's filter has only the paper's checks, which guarantee noth
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from pathlib import Path
 
+from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.filters import referred
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import checked_class, strategy_class
@@ -23,6 +26,12 @@ from flightstack.verify.types import Check, Need
 def problems(config: FlightConfig) -> list[str]:
     """Return the reasons why this configuration must not fly; empty if it may fly."""
     return [check.text for check in checks(config) if check.need is Need.FLIGHT and not check.proven]
+
+
+def refuse(configs: Iterable[FlightConfig], name: str | Path = "") -> None:
+    """Raise ConfigError if one of these configurations must not fly; ``name``: its file."""
+    if found := dict.fromkeys(problem for config in configs for problem in problems(config)):
+        raise ConfigError(f"{name and f'{name}: '}refused before take-off: {'; '.join(found)}")
 
 
 def certificate_of(config: FlightConfig) -> str:

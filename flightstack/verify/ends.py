@@ -12,16 +12,6 @@ STEADY_ERROR = 0.25  # ratio of tolerated velocity error, including gusts, to fu
 FALL_MAX_M_S = 1.0  # allowed fall speed, m/s: twice the landing speed; landing gears withstand it
 
 
-def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
-    """Check that the descent speed ``key``, m/s, is above the speed limit of a standing vehicle."""
-    found = config.contact.speed_m_s
-    return Check(
-        "contact.speed_m_s", "a vehicle that descends as commanded is not taken for one that stands",
-        descent_m_s - found, "m/s", f"found {found:g}, {key} is {descent_m_s:g}",
-        f"lower contact.speed_m_s or raise {key}",
-    )  # fmt: skip
-
-
 def reaches_touchdown(config: FlightConfig) -> Check:
     """Check that the vehicle starts the touchdown above the height at which it stands."""
     found, stands_m = config.touchdown.height_m, config.touchdown.feet_below_reference_m
@@ -32,27 +22,23 @@ def reaches_touchdown(config: FlightConfig) -> Check:
     )  # fmt: skip
 
 
-def notices(config: FlightConfig) -> Check:
-    """Check that the tracking lag of a vehicle that does not move reaches its limit.
-
-    The tracking lag converges to the commanded speed times the decay time.
-    """
-    found, most_s = config.checks.follow_lag_max_s, config.checks.follow_memory_s
-    return Check(
-        "checks.follow_lag_max_s", "a vehicle that does not move at a full-speed command is detected",
-        most_s - found, "s", f"found {found:g}, the tracking lag converges to {most_s:g} s of flight",
-        "raise checks.follow_memory_s or lower checks.follow_lag_max_s",
-    )  # fmt: skip
-
-
 def any_filter(config: FlightConfig, descent_m_s: float, key: str) -> list[Check]:
     """Return the checks of contact, following and fall; ``key``: configuration key of the descent speed."""
-    checks, gap_m = config.checks, config.contact.gap_m
+    checks, gap_m, touches_m_s = config.checks, config.contact.gap_m, config.contact.speed_m_s
     lag_s, memory_s = checks.follow_lag_max_s, checks.follow_memory_s
     speed = math.sqrt(2.0 * GRAVITY_M_S2 * gap_m)
     return [
-        contact(config, descent_m_s, key),
-        notices(config),
+        Check(
+            "contact.speed_m_s", "a vehicle that descends as commanded is not taken for one that stands",
+            descent_m_s - touches_m_s, "m/s", f"found {touches_m_s:g}, {key} is {descent_m_s:g}",
+            f"lower contact.speed_m_s or raise {key}",
+        ),
+        # the tracking lag of a standing vehicle converges to the commanded speed times the decay time
+        Check(
+            "checks.follow_lag_max_s", "a vehicle that does not move at a full-speed command is detected",
+            memory_s - lag_s, "s", f"found {lag_s:g}, the tracking lag converges to {memory_s:g} s of flight",
+            "raise checks.follow_memory_s or lower checks.follow_lag_max_s",
+        ),
         # The tracking lag of a velocity error e converges to e times the decay time. A vehicle that does not
         # follow lands at its position, which is below the barrier if it is beside the pad.
         Check(

@@ -17,6 +17,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import expm
 
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.target.own_estimator import PUSH_TIME_S, steady_gains
@@ -301,10 +302,9 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
     Between two steps the integral differs from that of the straight line by at most h^3 / 12 times the second
     derivative. After the last step, the remaining state starts the response again.
     """
-    step, grown = matrix_exp(loop * STEP_S), matrix_exp(np.abs(loop) * STEP_S)
-    bend = np.abs(outputs @ loop @ loop) @ grown
+    bend = np.abs(outputs @ loop @ loop) @ expm(np.abs(loop) * STEP_S)
     powers = np.eye(len(loop))[np.newaxis]
-    factor = step
+    factor: F64 = expm(loop * STEP_S)
     for doubling in range(1, DOUBLINGS[1] + 1):
         with np.errstate(over="ignore", invalid="ignore"):
             powers = np.concatenate([powers, powers @ factor])
@@ -324,14 +324,6 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
             return total
 
         rest = np.linalg.inv(np.eye(len(loop)) - left) @ np.abs(factor @ inputs)
-        return integral(inputs, factor @ inputs) + integral(np.eye(len(loop)), factor) @ rest
+        gains: F64 = integral(inputs, factor @ inputs) + integral(np.eye(len(loop)), factor) @ rest
+        return gains
     return None
-
-
-def matrix_exp(matrix: F64) -> F64:
-    """Return the exponential of a small matrix by a series whose remainder is below double precision."""
-    total = term = np.eye(len(matrix))
-    for order in range(1, 30):
-        term = term @ matrix / order
-        total = total + term
-    return total

@@ -12,22 +12,18 @@ import hashlib
 import inspect
 import json
 import platform
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.filters import FILTERS, named
-from flightstack.verify.certificate import problems
+from flightstack.verify.certificate import refuse
 from logs.report.page import Page, Panel, details, need_libraries, table, write
 from logs.verdict.types import VIOLATION_LIMIT_M
 from sim.campaign.rows import (
@@ -102,9 +98,7 @@ def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None
         try_out(member.target)
     if filter_name is not None:
         scenario = scenario.with_filter(filter_name)
-    found = dict.fromkeys(problem for each in scenario.members for problem in problems(each.onboard))
-    if found:
-        raise ConfigError(f"{scenario_name}: refused before take-off: " + "; ".join(found))
+    refuse((each.onboard for each in scenario.members), scenario_name)
     return Plan(scenario_name, scenario, runs, first_seed)
 
 
@@ -166,7 +160,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
         todo = list(missing(rows, wanted.first_seed, wanted.runs))
         try:
             if todo:
-                with RowsFile(folder / ROWS) as file, _interrupts() as interrupts:
+                with RowsFile(folder / ROWS) as file:
                     if cluster is None:
                         warm_up(wanted.scenario)  # compile once for all workers
                     began_s = time.monotonic()  # the reported speed does not include compilation
@@ -174,8 +168,6 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
                         file.add([row])
                         flown_s += row.simulated_s or 0.0
                         on_row(row)
-                        if interrupts:
-                            break
         except KeyboardInterrupt:
             pass  # the result reports the number of missing rows
         if todo:  # landings were flown: an interrupt may have lost a row of the list
@@ -220,26 +212,6 @@ def _filter(name: str) -> dict[str, str]:
         return {"filter": name}
     source = Path(inspect.getfile(named(name))).read_bytes()
     return {"filter": name, "filter's code": hashlib.sha256(source).hexdigest()[:16]}
-
-
-@contextmanager
-def _interrupts() -> Iterator[list[int]]:
-    """Handle Ctrl-C immediately, or after the next row if a library suppressed the exception."""
-    came: list[int] = []
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        del frame
-        came.append(number)
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():  # only the main thread can handle signals
-        yield came
-        return
-    previous = signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield came
-    finally:
-        signal.signal(signal.SIGINT, previous)
 
 
 @contextmanager

@@ -36,6 +36,7 @@ class RecordingError(ValueError):
 class Quantity:
     """Definition of a quantity that the columns of a recording contain."""
 
+    field: str  # field of ``Recording``
     width: int  # number of columns
     # allowed units, each with the factor to SI units (for PWM: to the duty cycle, 0 to 1)
     units: Mapping[str, float]
@@ -49,18 +50,18 @@ _RATE = {"rad/s": 1.0, "deg/s": math.pi / 180.0}
 _DUTY = {"PWM": 1.0 / PWM_MAX, "1": 1.0, "%": 1e-2}
 
 QUANTITIES: dict[str, Quantity] = {
-    "time": Quantity(1, {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, required=True),
-    "position": Quantity(3, _LENGTH, required=True),
-    "velocity": Quantity(3, _SPEED),
-    "attitude": Quantity(4, {"1": 1.0}, required=True),
-    "rates": Quantity(3, _RATE, required=True),
-    "pwm": Quantity(4, _DUTY, required=True),
-    "battery": Quantity(1, {"V": 1.0, "mV": 1e-3}, required=True),
-    "estimate_position": Quantity(3, _LENGTH),
-    "estimate_velocity": Quantity(3, _SPEED),
-    "setpoint_position": Quantity(3, _LENGTH),
-    "setpoint_yaw": Quantity(1, _ANGLE),
-    "thrust_command": Quantity(1, _DUTY),
+    "time": Quantity("time_s", 1, {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, required=True),
+    "position": Quantity("position_m", 3, _LENGTH, required=True),
+    "velocity": Quantity("velocity_m_s", 3, _SPEED),
+    "attitude": Quantity("attitude", 4, {"1": 1.0}, required=True),
+    "rates": Quantity("rates_rad_s", 3, _RATE, required=True),
+    "pwm": Quantity("duty", 4, _DUTY, required=True),
+    "battery": Quantity("battery_v", 1, {"V": 1.0, "mV": 1e-3}, required=True),
+    "estimate_position": Quantity("estimate_position_m", 3, _LENGTH),
+    "estimate_velocity": Quantity("estimate_velocity_m_s", 3, _SPEED),
+    "setpoint_position": Quantity("setpoint_position_m", 3, _LENGTH),
+    "setpoint_yaw": Quantity("setpoint_yaw_rad", 1, _ANGLE),
+    "thrust_command": Quantity("thrust_command", 1, _DUTY),
 }
 
 
@@ -177,9 +178,9 @@ def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
         if double:
             raise RecordingError(f"columns of {name} are there several times: {', '.join(double)}")
         if not missing:
-            arrays[name] = _numbers(table, group)
-    if len(arrays["time"]) < SAMPLES_MIN:
-        raise RecordingError(f"found {len(arrays['time'])} samples, at least {SAMPLES_MIN} are needed")
+            arrays[QUANTITIES[name].field] = _numbers(table, group)
+    if len(arrays["time_s"]) < SAMPLES_MIN:
+        raise RecordingError(f"found {len(arrays['time_s'])} samples, at least {SAMPLES_MIN} are needed")
     return _recording(path.stem, arrays)
 
 
@@ -197,33 +198,13 @@ def _numbers(table: pa.Table, group: Group) -> Floats:
 
 
 def _recording(name: str, arrays: dict[str, Floats]) -> Recording:
-    time_s = arrays["time"] - arrays["time"][0]
+    arrays["time_s"] = time_s = arrays["time_s"] - arrays["time_s"][0]
     steps = np.diff(time_s)
     if not np.all(np.isfinite(steps)) or not np.all(steps > 0.0):
         raise RecordingError("the time does not increase from sample to sample")
-    step_s = float(np.median(steps))
-    velocity = arrays.get("velocity")
-    if velocity is None:
-        velocity = np.gradient(arrays["position"], time_s, axis=0)
+    if "velocity_m_s" not in arrays:
+        arrays["velocity_m_s"] = np.gradient(arrays["position_m"], time_s, axis=0)
     norm = np.linalg.norm(arrays["attitude"], axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
-        attitude = arrays["attitude"] / norm
-    optional = {
-        "estimate_position_m": "estimate_position",
-        "estimate_velocity_m_s": "estimate_velocity",
-        "setpoint_position_m": "setpoint_position",
-        "setpoint_yaw_rad": "setpoint_yaw",
-        "thrust_command": "thrust_command",
-    }
-    return Recording(
-        name=name,
-        time_s=time_s,
-        position_m=arrays["position"],
-        velocity_m_s=velocity,
-        attitude=attitude,
-        rates_rad_s=arrays["rates"],
-        duty=arrays["pwm"],
-        battery_v=arrays["battery"],
-        step_s=step_s,
-        **{field: arrays[key] for field, key in optional.items() if key in arrays},
-    )
+        arrays["attitude"] = arrays["attitude"] / norm
+    return Recording(name, **arrays, step_s=float(np.median(steps)))
