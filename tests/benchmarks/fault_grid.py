@@ -1,4 +1,4 @@
-"""Flies the grid of faults, all 196 cells, and writes the tables of docs/reference/fault_grid.md."""
+"""Flies the grid of faults, all 168 cells, and writes the tables of docs/reference/fault_grid.md."""
 
 from __future__ import annotations
 

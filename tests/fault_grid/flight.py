@@ -136,8 +136,6 @@ class Flight(Companion):
     ) -> None:
         super().__init__(scenario, seed, on_step=lambda _tick, _out: None)
         self.asked = Operator.NONE  # request of the operator, which the next tick reads
-        # called after every controller step, for the log
-        self.on_step: Callable[[Tick, Taken, Outputs], None] | None = None
         self.phases: list[Phase] = []
         self._moment, self._disturb = moment, disturb
         self._duration_s = scenario.duration_max_s
@@ -213,8 +211,6 @@ class Flight(Companion):
         given_up = out.phase in (Phase.HOLD, Phase.CLIMB, Phase.ABORT)
         if given_up and self._disturbed and math.isnan(self._noticed_s):
             self._noticed_s = tick.now_s
-        if self.on_step is not None:
-            self.on_step(tick, taken, out)
 
     def _watched(self) -> bool:
         """Whether the simulation has reached the end of the flight."""

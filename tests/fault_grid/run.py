@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -22,7 +20,6 @@ from logs.schema.events import ContactBit
 from logs.verdict.truth import LAND_AWAY_SPEED_MAX_M_S
 from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import Scenario, load
-from tests.fault_grid.disk import recording
 from tests.fault_grid.flight import Flight, Flown, Mangle
 from tests.fault_grid.table import End, Moment, Part, Way
 
@@ -111,7 +108,6 @@ class Result:
     noticed_s: float  # time until the abort, the detection of lost inputs, or a fail-safe
     down_s: float  # time until the motors were finally off
     h_min_m: float  # lowest h outside the pad as long as the companion flew; NaN: no landing
-    said: str  # first text about the fault
     flown: Flown
 
 
@@ -120,26 +116,8 @@ def scenario() -> Scenario:
 
 
 def fly(part: Part, way: Way, moment: Moment, seed: int = SEED) -> Result:
-    if part is Part.DISK:
-        return _fly_on(way, moment, seed)
     flown = Flight(scenario(), seed, AT[moment], disturb(part, way, seed)).fly()
-    return _result(end_of(flown), said(flown), flown)
-
-
-def _fly_on(way: Way, moment: Moment, seed: int) -> Result:
-    """Fly the cell with a real recorder whose disk fails at this moment; return the result."""
-    with tempfile.TemporaryDirectory() as folder:
-        with recording(Path(folder)) as record:
-            flight = Flight(scenario(), seed, AT[moment], lambda _: record.disk.fail(way))
-            record.attach(flight)
-            flown = flight.fly()
-        told = record.says()
-    same = end_of(flown) is End.LANDED and equal(flown.truth, undisturbed(moment, seed).truth)
-    return _result(End.CONTINUES if same else end_of(flown), told, flown)
-
-
-def _result(end: End, told: str, flown: Flown) -> Result:
-    return Result(end, flown.noticed_s, flown.down_s, h_min(flown), told, flown)
+    return Result(end_of(flown), flown.noticed_s, flown.down_s, h_min(flown), flown)
 
 
 @lru_cache(maxsize=4)
@@ -153,19 +131,6 @@ def equal(a: Truth, b: Truth) -> bool:
         np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True)
         for name in ("t_s", "position_enu_m", "velocity_enu_m_s", "orientation", "motors_running", "contacts")
     )
-
-
-def said(flown: Flown) -> str:
-    """Return the text of the companion's first abort phase after the fault, or of the autopilot's
-    fail-safe."""
-    since_s = flown.disturbed_at_s
-    for event in flown.seen.events:
-        change = parse(event.text)
-        given_up = change is not None and change.before is not change.after in (Phase.HOLD, Phase.ABORT)
-        given_up = given_up or event.text.startswith("No ")
-        if event.t_s > since_s and given_up:
-            return event.text
-    return ""
 
 
 AT = {

@@ -22,7 +22,6 @@ class Part(StrEnum):
     SETPOINTS = "set-point path"
     CLOCK = "clock"
     ZENOH = "Zenoh link"
-    DISK = "log disk"
 
 
 class Way(StrEnum):
@@ -46,7 +45,6 @@ class End(StrEnum):
     LANDED = "LANDED"  # the vehicle rests upright on the pad, motors off
     ABORTED = "ABORTED"  # the abort is declared; the vehicle rests upright on the floor, motors off
     VEHICLE_LANDS = "VEHICLE_LANDS"  # the vehicle rests upright on the floor after the autopilot's fail-safe
-    CONTINUES = "CONTINUES"  # the flight equals the flight without the fault bit for bit
     CRASHED = "CRASHED"  # the vehicle fell, tumbled, or hit the robot or the pad's edge
     MISSED = "MISSED"  # the vehicle rests on the floor without a declared abort
     FLYING = "FLYING"  # the motors still run at the end
@@ -172,11 +170,6 @@ _ASTRAY: _Row = (_NOT_FLOWN_YET, _NOT_FLOWN, _NOT_FLOWN_OVER, _NOT_FLOWN_OVER)
 _STAMPED: _Row = (_STAMPS, _STAMPS, _STAMPS, _STAMPS)
 
 
-def _disk(what: str) -> _Row:
-    need = _need(End.CONTINUES, why=what, within_s=None)
-    return (need, need, need, need)
-
-
 _ROWS: Mapping[Part, Mapping[Way, _Row]] = MappingProxyType(
     {
         Part.OWN_STATE: {
@@ -232,17 +225,6 @@ _ROWS: Mapping[Part, Mapping[Way, _Row]] = MappingProxyType(
             Way.SLOW: _ALWAYS_HARMLESS,
             Way.DELAYED: _OFTEN,
             Way.INTERMITTENT: _OFTEN,
-        },
-        Part.DISK: {
-            Way.OFF: _disk("the disk is full: the log ends there, and this is reported"),
-            Way.STUCK: _disk("the disk hangs: data that do not fit into memory are dropped and counted"),
-            Way.GARBAGE: _disk("the disk writes wrong bytes: checksums detect them"),
-            Way.WRONG: _disk("the disk is read-only: the log ends there, and this is reported"),
-            Way.SLOW: _disk("the disk takes 1 MB/s: no data are lost"),
-            Way.DELAYED: _disk("the disk is 0.2 s late: no data are lost"),
-            Way.INTERMITTENT: _disk(
-                "the disk fails repeatedly: the log ends at the first failure, and this is reported"
-            ),
         },
     }
 )
