@@ -37,9 +37,6 @@ class Flown(NamedTuple):
     vertical_m: float  # rms of the vertical distance between position and set-point
     duty: float  # mean duty cycle of the motors, 0 to 1
     saturated: float  # fraction of samples with a motor at full duty
-    tilt_rms_rad: float  # rms tilt of body z from the vertical
-    tilt_p95_rad: float  # 95th percentile of the tilt
-    sag_v_s: float  # rate at which the voltage under load falls
 
     @property
     def tracking_rms_m(self) -> float:
@@ -53,15 +50,6 @@ class ClosedLoop:
     thrust: float  # ratio of this airframe's motor thrust to that of the vehicle file
     recorded: Flown
     simulated: Flown
-
-
-class Track(NamedTuple):
-    """n samples: position (n, 3), z of the body's z axis (n,), duty cycle (n, 4), voltage under load (n,)."""
-
-    position_m: Floats
-    up: Floats
-    duty: Floats
-    battery_v: Floats
 
 
 def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
@@ -80,15 +68,14 @@ def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
     compared[: span.start] = compared[span.stop :] = False
     if not compared.any():
         return None
-    recorded = Track(r.position_m, _up(r), r.duty, r.battery_v)
     plant = _airframe(r, span.start, compared, params)
     simulated = _simulate(r, span, params, plant, seed ^ zlib.crc32(r.name.encode()))
     if simulated is None:
         return None
     return ClosedLoop(
         plant.thrust,
-        _flown(r, recorded, compared),
-        _flown(r, simulated, compared),
+        _flown(r, compared, r.position_m, r.duty),
+        _flown(r, compared, *simulated),
     )
 
 
@@ -103,8 +90,13 @@ def _commanded(r: Recording) -> slice | None:
     return slice(int(runs[0]), int(runs[-1]) + 1)
 
 
-def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int) -> Track | None:
-    """Fly the set-points; NaN outside ``span``. None if the firmware rejects arming."""
+def _simulate(
+    r: Recording, span: slice, params: Params, plant: Plant, seed: int
+) -> tuple[Floats, Floats] | None:
+    """Fly the set-points; return positions (n, 3) and duty cycles (n, 4), NaN outside ``span``.
+
+    None: the firmware rejects arming.
+    """
     start, stop = span.start, span.stop
     assert r.setpoint_position_m is not None
     x, y, ground = r.position_m[start].tolist()
@@ -124,20 +116,15 @@ def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int
     setpoints = r.setpoint_position_m + np.array((0.0, 0.0, up))
     yaw_rad = np.zeros(len(r.time_s)) if r.setpoint_yaw_rad is None else np.nan_to_num(r.setpoint_yaw_rad)
     times_ms = np.rint((r.time_s - r.time_s[start]) / STEP_S).astype(int)
-    track = Track(*(np.full((len(r.time_s), *shape), np.nan) for shape in ((3,), (), (4,), ())))
+    position_m, duty = np.full((len(r.time_s), 3), np.nan), np.full((len(r.time_s), 4), np.nan)
     for k in range(start, stop):
         if np.isfinite(setpoints[k]).all():
             vehicle.set_position(tuple(setpoints[k].tolist()), float(yaw_rad[k]))
         if k > start:
             vehicle.advance(int(times_ms[k] - times_ms[k - 1]))
-        body = vehicle.body()
-        _, x, y, _ = body.quaternion
-        track.position_m[k] = body.position_enu_m
-        track.up[k] = 1.0 - 2.0 * (x * x + y * y)
-        track.duty[k] = vehicle.duty
-        track.battery_v[k] = vehicle.battery_v
-    track.position_m[:, 2] -= up
-    return track
+        position_m[k], duty[k] = vehicle.body().position_enu_m, vehicle.duty
+    position_m[:, 2] -= up
+    return position_m, duty
 
 
 def _airframe(r: Recording, start: int, compared: Mask, params: Params) -> Plant:
@@ -152,7 +139,9 @@ def _airframe(r: Recording, start: int, compared: Mask, params: Params) -> Plant
     share /= share.mean()
     gained_m_s = r.velocity_m_s[first[-1], 2] - r.velocity_m_s[first[0], 2]
     lift_m_s2 = params.contact.gravity_m_s2 + gained_m_s / (r.time_s[first[-1]] - r.time_s[first[0]])
-    thrust = params.body.mass_kg * lift_m_s2 / float((thrust_n @ share * _up(r)[first]).mean())
+    x, y = r.attitude[first, 1], r.attitude[first, 2]
+    up = 1.0 - 2.0 * (x * x + y * y)  # z component of the body's z axis; 1: level
+    thrust = params.body.mass_kg * lift_m_s2 / float((thrust_n @ share * up).mean())
     m1, m2, m3, m4 = share.tolist()
     hover_rpm = rotor.rpm(params.body.mass_kg * params.contact.gravity_m_s2 / 4.0 / thrust)
     power = float((rpm * rpm * rpm).mean()) / hover_rpm**3  # mean power divided by the power of hover
@@ -164,24 +153,12 @@ def _airframe(r: Recording, start: int, compared: Mask, params: Params) -> Plant
     return Plant(thrust=thrust, motors=(m1, m2, m3, m4), battery_charge=charge)
 
 
-def _up(r: Recording) -> Floats:
-    """Return the z component of the body's z axis; 1: level."""
-    x, y = r.attitude[:, 1], r.attitude[:, 2]
-    up: Floats = 1.0 - 2.0 * (x * x + y * y)
-    return up
-
-
-def _flown(r: Recording, track: Track, compared: Mask) -> Flown:
+def _flown(r: Recording, compared: Mask, position_m: Floats, duty: Floats) -> Flown:
     assert r.setpoint_position_m is not None
-    error = (track.position_m - r.setpoint_position_m)[compared]
-    tilt = np.arccos(np.clip(track.up[compared], -1.0, 1.0))
-    duty = track.duty[compared]
+    error, duty = (position_m - r.setpoint_position_m)[compared], duty[compared]
     return Flown(
         float(np.sqrt((error[:, :2] ** 2).sum(axis=1).mean())),
         float(np.sqrt((error[:, 2] ** 2).mean())),
         float(duty.mean()),
         float((duty.max(axis=1) >= SATURATED).mean()),
-        float(np.sqrt((tilt**2).mean())),
-        float(np.percentile(tilt, 95.0)),
-        float(-np.polyfit(r.time_s[compared], track.battery_v[compared], 1)[0]),
     )

@@ -68,9 +68,6 @@ def test_the_simulators_own_flight_is_found_again():
     assert b.horizontal_m == pytest.approx(a.horizontal_m, rel=0.15)
     assert b.vertical_m == pytest.approx(a.vertical_m, abs=0.02)
     assert b.duty == pytest.approx(a.duty, rel=0.01)
-    assert b.tilt_rms_rad == pytest.approx(a.tilt_rms_rad, rel=0.25)  # the estimate's errors differ
-    assert b.tilt_p95_rad == pytest.approx(a.tilt_p95_rad, rel=0.25)
-    assert b.sag_v_s == pytest.approx(a.sag_v_s, abs=1e-3)
 
 
 def test_a_tired_battery_saturates_in_both():

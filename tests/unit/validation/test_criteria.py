@@ -19,7 +19,7 @@ from sim.validation.run import VEHICLE, Compared
 from tests.examples import examples
 
 PLAN = ValidateOptions(folder=Path("flights"), vehicle=VEHICLE)
-FLOWN = closed_loop.Flown(0.1, 0.02, 0.85, 0.05, 0.1, 0.2, 0.01)
+FLOWN = closed_loop.Flown(0.1, 0.02, 0.85, 0.05)
 ERROR = sensing.Error(0.02, (0.002, 0.01, 0.014, 0.025))
 
 
