@@ -1,11 +1,13 @@
-"""Makes the HTML report of a log: of one flight, or of a fleet."""
+"""Makes the HTML report of a log: of all its flights, or of one of them."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
+from flightstack.common.text import named
 from flightstack.config.options import repeated
 from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
 from logs.report import tables
@@ -22,7 +24,7 @@ from logs.report.page import (
     write,
 )
 from logs.schema import FLEET, SCENARIO
-from logs.verdict.types import SOURCES, TRUTH, Outcome, Verdict
+from logs.verdict.types import ESTIMATE, SOURCES, TRUTH
 from logs.verdict.verdict import (
     FleetVerdict,
     judged_apart,
@@ -33,7 +35,6 @@ from logs.verdict.verdict import (
 
 __all__ = ["ReportError", "write_report"]
 
-_FILES = ((ATTACHMENT, "Configuration of the onboard process"), (SCENARIO, "Scenario, whole"))
 _NEAR = "Measured in every physics step while both flew."
 _EVENTS = "wide events"  # CSS classes of the tables of events
 _WAITS = "Times in which a member flew and gave way to neighbours, by its own messages."
@@ -45,16 +46,21 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
     The key "" is the main page. Raises ReportError: the plotting library is not installed.
     """
     need_libraries()
-    target, (first, *others) = _beside(fleet.path) if out is None else out, fleet.flights
-    if not others:
-        return {"": write(target, flight_page(fleet.flights[first], verdict.members[first]))}
-    members = {
+    target = _beside(fleet.path) if out is None else out
+    if len(fleet.flights) == 1:
+        return {"": write(target, page(fleet, verdict))}
+    pages = {
         name: target.with_name(f"{target.stem}_{name.replace('/', '_')}{target.suffix}")
         for name in fleet.flights
     }
-    for name, place in members.items():
-        write(place, flight_page(fleet.flights[name], verdict.members[name], target.name))
-    return {"": write(target, fleet_page(fleet, verdict, members)), **members}
+    for name, place in pages.items():
+        own = verdict.members[name]
+        alone = replace(
+            verdict, outcome=own.outcome, reason=own.reason, violation=own.violation, members={name: own},
+            ellipsoid_violations=None,
+        )  # fmt: skip
+        write(place, page(replace(fleet, flights={name: fleet.flights[name]}), alone, of=target.name))
+    return {"": write(target, page(fleet, verdict, pages)), **pages}
 
 
 def _beside(log: Path) -> Path:
@@ -62,80 +68,57 @@ def _beside(log: Path) -> Path:
     return log.with_name(f"{'report' if log.name == 'flight.mcap' else log.stem}.html")
 
 
-def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page:
-    """Return the report of a flight; ``of``: page of its fleet, to which the report links."""
-    from logs.report.figures import panels
+def page(
+    fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path] | None = None, of: str | None = None
+) -> Page:
+    """Return the report of the flights in a log.
 
-    side = Side("", flight, verdict, -(flight.landing_start_s or 0.0))
-    run = flight.metadata.get("run", {})
-    picture, timeline, *figures = panels(side)
-    title = run.get("scenario", flight.path.stem)
-    if flight.label not in title:
-        title = f"{title}, {flight.label}"
-    sources = [(what, flight.attachments.get(name), name) for name, what in _FILES]
+    ``pages``: pages of the single flights, in the same folder; ``of``: page of all flights of the log.
+    """
+    from logs.report.figures import fleet_panels, panels
+
+    first, *others = fleet.flights.values()
+    several, whole = bool(others), fleet if others else first
+    sides = [
+        Side(
+            name if several else "", flight, verdict.members[name],
+            fleet.shift_s(flight) if several else -(flight.landing_start_s or 0.0),
+        )
+        for name, flight in fleet.flights.items()
+    ]  # fmt: skip
+    label, run = "" if several else first.label, whole.metadata.get("run", whole.metadata.get(FLEET, {}))
+    picture, timeline, *figures = (
+        fleet_panels(fleet, sides, pair_series(fleet)) if several else panels(sides[0])
+    )
+    together = [
+        Panel("near", "How near they came", _NEAR, tables.pairs_table(fleet)),
+        Panel("waits", "Who waited for whom", _WAITS, tables.waits_table(sides)),
+    ]
+    title = run.get("scenario", fleet.path.stem)
+    about = [f"{len(sides)} vehicles"] * several
     return Page(
-        title, tables.headline(verdict), " · ".join([*_flown(run), verdict.reason]), tables.key_numbers(side),
+        title if label in title else f"{title}, {label}",
+        tables.headline(verdict),
+        " · ".join([*about, *_flown(run), verdict.reason]),
+        tables.key_numbers(verdict, sides),
         [
             html('<p><a href="{}">The whole fleet</a></p>').format(of) if of is not None else "",
             picture,
-            Panel("result", "Result", _source(verdict), tables.result_table(side)),
+            Panel("result", "Result", _source(verdict), tables.result_table(verdict, sides, pages or {})),
             part("bar", True),
             timeline,
             *figures,
+            *([together] if several else []),
             Panel(
-                "events", "Events", "Times since the landing began; each is a link.",
-                tables.events_table(flight.events, -side.offset_s), style=_EVENTS,
+                "events", "Events",
+                f"Times since the {'log' if several else 'landing'} began; each is a link.",
+                tables.events_table(whole.events, None if several else -sides[0].offset_s), style=_EVENTS,
             ),
-            repeat_section(flight, flight.label),
-            Panel("run", "Run", "", tables.run_table(flight.metadata)),
-            *_configuration("Configuration", sources, flight.path),
+            repeat_section(whole, label),
+            Panel("run", "Run", "", tables.run_table(whole.metadata)),
+            *_configuration(fleet),
         ],
-        warnings(flight, verdict),
-    )  # fmt: skip
-
-
-def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -> Page:
-    """Return the page of a fleet; ``pages`` are those of the members, in the same folder."""
-    from logs.report.figures import fleet_panels
-
-    told = fleet.metadata.get(FLEET, {})
-    sides = [
-        Side(name, flight, verdict.members[name], fleet.shift_s(flight))
-        for name, flight in fleet.flights.items()
-    ]
-    picture, *figures = fleet_panels(fleet, sides, pair_series(fleet))
-    source = " and ".join(dict.fromkeys(SOURCES[each.judged_from] for each in verdict.members.values()))
-    sources = [
-        (f"Configuration of {name}", flight.attachments.get(ATTACHMENT), f"{name}.toml")
-        for name, flight in fleet.flights.items()
-    ]
-    result = tables.members_table(sides, pages) + tables.fleet_result_table(verdict)
-    return Page(
-        told.get("scenario", fleet.path.stem),
-        _fleet_headline(verdict),
-        " · ".join([f"{len(verdict.members)} vehicles", *_flown(told), verdict.reason]),
-        tables.fleet_key_numbers(verdict),
-        [
-            picture,
-            Panel(
-                "result", "Result",
-                f"Judged from {source}. The fleet has landed when all its members have.", result,
-            ),
-            part("bar", True),
-            *figures,
-            [
-                Panel("near", "How near they came", _NEAR, tables.pairs_table(fleet)),
-                Panel("waits", "Who waited for whom", _WAITS, tables.waits_table(sides)),
-            ],
-            Panel(
-                "events", "Events of all", "Times since the log began; each is a link.",
-                tables.events_table(fleet.events), style=_EVENTS,
-            ),
-            repeat_section(fleet),
-            Panel("run", "Run", "", tables.run_table(fleet.metadata)),
-            *_configuration("Configurations", sources, fleet.path),
-        ],
-        _fleet_warnings(fleet, verdict),
+        _warnings(fleet, verdict),
     )  # fmt: skip
 
 
@@ -145,62 +128,51 @@ def _flown(run: Mapping[str, str]) -> list[str]:
     return named + ([run["mode"]] if "mode" in run else [])
 
 
-def _configuration(
-    title: str, files: Sequence[tuple[str, bytes | None, str]], log: Path
-) -> tuple[Panel, str]:
+def _configuration(fleet: Fleet) -> tuple[Panel, str]:
     """Return a panel with the attachments as text to open, and the end of the page."""
+    files = [
+        (named(flight.label, "Configuration of the onboard process"), flight.attachments.get(ATTACHMENT),
+         named(flight.label, ATTACHMENT, "."))
+        for flight in fleet.flights.values()
+    ]  # fmt: skip
+    files.append(("Scenario, whole", fleet.attachments.get(SCENARIO), SCENARIO))
     texts = [
         details(what, data.decode(errors="replace"), name) for what, data, name in files if data is not None
     ]
     inner = html("".join(texts) or paragraph("The log holds none."))
-    end = html("<footer>Log: {}. Frames: east, north, up; SI units.</footer>").format(log.name)
-    return Panel("configuration", title, "", inner), end
+    end = html("<footer>Log: {}. Frames: east, north, up; SI units.</footer>").format(fleet.path.name)
+    return Panel("configuration", "Configuration", "", inner), end
 
 
-def _fleet_headline(verdict: FleetVerdict) -> tuple[str, str]:
-    text, style = tables.HEADLINES[verdict.outcome]
-    text = "All landed" if verdict.outcome is Outcome.LANDED else text
-    also = ["a barrier violation"] if verdict.violation else []
-    also += ["an ellipsoid violation"] if verdict.ellipsoid_violations else []
-    if also:
-        return f"{text}, with {' and '.join(also)}", "fair" if style == "good" else style
-    return text, style
+def _source(verdict: FleetVerdict) -> str:
+    """Return the sources of the verdict as text."""
+    sources = dict.fromkeys(each.judged_from for each in verdict.members.values())
+    text = f"Judged from {' and '.join(SOURCES[each] for each in sources)}. "
+    if TRUTH in sources:
+        text += "True states are sampled every physics step, independent of the controller's estimate. "
+    if ESTIMATE in sources:
+        text += "An estimate shows neither contacts nor its own errors. "
+    if len(verdict.members) > 1:
+        text += "The fleet has landed when all its members have."
+    return text.rstrip()
 
 
-def _source(verdict: Verdict) -> str:
-    if verdict.judged_from == TRUTH:
-        return (
-            "Judged from the simulator's true states, sampled every physics step, "
-            "independent of the controller's estimate."
-        )
-    return (
-        f"Judged from {SOURCES[verdict.judged_from]}: this log holds no true states. "
-        "An estimate shows neither contacts nor its own errors."
-    )
-
-
-def warnings(flight: Flight, verdict: Verdict) -> list[str]:
-    texts = [*flight.problems]
-    if outside := outside_envelope(flight):
-        texts.append(f"outside the proven envelope: {outside}")
-    if apart := judged_apart(flight):
-        texts.append(apart)
-    if flight.truth is None:
-        texts.append("no true states in this log: all values are the vehicle's own estimate")
-    if flight.steps is None:
-        texts.append("no controller steps in this log: phases, velocities and the estimate are missing")
-    if verdict.violation is None:
-        texts.append("data is missing, so that a barrier violation cannot be excluded")
-    return texts
-
-
-def _fleet_warnings(fleet: Fleet, verdict: FleetVerdict) -> list[str]:
-    texts = [
-        f"{name}: {text}"
-        for name, flight in fleet.flights.items()
-        for text in warnings(flight, verdict.members[name])
-    ]
-    if not pairs_known(fleet):
+def _warnings(fleet: Fleet, verdict: FleetVerdict) -> list[str]:
+    texts = []
+    for name, flight in fleet.flights.items():
+        found = [*flight.problems]
+        if outside := outside_envelope(flight):
+            found.append(f"outside the proven envelope: {outside}")
+        if apart := judged_apart(flight):
+            found.append(apart)
+        if flight.truth is None:
+            found.append("no true states in this log: all values are the vehicle's own estimate")
+        if flight.steps is None:
+            found.append("no controller steps in this log: phases, velocities and the estimate are missing")
+        if verdict.members[name].violation is None:
+            found.append("data is missing, so that a barrier violation cannot be excluded")
+        texts += [named(flight.label, text) for text in found]
+    if len(fleet.flights) > 1 and not pairs_known(fleet):
         texts.append(
             "the simulator did not follow all pairs to the end: a collision or an ellipsoid violation cannot "
             "be excluded"

@@ -1,4 +1,4 @@
-"""Makes the HTML tables of a report: of one flight, or of a fleet."""
+"""Makes the HTML tables of a report."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from logs.report.derived import Side, fault_spans, share_active
 from logs.report.page import html, paragraph, part, table, time_link
 from logs.schema import FLEET, LOSSES
 from logs.schema.events import Severity
-from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, FALL_M_S, FALLS, Outcome, Verdict
+from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, FALL_M_S, FALLS, Outcome
 from logs.verdict.verdict import FleetVerdict
 
 EVENTS_MAX = 500  # maximum number of shown events
@@ -26,25 +26,18 @@ HEADLINES = {
 YES_NO = {True: "yes", False: "no", None: "not known"}
 
 
-def headline(verdict: Verdict) -> tuple[str, str]:
+def headline(verdict: FleetVerdict) -> tuple[str, str]:
+    members = list(verdict.members.values())
     text, style = HEADLINES[verdict.outcome]
-    if verdict.judged_from == ESTIMATE:
+    if verdict.outcome is Outcome.LANDED and len(members) > 1:
+        text = "All landed"
+    if all(each.judged_from == ESTIMATE for each in members):
         text = f"{text}, by its own estimate"
-    if verdict.violation:
-        return f"{text}, with a barrier violation", "fair" if style == "good" else style
+    also = ["a barrier violation"] if verdict.violation else []
+    also += ["an ellipsoid violation"] if verdict.ellipsoid_violations else []
+    if also:
+        return f"{text}, with {' and '.join(also)}", "fair" if style == "good" else style
     return text, style
-
-
-def fleet_key_numbers(verdict: FleetVerdict) -> list[tuple[str, str, str]]:
-    v, members = verdict, verdict.members.values()
-    errors_m = [each.touchdown_error_m for each in members if each.touchdown_error_m is not None]
-    lowest_m = [each.h_min_outside_pad_m for each in members if each.h_min_outside_pad_m is not None]
-    return [
-        ("landed", f"{v.outcomes.count(Outcome.LANDED)} of {len(v.outcomes)}", ""),
-        ("smallest distance of two vehicles", number(v.distance_min_m, 2), "m"),
-        ("lowest h outside a pad", number(min(lowest_m, default=None), 1, 1e3), "mm"),
-        ("largest touchdown error", number(max(errors_m, default=None), 1, 1e3), "mm"),
-    ]
 
 
 def run_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
@@ -97,17 +90,21 @@ def _of_timing(side: Side, value: Callable[[Timing], float | None]) -> float | N
 
 
 _RELATIVE, _VERTICAL = "relative to the pad", "touchdown speed, vertical"
-_KEYS = ("lowest h outside the pad", "touchdown error", _VERTICAL, "time to land")
+_LOWEST = "lowest h outside the pad"
+_KEYS = (_LOWEST, "touchdown error", _VERTICAL, "time to land")
 # columns of a row: name, unit, digits, factor, value, meaning
 _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str], ...] = (
     ("lowest h", "mm", 1, 1e3, lambda s: s.verdict.h_min_m, BELOW_ON_PAD),
-    ("lowest h outside the pad", "mm", 1, 1e3, lambda s: s.verdict.h_min_outside_pad_m, ""),
+    (_LOWEST, "mm", 1, 1e3, lambda s: s.verdict.h_min_outside_pad_m, ""),
     ("touchdown error", "mm", 1, 1e3, lambda s: s.verdict.touchdown_error_m, "d at first contact"),
     (_VERTICAL, "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_vertical_m_s, _RELATIVE),
     ("touchdown speed, horizontal", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_horizontal_m_s,
      _RELATIVE),
     ("time to land", "s", 2, 1.0, lambda s: s.verdict.time_to_land_s,
      "begin of the landing to first contact"),
+    ("waited for others", "s", 1, 1.0,
+     lambda s: sum(e.end_s - e.begin_s for _, e in _waits([s])) if s.flight.spans else None,
+     "flew and gave way to neighbours"),
     ("length of the log", "s", 2, 1.0, lambda s: s.flight.duration_s, ""),
     ("barrier active", "%", 0, 100.0, lambda s: _of_steps(s, share_active), "of the ticks with a filter"),
     ("age of the target state, 99 %", "ms", 1, 1e3, lambda s: _of_steps(s, lambda v: _p99(v.target_age_s)),
@@ -122,58 +119,46 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
 )  # fmt: skip
 
 
-def _found(side: Side, name: str, digits: int | None = None) -> str:
-    """Return one number of a flight as text for its table row."""
-    _, _, usual, factor, value, _ = next(row for row in _NUMBERS if row[0] == name)
-    return number(value(side), usual if digits is None else digits, factor)
+def key_numbers(verdict: FleetVerdict, sides: Sequence[Side]) -> list[tuple[str, str, str]]:
+    """Return name, value and unit of the key numbers: of each the worst value of the flights."""
+    found = []
+    for name, unit, digits, factor, value, _ in _NUMBERS:
+        known = [each for each in map(value, sides) if each is not None]
+        worst = (min if name == _LOWEST else max)(known, default=None)
+        found += [(name, number(worst, digits, factor), unit)] * (name in _KEYS)
+    if len(sides) > 1:
+        landed = f"{verdict.outcomes.count(Outcome.LANDED)} of {len(sides)}"
+        nearest = ("smallest distance of two vehicles", number(verdict.distance_min_m, 2), "m")
+        found = [("landed", landed, ""), nearest, *found]
+    return found
 
 
-def key_numbers(side: Side) -> list[tuple[str, str, str]]:
-    """Return name, value and unit of the four key numbers of a landing."""
-    return [(name, _found(side, name), unit) for name, unit, *_ in _NUMBERS if name in _KEYS]
-
-
-def result_table(side: Side) -> str:
-    """Return the table of the verdict: each result with its unit and a remark."""
-    verdict = side.verdict
+def result_table(verdict: FleetVerdict, sides: Sequence[Side], pages: Mapping[str, Path]) -> str:
+    """Return the table of the verdict: each result with its unit and a remark, a column for each flight."""
+    members = [side.verdict for side in sides]
     rows = [
-        ("outcome", verdict.outcome.value, "", verdict.reason),
-        ("barrier violation", YES_NO[verdict.violation], "", "h < −5 mm outside the pad, begun with h ≥ 0"),
-        ("began safe", YES_NO[verdict.started_safe], "", "h ≥ 0 when the landing began"),
-    ]
+        ("outcome", *(each.outcome.value for each in members), "", verdict.reason),
+        ("barrier violation", *(YES_NO[each.violation] for each in members), "",
+         "h < −5 mm outside the pad, begun with h ≥ 0"),
+        ("began safe", *(YES_NO[each.started_safe] for each in members), "", "h ≥ 0 when the landing began"),
+    ]  # fmt: skip
     for name, unit, digits, factor, value, meaning in _NUMBERS:
-        found = value(side)
-        if name == _VERTICAL and (found or 0.0) > FALL_M_S:
+        found = [value(side) for side in sides]
+        if name == _VERTICAL and any((each or 0.0) > FALL_M_S for each in found):
             meaning = f"{meaning}. {FALLS}"
-        rows.append((name, number(found, digits, factor), unit, meaning))
-    return table(("result", "value", "unit", "meaning"), rows, numbers=(1,)) + part("definitions")
+        rows.append((name, *(number(each, digits, factor) for each in found), unit, meaning))
+    link = html('<a href="{}">{}</a>').format
+    names = [link(pages[s.name].name, s.name) if s.name in pages else "value" for s in sides]
+    text = table(("result", *names, "unit", "meaning"), rows, numbers=range(1, len(sides) + 1))
+    return text + (_pairs_result(verdict) if len(sides) > 1 else "") + part("definitions")
 
 
 _DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # en dash without a line break before or after it
 
 
-_OF_MEMBERS = {"lowest h outside the pad": 0, "touchdown error": 0, "touchdown speed, vertical": 2,
-               "touchdown speed, horizontal": 2, "time to land": 1}  # fmt: skip  # digits
-
-
-def members_table(sides: Sequence[Side], pages: Mapping[str, Path]) -> str:
-    rows = []
-    for side in sides:
-        name, v = side.name, side.verdict
-        place = html('<a href="{}">{}</a>').format(pages[name].name, name) if name in pages else name
-        numbers = [_found(side, what, digits) for what, digits in _OF_MEMBERS.items()]
-        waited = number(sum(span.end_s - span.begin_s for _, span in _waits([side])), 1)
-        rows.append((place, v.outcome.value, YES_NO[v.violation], *numbers, waited, v.reason))
-    head = ("vehicle", "outcome", "barrier violated", "lowest h [mm]", "error [mm]", "down [m/s]",
-            "sideways [m/s]", "landed after [s]", "waited [s]", "reason")  # fmt: skip
-    return table(head, rows, numbers=range(3, 9))
-
-
-def fleet_result_table(verdict: FleetVerdict) -> str:
+def _pairs_result(verdict: FleetVerdict) -> str:
     v = verdict
     rows = [
-        ("outcome", v.outcome.value, "", v.reason),
-        ("barrier violation", YES_NO[v.violation], "", "of any member over its pad"),
         ("pairs that collided", _count(v.collisions), "", "their shapes overlapped"),
         ("ellipsoid violations", _count(v.ellipsoid_violations), "",
          "times that two came inside, both in flight"),
@@ -181,7 +166,7 @@ def fleet_result_table(verdict: FleetVerdict) -> str:
          "both in flight; below 1: inside"),
         ("smallest distance", number(v.distance_min_m, 3), "m", "of two centres of mass, at any time"),
     ]  # fmt: skip
-    return table(("fleet", "value", "unit", "meaning"), rows, numbers=(1,)) + part("definitions")
+    return table(("fleet", "value", "unit", "meaning"), rows, numbers=(1,))
 
 
 def _count(value: int | None) -> str:
