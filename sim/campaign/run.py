@@ -249,18 +249,15 @@ _MAP = (
     "Cells below it were entered on the last centimetres over the pad, or by a violation."
 )
 
-_HISTOGRAMS: tuple[tuple[str, str, str, float, Callable[[Row], float | None]], ...] = (
-    ("error", "Touchdown error", "d at first contact [cm]", 100.0, lambda r: r.touchdown_error_m),
-    (
-        "vertical", "Touchdown speed, vertical", "relative to the pad, downwards [m/s]", 1.0,
-        lambda r: r.touchdown_speed_vertical_m_s,
-    ),
-    (
-        "horizontal", "Touchdown speed, horizontal", "relative to the pad [m/s]", 1.0,
-        lambda r: r.touchdown_speed_horizontal_m_s,
-    ),
-    ("time", "Time to land", "begin of the landing to first contact [s]", 1.0, lambda r: r.time_to_land_s),
-    ("h", "Lowest h outside the pad", "h [mm]", 1000.0, lambda r: r.h_min_outside_pad_m),
+# panel, title, axis, factor, column of the rows
+_HISTOGRAMS = (
+    ("error", "Touchdown error", "d at first contact [cm]", 100.0, "touchdown_error_m"),
+    ("vertical", "Touchdown speed, vertical", "relative to the pad, downwards [m/s]", 1.0,
+     "touchdown_speed_vertical_m_s"),
+    ("horizontal", "Touchdown speed, horizontal", "relative to the pad [m/s]", 1.0,
+     "touchdown_speed_horizontal_m_s"),
+    ("time", "Time to land", "begin of the landing to first contact [s]", 1.0, "time_to_land_s"),
+    ("h", "Lowest h outside the pad", "h [mm]", 1000.0, "h_min_outside_pad_m"),
 )  # fmt: skip
 
 
@@ -300,8 +297,8 @@ def campaign_page(wanted: Plan, flown: Flown) -> Page:
 
 def _histograms(rows: Sequence[Row]) -> list[Panel]:
     found = []
-    for key, title, axis, scale, value in _HISTOGRAMS:
-        values = [scale * v for row in rows if (v := value(row)) is not None]
+    for key, title, axis, scale, column in _HISTOGRAMS:
+        values = [scale * v for row in rows if (v := getattr(row, column)) is not None]
         figure = histogram(values, axis, 1e3 * VIOLATION_LIMIT_M if key == "h" else None) if values else None
         found.append(Panel(key, title, f"{len(values)} of {len(rows)} landings have this value.", figure))
     return found

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -30,29 +29,17 @@ _RANK = {ERROR: 0, Outcome.CRASHED: 1, Outcome.TIMEOUT: 3, Outcome.ABORTED: 4, O
 _VIOLATED_RANK = 2
 
 
-@dataclass(frozen=True)
-class Counts:
-    """Numbers of landings by outcome."""
-
-    runs: int
-    landed: int
-    declared_aborts: int
-    undeclared_misses: int
-    crashes: int
-    violations: int
-
-
-def count(rows: Sequence[Row]) -> Counts:
+def count(rows: Sequence[Row]) -> dict[str, int]:
     """Count outcomes; every row is in exactly one of landed, aborts, misses and crashes."""
     outcomes = [row.outcome for row in rows]
-    return Counts(
-        runs=len(rows),
-        landed=outcomes.count(Outcome.LANDED),
-        declared_aborts=outcomes.count(Outcome.ABORTED),
-        undeclared_misses=outcomes.count(Outcome.TIMEOUT) + outcomes.count(ERROR),
-        crashes=outcomes.count(Outcome.CRASHED),
-        violations=sum(row.violation is not False for row in rows),
-    )
+    return {
+        "runs": len(rows),
+        "landed": outcomes.count(Outcome.LANDED),
+        "declared_aborts": outcomes.count(Outcome.ABORTED),
+        "undeclared_misses": outcomes.count(Outcome.TIMEOUT) + outcomes.count(ERROR),
+        "crashes": outcomes.count(Outcome.CRASHED),
+        "violations": sum(row.violation is not False for row in rows),
+    }
 
 
 def kinds(row: Row) -> list[str]:
@@ -85,8 +72,8 @@ def summary(
     counts = count(rows)
     lowest = [row.h_min_outside_pad_m for row in rows if row.h_min_outside_pad_m is not None]
     return {
-        **asdict(counts),
-        "upper_95_violation_rate": upper_bound(counts.violations, counts.runs),
+        **counts,
+        "upper_95_violation_rate": upper_bound(counts["violations"], counts["runs"]),
         "h_min_outside_pad_m": min(lowest, default=None),
         **{
             column: {name: quantile(rows, column, share) for name, share in shares.items()}

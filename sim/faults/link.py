@@ -16,7 +16,6 @@ from sim.plant.sensors import NS
 from sim.scenarios.fault_spec import Kind, What
 
 Rewrite = Callable[[Any, int], None]  # function of message and time (ns) that changes the message in place
-_By = Callable[[Running, Any, int], None]  # a ``Rewrite`` with the running fault as first argument
 
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # only this message has a 32-bit time in us
@@ -34,8 +33,7 @@ def _write(message: Any, fields: tuple[str, ...], values: list[Any]) -> None:
 def _frozen(fields: tuple[str, ...]) -> Rewrite:
     first: list[Any] = []
 
-    def rewrite(message: Any, now_ns: int) -> None:
-        del now_ns
+    def rewrite(message: Any, _: int) -> None:
         if not first:
             first[:] = [getattr(message, name) for name in fields]
         _write(message, fields, first)
@@ -43,7 +41,7 @@ def _frozen(fields: tuple[str, ...]) -> Rewrite:
     return rewrite
 
 
-def _heartbeat_wrong(_: Running, message: Any, __: int) -> None:
+def _heartbeat_wrong(message: Any, _: int) -> None:
     message.base_mode ^= dialect.MAV_MODE_FLAG_SAFETY_ARMED
 
 
@@ -106,23 +104,16 @@ def _clock(running: Running, message: Any, now_ns: int) -> None:
         message.time_unix_usec = max(0, unix_us + (shown_ns - now_ns) // 1000)
 
 
-_STUCK = {What.HEARTBEAT: _HEARTBEAT_FIELDS, What.SETPOINTS: _VELOCITY_FIELDS}
-_REWRITES: Mapping[tuple[What, Kind], _By] = {
-    (What.HEARTBEAT, Kind.WRONG): _heartbeat_wrong,
-    (What.HEARTBEAT, Kind.GARBAGE): _heartbeat_garbage,
-    (What.SETPOINTS, Kind.WRONG): _setpoint_wrong,
-    (What.SETPOINTS, Kind.GARBAGE): _setpoint_garbage,
-    **{(What.CLOCK, kind): _clock for kind in _CLOCKS},
+# function that makes the effect of a fault on the content of messages
+_REWRITES: Mapping[tuple[What, Kind], Callable[[Running], Rewrite]] = {
+    (What.HEARTBEAT, Kind.STUCK): lambda _: _frozen(_HEARTBEAT_FIELDS),
+    (What.SETPOINTS, Kind.STUCK): lambda _: _frozen(_VELOCITY_FIELDS),
+    (What.HEARTBEAT, Kind.WRONG): lambda _: _heartbeat_wrong,
+    (What.HEARTBEAT, Kind.GARBAGE): lambda running: partial(_heartbeat_garbage, running),
+    (What.SETPOINTS, Kind.WRONG): lambda running: partial(_setpoint_wrong, running),
+    (What.SETPOINTS, Kind.GARBAGE): lambda running: partial(_setpoint_garbage, running),
+    **{(What.CLOCK, kind): lambda running: partial(_clock, running) for kind in _CLOCKS},
 }
-
-
-def rewrite_of(running: Running) -> Rewrite | None:
-    """Return the effect of a fault on the content of messages; None if there is no effect."""
-    what, kind = running.fault.what, running.fault.kind
-    if kind is Kind.STUCK and what in _STUCK:
-        return _frozen(_STUCK[what])
-    found = _REWRITES.get((what, kind))
-    return None if found is None else partial(found, running)
 
 
 class Way(Enum):
@@ -179,8 +170,8 @@ class LinkFaults:
         self._running: list[_One] = []
 
     def begin(self, running: Running) -> None:
-        rewrite, lost = rewrite_of(running), LOST.get(running.fault.kind)
-        self._running.append(_One(running, rewrite, None if lost is None else lost(running)))
+        rewrite, lost = _REWRITES.get((running.fault.what, running.fault.kind)), LOST.get(running.fault.kind)
+        self._running.append(_One(running, rewrite and rewrite(running), lost and lost(running)))
 
     def end(self, running: Running, now_ns: int) -> None:
         """End a fault and release the messages that waited for it."""

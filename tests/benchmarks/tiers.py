@@ -48,7 +48,7 @@ def misses(tier: Tier, rows: Sequence[Row], paper: Sequence[Row] | None) -> list
     scenario; without them a limit on the time counts as not met.
     """
     limits, counts = LIMITS[tier], count(rows)
-    n = counts.runs
+    n = counts["runs"]
     found = []
 
     def ask(name: str, value: float | None, most: float, unit: str, scale: float = 1.0) -> None:
@@ -57,14 +57,14 @@ def misses(tier: Tier, rows: Sequence[Row], paper: Sequence[Row] | None) -> list
         elif not value <= most:
             found.append(f"{name}: {value * scale:.4g} {unit}, at most {most * scale:g} {unit} asked")
 
-    if counts.landed < limits.landed_min * n:
-        found.append(f"landed: {counts.landed} of {n}, at least {100.0 * limits.landed_min:g} % asked")
-    for name, number in (("crashes", counts.crashes), ("misses nobody declared", counts.undeclared_misses)):
-        if number:
+    if counts["landed"] < limits.landed_min * n:
+        found.append(f"landed: {counts['landed']} of {n}, at least {100.0 * limits.landed_min:g} % asked")
+    for name, key in (("crashes", "crashes"), ("misses nobody declared", "undeclared_misses")):
+        if number := counts[key]:
             found.append(f"{name}: {number} of {n}, none allowed")
-    if counts.violations > limits.violations_max * n:
+    if counts["violations"] > limits.violations_max * n:
         found.append(
-            f"violations: {counts.violations} of {n}, at most {100.0 * limits.violations_max:g} % allowed"
+            f"violations: {counts['violations']} of {n}, at most {100.0 * limits.violations_max:g} % allowed"
         )
     for name, column, share, most in (
         ("touchdown error, median", "touchdown_error_m", 0.5, limits.error_m[0]),

@@ -242,4 +242,4 @@ def test_the_robust_filter_meets_the_limits(tier):
     rows = rows_of(tier, TIER_RUNS, "robust")
     assert misses(tier, rows, rows_of(tier, PAPER_RUNS, "paper") if compared else None) == []
     found = count(rows)
-    assert found.crashes == found.violations == 0
+    assert found["crashes"] == found["violations"] == 0
