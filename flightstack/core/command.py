@@ -14,6 +14,7 @@ from flightstack.core.fleet.member import NO_ROWS, FleetMember, Rows
 from flightstack.core.fleet.program import Cone
 from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import Memory
+from flightstack.core.mission.conditions import Situation
 from flightstack.core.mission.guidance import NominalCommand
 from flightstack.core.numeric import NotOrdinary, rare
 from flightstack.core.parameters.flight import FlightConfig
@@ -45,13 +46,9 @@ class Command(NamedTuple):
     check: BarrierCheck  # data for the gate's check of a filtered velocity
 
 
-class VelocityCommand:
+class VelocityCommand(Situation):
     """Velocity command of each tick; ``memory`` has the last one."""
 
-    config: FlightConfig
-    barrier: Barrier
-    memory: Memory
-    strategy: Filter
     program: Program  # quadratic program of the landing, plain or compiled
     gate: Gate
     slew_step: Vec3
@@ -60,9 +57,9 @@ class VelocityCommand:
     _period_s: float
 
     def __init__(
-        self, config: FlightConfig, barrier: Barrier, memory: Memory, strategy: Filter, fleet: FleetMember
+        self, config: FlightConfig, barrier: Barrier, strategy: Filter, memory: Memory, fleet: FleetMember
     ) -> None:
-        self.config, self.barrier, self.memory, self.strategy = config, barrier, memory, strategy
+        super().__init__(config, barrier, strategy, memory)
         self.fleet, self.program, limits = fleet, strategy.program(), config.limits
         self._period_s = period_s = 1.0 / config.loop.rate_hz
         self.gate = Gate(strategy.rate_1_s, limits.velocity_max_m_s, limits.altitude_max_m, period_s)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from flightstack.core.command import Barriers, VelocityCommand
 from flightstack.core.fleet.member import FleetMember
 from flightstack.core.memory import Memory, State
-from flightstack.core.mission.guidance import Situation, nominal_command, ordinary_velocity
+from flightstack.core.mission.guidance import nominal_command, ordinary_velocity
 from flightstack.core.mission.machine import Mission, Rules, Transition
 from flightstack.core.numeric import NotOrdinary, rare
 from flightstack.core.parameters.flight import FlightConfig
@@ -111,9 +111,8 @@ class Controller:
         )
         self.memory = self._mission.memory
         self._fleet = FleetMember(config.fleet, config.own.position_noise_m)
-        self.velocity = VelocityCommand(config, self.barrier, self.memory, self.strategy, self._fleet)
         strategy = self.strategy
-        self._situation = Situation(config, self.barrier, self.memory, strategy)
+        self.velocity = VelocityCommand(config, self.barrier, strategy, self.memory, self._fleet)
         self._state = State(
             self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory,
             self.reserve.memory, strategy.own, strategy.late, self._fleet.memory, strategy.memory,
@@ -151,8 +150,7 @@ class Controller:
         transition = self._mission.step(seen, command_failed=command_failed, now_s=now_s)
         if transition is not None:
             events.append(Event(_level(transition), transition.text))
-        nominal = nominal_command(self._situation, seen)
-        nominal = velocity.beside(nominal, seen, now_s)
+        nominal = velocity.beside(nominal_command(self._mission, seen), seen, now_s)
         barriers, wanted, gate, setpoint = velocity.setpoint(nominal, seen)
         for text in fleet.texts(permissions, now_s - memory.phase_since_s, self.reserve.text, now_s):
             events.append(Event(WARN, text))
@@ -194,7 +192,7 @@ class Controller:
             self.memory.commanding = False
             return Landing(False, at, self.velocity.unsent(at), ZERO, ZERO)
         filtered = self.memory.phase is not Phase.TOUCHDOWN
-        nominal = ordinary_velocity(self.config, self.memory, self.strategy, at)
+        nominal = ordinary_velocity(self._mission, at)
         barriers, wanted, setpoint = self.velocity.ordinary_setpoint(at, nominal, filtered)
         return Landing(True, at, barriers, wanted, setpoint)
 

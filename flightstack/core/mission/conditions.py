@@ -55,38 +55,49 @@ def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
     return (p[0] + offset[0], p[1] + offset[1], p[2] + offset[2])
 
 
-def high_enough_m(config: FlightConfig, barrier: Barrier, memory: Memory) -> float:
+class Situation:
+    """Configuration, barrier, filter and state, from which flags and commands of the phases are computed."""
+
+    config: FlightConfig
+    barrier: Barrier  # the paper's barrier
+    strategy: Filter
+    memory: Memory
+
+    def __init__(self, config: FlightConfig, barrier: Barrier, strategy: Filter, memory: Memory) -> None:
+        self.config, self.barrier, self.strategy, self.memory = config, barrier, strategy, memory
+
+
+def high_enough_m(s: Situation) -> float:
     """Return a height above every part of the target, including the climb margin."""
-    base = memory.target_position_enu_m[2] if memory.target_position_enu_m else 0.0
-    return base + barrier.peak_height_m + config.retreat.climb_margin_m
+    base = s.memory.target_position_enu_m[2] if s.memory.target_position_enu_m else 0.0
+    return base + s.barrier.peak_height_m + s.config.retreat.climb_margin_m
 
 
-def climbed(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
+def climbed(s: Situation, own: OwnState) -> bool:
     """Whether the take-off climb is over: armed, and near the commanded height."""
-    climbed_m = own.position_enu_m[2] - memory.ground_z_m
-    return memory.was_armed and climbed_m > TAKEOFF_DONE * config.takeoff.height_m
+    climbed_m = own.position_enu_m[2] - s.memory.ground_z_m
+    return s.memory.was_armed and climbed_m > TAKEOFF_DONE * s.config.takeoff.height_m
 
 
-def flown_clear(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
+def flown_clear(s: Situation, own: OwnState) -> bool:
     """Whether an aborting vehicle can land clear of the target, or its time for this is over."""
-    target, clearance_m = memory.target_position_enu_m, config.checks.clearance_m
+    target, clearance_m = s.memory.target_position_enu_m, s.config.checks.clearance_m
     if target is None:
         return False
     away_m = own.position_enu_m[0] - target[0], own.position_enu_m[1] - target[1]
     outside = math.hypot(*away_m) >= clearance_m
-    if outside and _landing_distance_m(config, memory, own, away_m) >= clearance_m:
+    if outside and _landing_distance_m(s, own, away_m) >= clearance_m:
         return True
-    return own.arrival_s - memory.phase_since_s > config.retreat.clear_time_max_s
+    return own.arrival_s - s.memory.phase_since_s > s.config.retreat.clear_time_max_s
 
 
-def _landing_distance_m(
-    config: FlightConfig, memory: Memory, own: OwnState, away_m: tuple[float, float]
-) -> float:
+def _landing_distance_m(s: Situation, own: OwnState, away_m: tuple[float, float]) -> float:
     """Return the smallest horizontal distance from the target in a landing that starts now.
 
     The vehicle brakes with its velocity loop, then descends vertically; the target continues with its last
     known velocity.
     """
+    config, memory = s.config, s.memory
     assert memory.target_velocity_enu_m_s is not None  # the velocity is known if the position is
     lag_s = config.velocity_loop.lag_xy_s
     (vx, vy, _), (tx, ty, _) = own.velocity_enu_m_s, memory.target_velocity_enu_m_s
@@ -102,11 +113,11 @@ def _landing_distance_m(
 
 
 def condition_flags(
-    config: FlightConfig, strategy: Filter, barrier: Barrier, memory: Memory, times_s: PhaseTimes,
-    snapshot: Snapshot, command_failed: bool, now_s: float,
-) -> int:  # fmt: skip
+    s: Situation, times_s: PhaseTimes, snapshot: Snapshot, command_failed: bool, now_s: float
+) -> int:
     """Return the flags of this tick; ``memory`` already contains its timers and is not changed."""
-    inputs, own, phase = snapshot.inputs, snapshot.inputs.own, memory.phase
+    config, memory, phase = s.config, s.memory, s.memory.phase
+    inputs, own = snapshot.inputs, snapshot.inputs.own
     flags = _ASKED[inputs.operator] | lasting_flags(config.checks, memory, inputs.status)
     if not snapshot.follows:
         flags |= C.NOT_FOLLOWING
@@ -119,15 +130,15 @@ def condition_flags(
         flags |= C.TARGET_LOST
     if command_failed:
         flags |= C.COMMAND_FAILED
-    if strategy.memory.refusal:
+    if s.strategy.memory.refusal:
         flags |= C.NO_RESULT
     if now_s - memory.good_since_s >= config.checks.recovery_time_s:
         steady = phase is not Phase.WAIT or _steady(config.checks, memory, snapshot, now_s)
         flags |= C.RECOVERED if steady else 0
     if snapshot.charge is Charge.TIRED:
         flags &= ~C.RETRIES_LEFT
-        flags |= C.TIRED if _better_beside(barrier, memory, snapshot) else 0
-    if snapshot.permissions.cut_off and _better_beside(barrier, memory, snapshot):
+        flags |= C.TIRED if _better_beside(s, snapshot) else 0
+    if snapshot.permissions.cut_off and _better_beside(s, snapshot):
         flags |= C.CUT_OFF
     status, fit = inputs.status, snapshot.charge is Charge.FIT and snapshot.permissions.may_begin
     if status is not None and snapshot.good and (status.ready_to_arm or status.armed) and fit:
@@ -136,7 +147,7 @@ def condition_flags(
     if snapshot.permissions.waited and memory.started_s < math.inf:
         flags |= C.LANDING_TIME_OVER
     if phase is Phase.CLIMB and own is not None:
-        flags |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(config, barrier, memory) else 0
+        flags |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(s) else 0
     rested = phase is Phase.LANDED and now_s - memory.phase_since_s >= LANDED_SETTLE_S
     if rested and snapshot.permissions.pad_wanted and snapshot.good and snapshot.charge is Charge.FIT:
         flags |= C.PAD_WANTED
@@ -146,7 +157,7 @@ def condition_flags(
     if phase is Phase.TAKEOFF and memory.climbed and _at_start(config, at):
         flags |= C.AT_START
     may_land, may_touch = snapshot.permissions.may_land, snapshot.permissions.may_touch
-    return flags | landing_flags(config, strategy, barrier, memory, at, now_s, may_land, may_touch)
+    return flags | landing_flags(s, at, now_s, may_land, may_touch)
 
 
 @numeric
@@ -197,14 +208,14 @@ def target_below(config: FlightConfig, snapshot: Snapshot) -> str:
     )
 
 
-def _better_beside(barrier: Barrier, memory: Memory, snapshot: Snapshot) -> bool:
+def _better_beside(s: Situation, snapshot: Snapshot) -> bool:
     """Whether a landing beside the target is better than one on the pad.
 
     Inside the peak ring of the boundary the pad is the shortest way down: to fly clear, the vehicle must
     climb over the ring.
     """
     at = snapshot.relative if snapshot.good else None
-    return memory.phase is not Phase.APPROACH or at is None or at.d_m > barrier.peak_distance_m
+    return s.memory.phase is not Phase.APPROACH or at is None or at.d_m > s.barrier.peak_distance_m
 
 
 def lasting_flags(checks: Checks, memory: Memory, status: VehicleStatus | None) -> int:
@@ -243,47 +254,44 @@ def _at_start(config: FlightConfig, at: Relative) -> bool:
 
 
 @numeric
-def landing_flags(
-    config: FlightConfig, strategy: Filter, barrier: Barrier, memory: Memory, at: Relative, now_s: float,
-    may_land: bool, may_touch: bool,
-) -> int:  # fmt: skip
+def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_touch: bool) -> int:
     """Return the flags that depend on the vehicle's position over the pad; all inputs must be good."""
-    touchdown, flags = config.touchdown, 0
+    memory, strategy, touchdown, flags = s.memory, s.strategy, s.config.touchdown, 0
     # the vehicle leaves the cone at a wider radius than it enters, so that noise does not toggle the phase
     radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
-    low = at.e_m[2] < max(barrier.peak_height_m, touchdown.height_m)
+    low = at.e_m[2] < max(s.barrier.peak_height_m, touchdown.height_m)
     over_pad = at.d_m <= radius and low and may_land
     if over_pad:
         flags |= C.OVER_PAD
-    if may_touch and strategy.may_touch(at) and not waits_for_calm(config, memory, at, now_s):
+    if may_touch and strategy.may_touch(at) and not waits_for_calm(s, at, now_s):
         flags |= C.TOUCH
     descends = memory.phase is Phase.TOUCHDOWN and not memory.contact
-    if descends and (strategy.drifts(at) or _sets_off(config, barrier, memory, at, now_s)):
+    if descends and (strategy.drifts(at) or _sets_off(s, at, now_s)):
         flags |= C.DRIFTED
     if memory.phase is Phase.LAND and may_land and may_touch and strategy.watches_swinging:
         # the vehicle oscillates: it leaves the cone over the pad too often, or its error does not shrink
         waited_s = now_s - max(memory.phase_since_s, memory.started_s + touchdown.calm_wait_s)
-        leaves = memory.swings >= config.checks.swings_max
-        if waited_s > config.checks.over_pad_time_max_s if over_pad else leaves:
+        leaves = memory.swings >= s.config.checks.swings_max
+        if waited_s > s.config.checks.over_pad_time_max_s if over_pad else leaves:
             flags |= C.SWINGS
     return flags
 
 
 @numeric
-def _sets_off(config: FlightConfig, barrier: Barrier, memory: Memory, at: Relative, now_s: float) -> bool:
+def _sets_off(s: Situation, at: Relative, now_s: float) -> bool:
     """Whether a slow target has become fast, a retry is left, and h is large enough for a climb."""
-    if memory.retries >= config.checks.retries_max or barrier.h(at.e_m) < config.retreat.h_left_m:
+    if s.memory.retries >= s.config.checks.retries_max or s.barrier.h(at.e_m) < s.config.retreat.h_left_m:
         return False
-    return waits_for_calm(config, memory, at, now_s)
+    return waits_for_calm(s, at, now_s)
 
 
 @numeric
-def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: float) -> bool:
+def waits_for_calm(s: Situation, at: Relative, now_s: float) -> bool:
     """Whether the target is fast now and may become slower soon; False for a vehicle on the pad."""
-    touchdown, wait_s = config.touchdown, config.touchdown.calm_wait_s
-    if wait_s == 0.0 or now_s - memory.started_s >= wait_s:
+    touchdown, wait_s = s.config.touchdown, s.config.touchdown.calm_wait_s
+    if wait_s == 0.0 or now_s - s.memory.started_s >= wait_s:
         return False
-    if at.e_m[2] <= touchdown.feet_below_reference_m + config.contact.gap_m:
+    if at.e_m[2] <= touchdown.feet_below_reference_m + s.config.contact.gap_m:
         return False
     velocity_m_s = at.target.velocity_enu_m_s
     return hypot(velocity_m_s[0], velocity_m_s[1]) >= touchdown.calm_speed_m_s

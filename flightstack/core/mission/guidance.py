@@ -9,14 +9,12 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.mission.conditions import high_enough_m, start_point, waits_for_calm
+from flightstack.core.memory import AbortWay
+from flightstack.core.mission.conditions import Situation, high_enough_m, start_point, waits_for_calm
 from flightstack.core.numeric import NotOrdinary, numeric
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
 from flightstack.core.snapshot import Relative, Snapshot
-from flightstack.core.strategies.strategy import Filter
 from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
 CLIMB_OVER = 0.5  # fraction of the climb margin that a climb adds to the required height
@@ -29,15 +27,6 @@ class NominalCommand(NamedTuple):
     request: Request  # requested mode of the vehicle
     velocity: Vec3 | None = None  # nominal velocity, ENU, m/s; ``None``: no set-point
     filtered: bool = False  # whether the landing barrier applies; the target state must then be recent
-
-
-class Situation(NamedTuple):
-    """Data from which the command of a phase is computed, with the ``Snapshot`` of the tick."""
-
-    config: FlightConfig
-    barrier: Barrier
-    memory: Memory
-    strategy: Filter
 
 
 def _wait(s: Situation, seen: Snapshot) -> NominalCommand:
@@ -81,28 +70,27 @@ def _land(s: Situation, seen: Snapshot) -> NominalCommand:
         return NominalCommand(Request.EXTERNAL)
     if not seen.permissions.may_land:
         return NominalCommand(Request.EXTERNAL, _outside(at, s.config), filtered=True)
-    velocity = towards_pad(s.config, s.memory, s.strategy, at)
-    return NominalCommand(Request.EXTERNAL, velocity, filtered=True)
+    return NominalCommand(Request.EXTERNAL, towards_pad(s, at), filtered=True)
 
 
 @numeric
-def towards_pad(config: FlightConfig, memory: Memory, strategy: Filter, at: Relative) -> Vec3:
+def towards_pad(s: Situation, at: Relative) -> Vec3:
     """Return the nominal velocity of APPROACH and LAND; the vehicle may wait above a target that is fast."""
-    x, y, z = strategy.choose(at, strategy.approach_m_s(at, memory.phase is Phase.LAND))
-    if waits_for_calm(config, memory, at, at.own.arrival_s):
-        below_m = config.touchdown.calm_height_m - at.e_m[2]
-        z = max(z, at.target.velocity_enu_m_s[2] + config.position_loop.gain_1_s[2] * below_m)
+    x, y, z = s.strategy.choose(at, s.strategy.approach_m_s(at, s.memory.phase is Phase.LAND))
+    if waits_for_calm(s, at, at.own.arrival_s):
+        below_m = s.config.touchdown.calm_height_m - at.e_m[2]
+        z = max(z, at.target.velocity_enu_m_s[2] + s.config.position_loop.gain_1_s[2] * below_m)
     return (x, y, z)
 
 
 @numeric
-def ordinary_velocity(config: FlightConfig, memory: Memory, strategy: Filter, at: Relative) -> Vec3:
+def ordinary_velocity(s: Situation, at: Relative) -> Vec3:
     """Return the nominal velocity of APPROACH, LAND and TOUCHDOWN until the motors stop."""
-    if memory.phase is not Phase.TOUCHDOWN:
-        return towards_pad(config, memory, strategy, at)
-    if memory.contact or strategy.motors_off(at):
+    if s.memory.phase is not Phase.TOUCHDOWN:
+        return towards_pad(s, at)
+    if s.memory.contact or s.strategy.motors_off(at):
         raise NotOrdinary
-    return strategy.descent_m_s(at)
+    return s.strategy.descent_m_s(at)
 
 
 def _outside(at: Relative, config: FlightConfig) -> Vec3:
@@ -145,7 +133,7 @@ def _leave(s: Situation, seen: Snapshot) -> NominalCommand:
     if at is None:
         return NominalCommand(request)
     gain, (x, y, z) = s.config.position_loop.gain_1_s, at.own.position_enu_m
-    above_m = high_enough_m(s.config, s.barrier, memory) + CLIMB_OVER * s.config.retreat.climb_margin_m
+    above_m = high_enough_m(s) + CLIMB_OVER * s.config.retreat.climb_margin_m
     up_m = z - above_m
     if not memory.climbed:
         vx, vy, _ = s.strategy.approach_m_s(at, True)
@@ -168,7 +156,7 @@ def _climb(s: Situation, seen: Snapshot) -> NominalCommand:
     if own is None:
         return NominalCommand(Request.EXTERNAL)
     # at this height the vehicle waits for the target until the time of the phase is over
-    aim_m = high_enough_m(s.config, s.barrier, s.memory) + CLIMB_OVER * s.config.retreat.climb_margin_m
+    aim_m = high_enough_m(s) + CLIMB_OVER * s.config.retreat.climb_margin_m
     missing_m = aim_m - own.position_enu_m[2]
     up = max(0.0, min(s.config.limits.velocity_max_m_s[2], missing_m * s.config.position_loop.gain_1_s[2]))
     return NominalCommand(Request.EXTERNAL, (0.0, 0.0, up))
@@ -182,7 +170,7 @@ def _fly_clear(s: Situation, seen: Snapshot) -> NominalCommand:
     dx, dy = own.position_enu_m[0] - target[0], own.position_enu_m[1] - target[1]
     d = math.hypot(dx, dy)
     lacking_m = CLEAR_BELOW * s.config.retreat.climb_margin_m
-    high = own.position_enu_m[2] >= high_enough_m(s.config, s.barrier, memory) - lacking_m
+    high = own.position_enu_m[2] >= high_enough_m(s) - lacking_m
     vx, vy, vz = s.config.limits.velocity_max_m_s
     up = 0.0 if high else vz
     if not (high or d >= s.config.checks.clearance_m):

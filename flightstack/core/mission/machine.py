@@ -19,6 +19,7 @@ from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import (
     LANDED_SETTLE_S,
     PhaseTimes,
+    Situation,
     climbed,
     condition_flags,
     flown_clear,
@@ -94,21 +95,16 @@ def parse(text: str) -> Transition | None:
     )
 
 
-class Mission:
+class Mission(Situation):
     """State machine of the phases of a flight; ``memory`` is its complete state."""
 
-    memory: Memory
-    _config: FlightConfig  # configuration of the flight
-    _barrier: Barrier  # the paper's barrier
-    _strategy: Filter  # safety filter of the configuration
     _times_s: PhaseTimes
 
     def __init__(
         self, config: FlightConfig, barrier: Barrier, strategy: Filter, track: TargetTrack,
         plausibility: Plausibility, reserve: ReserveEstimate,
     ) -> None:  # fmt: skip
-        self.memory = Memory()
-        self._config, self._barrier, self._strategy = config, barrier, strategy
+        super().__init__(config, barrier, strategy, Memory())
         self._times_s = phase_times_s(config)
         self._track, self._plausibility, self._reserve = track, plausibility, reserve
 
@@ -133,10 +129,7 @@ class Mission:
             # a lost target is assumed to remain at its last height
             stopped = own_ok and not target_ok and at is not None and self._stopped(at, now_s)
             memory.contact = stopped or (standing and not (own_ok and target_ok))
-        config, times_s = self._config, self._times_s
-        return condition_flags(
-            config, self._strategy, self._barrier, memory, times_s, snapshot, command_failed, now_s
-        )
+        return condition_flags(self, self._times_s, snapshot, command_failed, now_s)
 
     def watch_contact(self, at: Relative, standing: bool, now_s: float) -> None:
         """Detect whether the vehicle stands on the pad, or has stood there; all inputs are good."""
@@ -154,9 +147,8 @@ class Mission:
 
     def flags_at(self, at: Relative, now_s: float) -> int:
         """Return the flags that may change in a tick if all inputs are good and there are no neighbours."""
-        memory, config = self.memory, self._config
-        flags = time_flags(config.checks, self._times_s, memory, now_s)
-        return flags | landing_flags(config, self._strategy, self._barrier, memory, at, now_s, True, True)
+        flags = time_flags(self.config.checks, self._times_s, self.memory, now_s)
+        return flags | landing_flags(self, at, now_s, True, True)
 
     def stay(self, at: Relative, lasting: int, rules: Rules, now_s: float) -> None:
         """Run an ordinary tick: all inputs are good. Raise NotOrdinary if a rule of the phase fires.
@@ -184,11 +176,11 @@ class Mission:
         if memory.phase is not Phase.ABORT:
             return False
         over = status is None or self._down(status, now_s)
-        return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > self._config.retreat.abort_time_max_s
+        return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > self.config.retreat.abort_time_max_s
 
     def _down(self, status: VehicleStatus, now_s: float) -> bool:
         """Whether the vehicle reports that it stands with its motors off."""
-        fresh = now_s - status.arrival_s <= self._config.checks.status_age_max_s
+        fresh = now_s - status.arrival_s <= self.config.checks.status_age_max_s
         return status.landed in _NOT_FLYING and not (status.armed and fresh)
 
     def _remember(self, snapshot: Snapshot, now_s: float) -> None:
@@ -218,20 +210,20 @@ class Mission:
     def _stopped(self, at: Relative, now_s: float) -> bool:
         """Whether the vehicle has stopped low over the pad for ``stopped_time_s``, judged by its velocity."""
         memory = self.memory
-        if not self._strategy.stopped(at, memory.command):
+        if not self.strategy.stopped(at, memory.command):
             memory.stopped_since_s = math.inf
             return False
         memory.stopped_since_s = min(memory.stopped_since_s, now_s)
-        held = now_s - memory.stopped_since_s >= self._config.contact.stopped_time_s
-        return held and at.e_m[2] < self._strategy.stopped_below_m
+        held = now_s - memory.stopped_since_s >= self.config.contact.stopped_time_s
+        return held and at.e_m[2] < self.strategy.stopped_below_m
 
     def _above(self, at: Relative) -> bool:
         """Whether the vehicle is over the pad, with a tolerance for the errors of both positions."""
-        return at.d_m <= self._config.touchdown.pad_radius_m + self._config.contact.beyond_m
+        return at.d_m <= self.config.touchdown.pad_radius_m + self.config.contact.beyond_m
 
     def _stands(self, at: Relative, standing: bool, now_s: float) -> bool:
         """Whether the vehicle reports ground contact, or is on the pad and does not sink any more."""
-        memory, config = self.memory, self._config
+        memory, config = self.memory, self.config
         near = self._above(at) and at.e_m[2] - config.touchdown.feet_below_reference_m < config.contact.gap_m
         sinking_m_s = at.target.velocity_enu_m_s[2] - at.own.velocity_enu_m_s[2]
         if not near or sinking_m_s > config.contact.speed_m_s:
@@ -242,7 +234,7 @@ class Mission:
 
     def _slides(self, at: Relative) -> bool:
         """Whether the vehicle is low over the pad and will slide off it before the motors stop."""
-        contact, gap_m = self._config.contact, at.e_m[2] - self._config.touchdown.feet_below_reference_m
+        contact, gap_m = self.config.contact, at.e_m[2] - self.config.touchdown.feet_below_reference_m
         if contact.sliding_gap_m <= max(0.0, gap_m):  # 0 disables this check, even for feet below the pad
             return False
         vx, vy = at.slip_m_s
@@ -285,7 +277,7 @@ class Mission:
         """Return the reason text of a rule that fires, with the measured values of its true conditions."""
         if rule.when & C.ABORT_ASKED and seen.inputs.operator is Operator.TIME_OVER:
             return TIME_OVER
-        checks, target, battery = self._config.checks, seen.target, self._reserve.text
+        checks, target, battery = self.config.checks, seen.target, self._reserve.text
         raised = (rule.when | rule.about) & flags
         numbers: tuple[tuple[int, Callable[[], str]], ...] = (
             (C.OWN_LOST, lambda: self._own_lost(seen, now_s)),
@@ -294,26 +286,26 @@ class Mission:
             (C.NOT_FOLLOWING, self._not_following),
             (C.SWINGS, self._swinging),
             (C.TIRED, lambda: battery),
-            (C.NO_RESULT, lambda: self._strategy.memory.refusal),
+            (C.NO_RESULT, lambda: self.strategy.memory.refusal),
         )
         details = [say() for condition, say in numbers if raised & condition]
         if not details and rule.about & ~flags & C.READY:
             others = "" if seen.permissions.may_begin else seen.permissions.text
-            below = target_below(self._config, seen)
+            below = target_below(self.config, seen)
             details = [battery or others or below or "the vehicle does not say that it is ready to arm"]
         if not details and rule.about & ~flags & C.RECOVERED:
             least_s = checks.recovery_time_s
             details = [f"not all of them were good for {least_s:g} s without a gap (checks.recovery_time_s)"]
         if rule is START_LATE and target is not None:
             speed_m_s = math.hypot(*target.velocity_enu_m_s[:2])
-            most_m_s = min(self._config.limits.velocity_max_m_s[:2])
+            most_m_s = min(self.config.limits.velocity_max_m_s[:2])
             details = [f"the target drives at {speed_m_s:.2f} m/s; limits.velocity_max_m_s is {most_m_s:g}"]
         if rule.when & C.LANDING_TIME_OVER and seen.permissions.waited:
             details = [seen.permissions.text]
         return f"{rule.reason}: {', '.join(details)}" if details else rule.reason
 
     def _own_lost(self, seen: Snapshot, now_s: float) -> str:
-        checks, watched, own = self._config.checks, self._plausibility, seen.inputs.own
+        checks, watched, own = self.config.checks, self._plausibility, seen.inputs.own
         if own is None:
             return "no own state has come"
         if watched.memory.distrusted:
@@ -330,11 +322,11 @@ class Mission:
         status = seen.inputs.status
         if status is None:
             return "no heartbeat has come"
-        limit = f"checks.status_age_max_s is {self._config.checks.status_age_max_s:g}"
+        limit = f"checks.status_age_max_s is {self.config.checks.status_age_max_s:g}"
         return f"the newest heartbeat is {now_s - status.arrival_s:.1f} s old; {limit}"
 
     def _target_lost(self, seen: Snapshot) -> str:
-        checks, target, track = self._config.checks, seen.target, self._track.memory
+        checks, target, track = self.config.checks, seen.target, self._track.memory
         if track.distrusted:
             return (
                 f"the target's positions moved {track.parted_m:.2f} m away from where its velocity "
@@ -347,7 +339,7 @@ class Mission:
         return f"the target's newest sample is {target.age_s:.2f} s old; {limit}{refused}"
 
     def _swinging(self) -> str:
-        checks, swings = self._config.checks, self.memory.swings
+        checks, swings = self.config.checks, self.memory.swings
         if swings >= checks.swings_max:
             return f"left the cone over it {swings + 1} times; checks.swings_max is {checks.swings_max}"
         return f"no touchdown in checks.over_pad_time_max_s, {checks.over_pad_time_max_s:g} s"
@@ -357,7 +349,7 @@ class Mission:
         return (
             f"it lags {watched.tracking_lag_m:.2f} m behind its set-points; "
             f"{watched.tracking_lag_max_m:.2f} m are allowed "
-            f"by checks.follow_lag_max_s, {self._config.checks.follow_lag_max_s:g}"
+            f"by checks.follow_lag_max_s, {self.config.checks.follow_lag_max_s:g}"
         )
 
     def progress(self, snapshot: Snapshot) -> None:
@@ -367,13 +359,13 @@ class Mission:
             return
         if memory.phase is Phase.TAKEOFF and snapshot.target is not None:
             memory.ground_z_m = min(memory.ground_z_m, own.position_enu_m[2])
-            memory.climbed = memory.climbed or climbed(self._config, memory, own)
+            memory.climbed = memory.climbed or climbed(self, own)
         elif memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and snapshot.own_ok:
-            memory.clear = memory.clear or flown_clear(self._config, memory, own)
+            memory.clear = memory.clear or flown_clear(self, own)
         elif memory.phase is Phase.LEAVE and memory.was_external and snapshot.own_ok:
             x, y, z = own.position_enu_m
-            memory.climbed = memory.climbed or z >= high_enough_m(self._config, self._barrier, memory)
+            memory.climbed = memory.climbed or z >= high_enough_m(self)
             px, py, _ = snapshot.permissions.place_enu_m or own.position_enu_m
             rests = math.hypot(*own.velocity_enu_m_s[:2]) <= PLACE_SPEED_M_S
             there = memory.climbed and rests and math.hypot(px - x, py - y) <= PLACE_RADIUS_M
-            memory.clear = memory.clear or (there and flown_clear(self._config, memory, own))
+            memory.clear = memory.clear or (there and flown_clear(self, own))

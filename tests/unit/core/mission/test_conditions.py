@@ -7,7 +7,7 @@ import pytest
 
 from flightstack.core.fleet.precedence import ALONE, Permissions
 from flightstack.core.memory import Memory
-from flightstack.core.mission.conditions import LANDED_SETTLE_S, high_enough_m
+from flightstack.core.mission.conditions import LANDED_SETTLE_S, Situation, high_enough_m
 from flightstack.core.strategies.robust import DRIFT_SHARE
 from flightstack.core.types import Charge, Landed, Mode, Operator, Phase
 from tests.unit.core.mission.mission_helpers import BARRIER, NOW_S, PAD, PAPER, ROBUST, names, starting, tick
@@ -142,9 +142,9 @@ def test_the_landing_has_its_time():
 
 def test_high_enough_is_above_the_peak_over_where_the_target_was_last():
     memory = Memory(phase=Phase.CLIMB, target_position_enu_m=PAD)
-    edge = high_enough_m(ROBUST, BARRIER, memory)
+    edge = high_enough_m(Situation(ROBUST, BARRIER, None, memory))
     assert edge == pytest.approx(PAD[2] + 1.5 / math.e + ROBUST.retreat.climb_margin_m)
-    assert high_enough_m(ROBUST, BARRIER, Memory()) == pytest.approx(edge - PAD[2])
+    assert high_enough_m(Situation(ROBUST, BARRIER, None, Memory())) == pytest.approx(edge - PAD[2])
     for above, expected in ((1e-9, True), (-1e-9, False)):
         e = (0.5, 0.0, edge - PAD[2] + above)
         assert ("HIGH_ENOUGH" in names(tick(e=e, memory=memory))) is expected

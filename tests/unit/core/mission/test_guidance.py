@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from flightstack.core.fleet.precedence import ALONE
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.mission.conditions import high_enough_m
+from flightstack.core.mission.conditions import Situation, high_enough_m
 from flightstack.core.mission.guidance import NominalCommand as Command
-from flightstack.core.mission.guidance import Situation, nominal_command
+from flightstack.core.mission.guidance import nominal_command
 from flightstack.core.snapshot import Snapshot, relative
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.track import TargetState
@@ -48,7 +48,7 @@ def asked(
     mission.memory = memory
     mission.progress(seen)
     before = replace(memory)
-    command = nominal_command(Situation(settings, BARRIER, memory, strategy), seen)
+    command = nominal_command(mission, seen)
     assert memory == before, "guidance only reads"
     return command
 
@@ -125,7 +125,7 @@ def test_holding_is_standing_still_or_following_what_was_followed_and_rising():
 
 def test_the_climb_ends_above_everything_and_never_sinks():
     memory = Memory(target_position_enu_m=PAD)
-    top = high_enough_m(ROBUST, BARRIER, memory) - PAD[2]
+    top = high_enough_m(Situation(ROBUST, BARRIER, None, memory)) - PAD[2]
     fast, slow = (asked(Phase.CLIMB, e=(0.3, 0.0, z), memory=memory).velocity for z in (0.0, top + 0.05))
     assert fast == (0.0, 0.0, ROBUST.limits.velocity_max_m_s[2])
     assert slow == pytest.approx((0.0, 0.0, 0.05 * ROBUST.position_loop.gain_1_s[2]))
@@ -155,7 +155,7 @@ def clearing(e, target_m_s=ZERO, **changes):
 
 def test_flying_clear_is_up_then_away_then_down():
     vx, _, vz = ROBUST.limits.velocity_max_m_s
-    top = high_enough_m(ROBUST, BARRIER, Memory(target_position_enu_m=PAD)) - PAD[2]
+    top = high_enough_m(Situation(ROBUST, BARRIER, None, Memory(target_position_enu_m=PAD))) - PAD[2]
     assert clearing((0.3, 0.0, 0.1))[0] == Command(Request.EXTERNAL, (0.0, 0.0, vz))
     assert clearing((0.3, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))
     away = clearing((-0.3, -0.4, top))[0].velocity
