@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import shutil
 import stat
 import sys
 import tempfile
@@ -65,19 +64,12 @@ def cache_directory() -> Path | None:
     """Return the directory for machine code; None if no directory is writable.
 
     The first writable directory is used: NUMBA_CACHE_DIR, a folder beside the sources, the user's cache, or a
-    temporary folder of this user. If the folder beside the sources is not writable, as in an installation for
-    all users, its machine code is copied to the directory.
+    temporary folder of this user.
     """
-    name, beside, chosen = f"jit-{_fingerprint()}", HERE / "__pycache__", os.environ.get("NUMBA_CACHE_DIR")
+    name, chosen = f"jit-{_fingerprint()}", os.environ.get("NUMBA_CACHE_DIR")
     roots = [Path(chosen)] if chosen else []
-    roots += [beside, Path(os.path.expanduser("~/.cache/flightstack"))]  # noqa: PTH111
-    found = next((root / name for root in roots if _usable(root / name)), None)
-    if found is None and _usable(own := _own_folder() / name):
-        found = own
-    shipped = beside / name
-    if found is not None and found != shipped and shipped.is_dir() and not _usable(shipped):
-        _take_over(shipped, found)
-    return found
+    roots += [HERE / "__pycache__", Path(os.path.expanduser("~/.cache/flightstack"))]  # noqa: PTH111
+    return next((root / name for root in (*roots, _own_folder()) if _usable(root / name)), None)
 
 
 def _own_folder() -> Path:
@@ -91,25 +83,11 @@ def _own_folder() -> Path:
     return Path(os.devnull)
 
 
-def _take_over(shipped: Path, found: Path) -> None:
-    """Copy machine code into a new directory in one step, so that other processes find all files or none."""
-    with contextlib.suppress(OSError):  # after an error, numba compiles the functions again
-        if any(found.iterdir()):
-            return
-        with tempfile.TemporaryDirectory(dir=found.parent) as folder:
-            copy = Path(shutil.copytree(shipped, Path(folder) / found.name))
-            for each in (copy, *copy.rglob("*")):
-                each.chmod(each.stat().st_mode | stat.S_IWUSR)
-            found.rmdir()
-            copy.rename(found)
-
-
 def jitted(function: F) -> F:
     """Compile ``function`` at its first call; the machine code is stored on disk if possible."""
     if is_off():
         return function
     numba, directory = load_numba(), cache_directory()
-    _made.append(function.__name__)
     if directory is None:
         return cast(F, numba.njit(function))
     numba.config.CACHE_DIR = str(directory)
@@ -140,9 +118,6 @@ def _guarded(machine: Any) -> Any:
     return machine
 
 
-_made: list[str] = []  # names of functions that are compiled at their first call
-
-
 def is_kept(what: str) -> bool:
     """Whether the machine code of ``what`` is on disk; it then loads in tenths of a second."""
     folder = cache_directory()
@@ -159,10 +134,10 @@ def keep(what: str) -> None:
 
 @contextlib.contextmanager
 def telling(what: str = "the simulator, about 25 s, once") -> Iterator[None]:
-    """Print the progress of compilation in this block to standard error.
+    """Print to standard error that functions are compiled in this block, if any are; then, that it is done.
 
     ``what``: description and processor time of the compiled part; a slow computer takes longer. Each version
-    compiles once. The printed fraction counts the functions known so far; some of them may not be needed.
+    compiles once.
     """
     if is_off() or _told:
         yield
@@ -170,15 +145,16 @@ def telling(what: str = "the simulator, about 25 s, once") -> Iterator[None]:
     load_numba()
     from numba.core import event
 
-    class Share(event.Listener):  # type: ignore[misc]
+    class Starts(event.Listener):  # type: ignore[misc]
         def on_start(self, event: Any) -> None:
-            _tell(len(_told), what)
-            _told.setdefault(id(event.data["dispatcher"]), 0)
+            if not _told:
+                _told.append(event)
+                _say(f"compiling {what}")
 
         def on_end(self, event: Any) -> None:
             del event
 
-    with event.install_listener("numba:compile", Share()):
+    with event.install_listener("numba:compile", Starts()):
         try:
             yield
             if _told:
@@ -187,14 +163,7 @@ def telling(what: str = "the simulator, about 25 s, once") -> Iterator[None]:
             _told.clear()
 
 
-_told: dict[int, int] = {}  # functions whose compilation has started
-
-
-def _tell(begun: int, what: str) -> None:
-    """Print the progress when it has reached another tenth."""
-    tenth = min(9, 10 * begun // max(1, len(_made)))
-    if not begun or tenth > min(9, 10 * (begun - 1) // max(1, len(_made))):
-        _say(f"compiling {what}: {10 * tenth} %")
+_told: list[object] = []  # the compilation that was announced; empty: none runs
 
 
 def _say(text: str) -> None:

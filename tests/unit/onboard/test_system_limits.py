@@ -44,52 +44,30 @@ def test_sockets_have_short_paths_however_long_tmpdir_is(tmp_path_factory, monke
     assert list(place.iterdir()) == []
 
 
-@pytest.fixture
-def caches(tmp_path, monkeypatch):
-    """Return folders for machine code; those in ``closed`` are read-only."""
-    closed, usable = set(), jit._usable
-
-    def open_ones(directory):
-        return not any(str(directory).startswith(str(each)) for each in closed) and usable(directory)
-
-    monkeypatch.setattr(jit, "_usable", open_ones)
+@pytest.mark.parametrize(
+    ("closed", "chosen", "expected"),
+    [
+        ((), None, "package/__pycache__"),
+        (("package",), None, "home/.cache/flightstack"),
+        (("package", "home"), None, f"flightstack-{os.getuid()}"),
+        ((), "chosen", "chosen"),
+        (("chosen",), "chosen", "package/__pycache__"),
+    ],
+)
+def test_machine_code_is_stored_in_the_first_folder_that_can_be_written(
+    tmp_path, monkeypatch, closed, chosen, expected
+):
+    usable = jit._usable
+    refused = {tmp_path / name for name in closed}
+    monkeypatch.setattr(jit, "_usable", lambda d: not refused & set(d.parents) and usable(d))
     monkeypatch.setattr(jit, "HERE", tmp_path / "package")
     monkeypatch.setattr(jit, "_fingerprint", lambda: "0")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    shipped = tmp_path / "package" / "__pycache__" / "jit-0"
-    (shipped / "vehicle").mkdir(parents=True)
-    (shipped / "vehicle" / "code.nbi").write_bytes(b"machine code")
-    (shipped / "vehicle").chmod(0o555)
-    return closed, tmp_path
-
-
-@pytest.mark.parametrize(
-    ("closed", "chosen", "expected", "copied"),
-    [
-        ((), None, "package/__pycache__", None),
-        (("package",), None, "home/.cache/flightstack", True),
-        (("package", "home"), None, f"flightstack-{os.getuid()}", True),
-        ((), "chosen", "chosen", False),
-        (("chosen",), "chosen", "package/__pycache__", None),
-        (("chosen", "package", "home"), "chosen", f"flightstack-{os.getuid()}", True),
-    ],
-)
-def test_shipped_machine_code_is_used_where_it_cannot_be_written(
-    caches, monkeypatch, closed, chosen, expected, copied
-):
-    refused, base = caches
-    refused |= {base / name for name in closed}
     if chosen:
-        monkeypatch.setenv("NUMBA_CACHE_DIR", str(base / chosen))
-    for _ in range(2):  # the second time the folder exists
-        found = jit.cache_directory.__wrapped__()
-        assert found == base / expected / "jit-0"
-        if copied is not None:
-            assert (found / "vehicle" / "code.nbi").exists() == copied
-        assert os.access(found / "vehicle", os.W_OK) or not copied
-        assert {path.name for path in found.parent.iterdir()} == {"jit-0"}
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / chosen))
+    assert jit.cache_directory.__wrapped__() == tmp_path / expected / "jit-0"
 
 
 @pytest.mark.parametrize(
