@@ -108,7 +108,7 @@ class ConeFilter(fs.Filter):
 def certificate(config: FlightConfig) -> list[Check]:
     """Return the checks that must be proven before a flight; `flightstack check` prints them."""
     vx, vy, vz = config.limits.velocity_max_m_s
-    speed_m_s, slope = config.touchdown.target_speed_max_m_s, config.barrier.build().slope_max
+    speed_m_s, slope = config.touchdown.target_speed_max_m_s, config.barrier.slope_max
     return [
         Check(
             "cone",

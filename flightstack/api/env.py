@@ -188,7 +188,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         controller = companion.controller
         self._distance_m = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]) ** 0.5
         slip = (v[0] - t[0], v[1] - t[1], v[2] - t[2])
-        self._seen = np.array((*e, *slip, *t, controller.barrier.h(e), *controller.memory.command))
+        self._seen = np.array((*e, *slip, *t, controller.config.barrier.h(e), *controller.memory.command))
         return self._seen
 
 

@@ -21,14 +21,15 @@ from flightstack.common.options import Option, takes
 from flightstack.common.text import plain
 from flightstack.config import load
 from flightstack.config import options as shared
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.barrier import Barrier
 from flightstack.onboard import preflight as checks
 
 if TYPE_CHECKING:
     from flightstack.core.types import Vec3
 
 _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
-_PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # configuration if none is given
+_PAPER = FlightConfig(barrier=Barrier(alpha_1_m=1.0, beta_m=1.5))  # configuration if none is given
 
 
 @dataclass(frozen=True, kw_only=True)

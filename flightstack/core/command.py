@@ -18,7 +18,6 @@ from flightstack.core.mission.conditions import Situation
 from flightstack.core.mission.guidance import NominalCommand
 from flightstack.core.numeric import NotOrdinary, rare
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
 from flightstack.core.safety.position_loop import limit, slew
 from flightstack.core.safety.qp_filter import FilterResult, Program
@@ -56,10 +55,8 @@ class VelocityCommand(Situation):
     crowded: bool  # whether neighbours or a missing right of way limit the velocity in this tick
     _period_s: float
 
-    def __init__(
-        self, config: FlightConfig, barrier: Barrier, strategy: Filter, memory: Memory, fleet: FleetMember
-    ) -> None:
-        super().__init__(config, barrier, strategy, memory)
+    def __init__(self, config: FlightConfig, strategy: Filter, memory: Memory, fleet: FleetMember) -> None:
+        super().__init__(config, strategy, memory)
         self.fleet, self.program, limits = fleet, strategy.program(), config.limits
         self._period_s = period_s = 1.0 / config.loop.rate_hz
         self.gate = Gate(strategy.rate_1_s, limits.velocity_max_m_s, limits.altitude_max_m, period_s)
@@ -68,7 +65,7 @@ class VelocityCommand(Situation):
         self.up_step_m_s, self.crowded = math.inf, False
         self.rows: Rows = NO_ROWS  # constraints by the neighbours in this tick
         lag_s = max(config.velocity_loop.lag_z_s, period_s)
-        self._cone = Cone(strategy.rate_1_s, barrier.slope_max, lag_s, period_s)
+        self._cone = Cone(strategy.rate_1_s, config.barrier.slope_max, lag_s, period_s)
 
     def accelerate(self, most_m_s2: Vec3) -> None:
         """Set the acceleration limits of this tick."""
@@ -112,7 +109,7 @@ class VelocityCommand(Situation):
         """Return the barrier values for a tick that sends no set-point."""
         _, gradient, dh_dt = self.strategy.barrier(at).evaluate(at.e_m, at.target.velocity_enu_m_s)
         idle = FilterResult(ZERO, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
-        return Barriers(self.barrier.h(at.e_m), gradient, dh_dt, ZERO, idle)
+        return Barriers(self.config.barrier.h(at.e_m), gradient, dh_dt, ZERO, idle)
 
     def command(self, at: Relative, nominal: Vec3, filtered: bool, fresh: bool) -> Command:
         """Filter or limit a nominal velocity, and correct it for the vehicle's lag.
@@ -134,7 +131,7 @@ class VelocityCommand(Situation):
             result = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
         wanted = result.velocity_enu_m_s if filtered else self.slewed(base, nominal)
         setpoint = self.strategy.setpoint(base, wanted, velocity_m_s, at.d_m, self.least_z_m_s(moves_m_s))
-        barriers = Barriers(self.barrier.h(at.e_m), gradient, dh_dt, nominal, result)
+        barriers = Barriers(self.config.barrier.h(at.e_m), gradient, dh_dt, nominal, result)
         return Command(barriers, wanted, setpoint, BarrierCheck(active, at.e_m, moves_m_s, result.status))
 
     def slewed(self, base: Vec3, nominal: Vec3) -> Vec3:

@@ -19,7 +19,6 @@ from flightstack.core.mission.guidance import nominal_command, ordinary_velocity
 from flightstack.core.mission.machine import Mission, Rules, Transition
 from flightstack.core.numeric import NotOrdinary, rare
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.gate import ApprovedSetpoint, GateVerdict
 from flightstack.core.snapshot import Relative, Snapshot, relative, snapshot_of
 from flightstack.core.strategies.strategy import Filter, strategy_of
@@ -92,7 +91,6 @@ class Controller:
     """Pure flight controller. A step depends only on ``state``, its inputs and the configuration."""
 
     config: FlightConfig
-    barrier: Barrier  # the paper's barrier
     memory: Memory
     track: TargetTrack
     plausibility: Plausibility
@@ -102,17 +100,15 @@ class Controller:
     _mission: Mission
 
     def __init__(self, config: FlightConfig) -> None:
-        self.config, self.barrier, period_s = config, config.barrier.build(), 1.0 / config.loop.rate_hz
+        self.config, period_s = config, 1.0 / config.loop.rate_hz
         self.track, self.plausibility = TargetTrack(config.checks, period_s), Plausibility(config)
         self.strategy = strategy_of(config)
         self.reserve = ReserveEstimate(config.reserve, self.strategy.acceleration_max_m_s2, period_s)
-        self._mission = Mission(
-            config, self.barrier, self.strategy, self.track, self.plausibility, self.reserve
-        )
+        self._mission = Mission(config, self.strategy, self.track, self.plausibility, self.reserve)
         self.memory = self._mission.memory
         self._fleet = FleetMember(config.fleet, config.own.position_noise_m)
         strategy = self.strategy
-        self.velocity = VelocityCommand(config, self.barrier, strategy, self.memory, self._fleet)
+        self.velocity = VelocityCommand(config, strategy, self.memory, self._fleet)
         self._state = State(
             self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory,
             self.reserve.memory, strategy.own, strategy.late, self._fleet.memory, strategy.memory,

@@ -61,7 +61,7 @@ def _no_certificate(name: str) -> Check:
 
 
 def paper_checks(config: FlightConfig) -> list[Check]:
-    shape, omega_1_s = Shape(config.barrier.build(), Span(0.0, 0.0), 1.0), config.barrier.omega_1_s
+    shape, omega_1_s = Shape(config.barrier, Span(0.0, 0.0), 1.0), config.barrier.omega_1_s
     rate, slew = ("barrier.omega_1_s", omega_1_s), ("limits.slew_max_m_s2", config.limits.slew_max_m_s2)
     return [
         *paper.basics(config, shape, config.envelope.target_climb_max_m_s, rate, slew),

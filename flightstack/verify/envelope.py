@@ -41,7 +41,7 @@ class Extremes:
 
 def extremes(config: FlightConfig) -> Extremes:
     """Return the worst values of the declared envelope."""
-    barrier, robust, loop = config.barrier.build(), config.robust, config.velocity_loop
+    barrier, robust, loop = config.barrier, config.robust, config.velocity_loop
     strategy = RobustFilter(config, barrier)
     envelope, pad_radius_m = config.envelope, config.touchdown.pad_radius_m
     errors = estimate_errors(config.target, envelope.target_rate_hz, config.checks.target_age_max_s)

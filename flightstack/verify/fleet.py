@@ -45,7 +45,7 @@ def fleet_checks(config: FlightConfig) -> list[Check]:
         x = extremes(config)
         shape, climb_m_s, descent_s = x.shape, x.target_climb_m_s, touchdown.descent_time_s(config, x)
     else:
-        shape, climb_m_s = Shape(config.barrier.build(), Span(0.0, 0.0), 1.0), 0.0
+        shape, climb_m_s = Shape(config.barrier, Span(0.0, 0.0), 1.0), 0.0
         descent_s = config.touchdown.height_m / config.touchdown.descent_m_s + (1.0 + spread) * loop.lag_z_s
     where = crowd(config, fleet, shape, climb_m_s)
     slew_m_s2 = strategy_of(config).acceleration_max_m_s2

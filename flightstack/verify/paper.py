@@ -81,7 +81,7 @@ def basics(
             "barrier's peak", "the boundary rises with distance everywhere over the pad",
             barrier.peak_distance_m - pad_m, "m",
             f"its peak at {barrier.peak_distance_m:.3g} m, the pad's radius {pad_m:g} m",
-            "make the barrier wider: lower alpha_1_m or raise peak_distance_m",
+            "make the barrier wider: lower alpha_1_m",
         ),
         Check(
             f"position_loop.gain_1_s[{axis}]", "a tick is short against the position loop",
@@ -133,7 +133,7 @@ def answers(config: FlightConfig) -> list[Check]:
     lag_s, settles_s, omega_1_s = slower * loop.lag_xy_s, slower * loop.lag_z_s, config.barrier.omega_1_s
     quick_s, target_m_s2 = max(loop.lag_xy_s, TICK_S), config.envelope.target_acceleration_max_m_s2
     speed, overtakes_m_s, pad_m = max(vx, vy), min(vx, vy), config.touchdown.pad_radius_m
-    barrier, (key, touch_m) = config.barrier.build(), touch_height(config)
+    barrier, (key, touch_m) = config.barrier, touch_height(config)
     rises_m_s, half_m = barrier.slope_max * target_m_s, barrier.height(0.5 * pad_m)
     return [
         Check(

@@ -229,7 +229,7 @@ def shape(config: FlightConfig) -> dict[str, str]:
 
     For a fleet the result also has the semi-axes of the ellipsoid around a vehicle pair.
     """
-    barrier, fleet = config.barrier.build(), config.fleet
+    barrier, fleet = config.barrier, config.fleet
     found = {
         "barrier_alpha_1_m": repr(barrier.alpha_1_m),
         "barrier_beta_m": repr(barrier.beta_m),

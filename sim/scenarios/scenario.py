@@ -151,7 +151,7 @@ class Scenario:
     def judged_by(self) -> Barrier:
         """Barrier of the verdict, which is evaluated with true states."""
         if self.judge is None:
-            return self.onboard.barrier.build()
+            return self.onboard.barrier
         return Barrier(self.judge.alpha_1_m, self.judge.beta_m)
 
     def with_filter(self, name: str) -> Scenario:

@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeoff
+from flightstack.core.parameters.flight import FlightConfig, Takeoff
+from flightstack.core.safety.barrier import Barrier
 from sim.flights.recording import Floats, Recording
 from sim.flights.screening import Mask, Screened
 from sim.plant.params import STEP_S, Params, Plant
@@ -104,7 +105,7 @@ def _simulate(
     scenario = Scenario(
         "closed_loop",
         "recorded set-points",
-        FlightConfig(BarrierShape(1.0, 1.5), takeoff=Takeoff(start_offset_m=(0.0, 0.0, 1.0))),
+        FlightConfig(Barrier(1.0, 1.5), takeoff=Takeoff(start_offset_m=(0.0, 0.0, 1.0))),
         start=Start(StartKind.GROUND, ground_position_m=(x, y)),
         target=TargetSpec(position_m=(x + AWAY_M, y)),
         vehicle=VehicleSpec(velocity_loop=VelocityLoop.PID, own=StateError()),

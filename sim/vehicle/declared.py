@@ -86,7 +86,7 @@ def outside(scenarios: Iterable[Scenario]) -> str:
 def judged_apart(scenario: Scenario) -> str:
     """Return a text that names the barriers of verdict and flight; empty if they are equal."""
     judge, flown = (
-        (shape.alpha_1_m, shape.beta_m) for shape in (scenario.judged_by, scenario.onboard.barrier.build())
+        (shape.alpha_1_m, shape.beta_m) for shape in (scenario.judged_by, scenario.onboard.barrier)
     )
     apart = two_barriers(judge, flown) if judge != flown else ""
     return "; ".join(filter(None, (apart, own_boundary(scenario.onboard.filter))))
@@ -163,7 +163,7 @@ def _rows(scenario: Scenario) -> list[_Row]:
 
 def _judged(scenario: Scenario) -> Check:
     """Return the check that outside the pad the barrier of the verdict is nowhere above the flown barrier."""
-    flown, judge = scenario.onboard.barrier.build(), scenario.judged_by
+    flown, judge = scenario.onboard.barrier, scenario.judged_by
     distances = (scenario.target.pad_radius_m + k * STEP_M for k in range(int(FAR_M / STEP_M)))
     below_m, at_m = max((judge.height(d) - flown.height(d), d) for d in distances)
     return Check(
@@ -201,7 +201,7 @@ def _feet(scenario: Scenario) -> Check:
 def _reach_m(config: FlightConfig) -> tuple[float, str]:
     """Return the distance from the middle within which touchdowns are usual, m, and its origin."""
     if config.filter == "paper":
-        (key, touch_m), barrier = touch_height(config), config.barrier.build()
+        (key, touch_m), barrier = touch_height(config), config.barrier
         steps = range(math.ceil(config.touchdown.pad_radius_m / TOUCH_STEP_M) + 1)
         above = (k * TOUCH_STEP_M for k in steps if barrier.height(k * TOUCH_STEP_M) >= touch_m)
         return next(above, config.touchdown.pad_radius_m), f"there the boundary reaches {key}"

@@ -11,7 +11,6 @@ from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import C
 from flightstack.core.numeric import hypot, numeric
 from flightstack.core.parameters.flight import Checks, FlightConfig
-from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
 from flightstack.core.target.track import TargetState
@@ -56,21 +55,20 @@ def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
 
 
 class Situation:
-    """Configuration, barrier, filter and state, from which flags and commands of the phases are computed."""
+    """Configuration, filter and state, from which flags and commands of the phases are computed."""
 
     config: FlightConfig
-    barrier: Barrier  # the paper's barrier
     strategy: Filter
     memory: Memory
 
-    def __init__(self, config: FlightConfig, barrier: Barrier, strategy: Filter, memory: Memory) -> None:
-        self.config, self.barrier, self.strategy, self.memory = config, barrier, strategy, memory
+    def __init__(self, config: FlightConfig, strategy: Filter, memory: Memory) -> None:
+        self.config, self.strategy, self.memory = config, strategy, memory
 
 
 def high_enough_m(s: Situation) -> float:
     """Return a height above every part of the target, including the climb margin."""
     base = s.memory.target_position_enu_m[2] if s.memory.target_position_enu_m else 0.0
-    return base + s.barrier.peak_height_m + s.config.retreat.climb_margin_m
+    return base + s.config.barrier.peak_height_m + s.config.retreat.climb_margin_m
 
 
 def climbed(s: Situation, own: OwnState) -> bool:
@@ -215,7 +213,7 @@ def _better_beside(s: Situation, snapshot: Snapshot) -> bool:
     climb over the ring.
     """
     at = snapshot.relative if snapshot.good else None
-    return s.memory.phase is not Phase.APPROACH or at is None or at.d_m > s.barrier.peak_distance_m
+    return s.memory.phase is not Phase.APPROACH or at is None or at.d_m > s.config.barrier.peak_distance_m
 
 
 def lasting_flags(checks: Checks, memory: Memory, status: VehicleStatus | None) -> int:
@@ -259,7 +257,7 @@ def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_
     memory, strategy, touchdown, flags = s.memory, s.strategy, s.config.touchdown, 0
     # the vehicle leaves the cone at a wider radius than it enters, so that noise does not toggle the phase
     radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
-    low = at.e_m[2] < max(s.barrier.peak_height_m, touchdown.height_m)
+    low = at.e_m[2] < max(s.config.barrier.peak_height_m, touchdown.height_m)
     over_pad = at.d_m <= radius and low and may_land
     if over_pad:
         flags |= C.OVER_PAD
@@ -280,7 +278,10 @@ def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_
 @numeric
 def _sets_off(s: Situation, at: Relative, now_s: float) -> bool:
     """Whether a slow target has become fast, a retry is left, and h is large enough for a climb."""
-    if s.memory.retries >= s.config.checks.retries_max or s.barrier.h(at.e_m) < s.config.retreat.h_left_m:
+    if (
+        s.memory.retries >= s.config.checks.retries_max
+        or s.config.barrier.h(at.e_m) < s.config.retreat.h_left_m
+    ):
         return False
     return waits_for_calm(s, at, now_s)
 

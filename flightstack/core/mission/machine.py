@@ -32,7 +32,6 @@ from flightstack.core.mission.conditions import (
 from flightstack.core.mission.phases import ABORT_TABLE, START_LATE, TABLE, TIME_OVER, C, Rule, first
 from flightstack.core.numeric import NotOrdinary, hypot
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
 from flightstack.core.target.plausibility import Plausibility
@@ -101,10 +100,10 @@ class Mission(Situation):
     _times_s: PhaseTimes
 
     def __init__(
-        self, config: FlightConfig, barrier: Barrier, strategy: Filter, track: TargetTrack,
-        plausibility: Plausibility, reserve: ReserveEstimate,
+        self, config: FlightConfig, strategy: Filter, track: TargetTrack, plausibility: Plausibility,
+        reserve: ReserveEstimate,
     ) -> None:  # fmt: skip
-        super().__init__(config, barrier, strategy, Memory())
+        super().__init__(config, strategy, Memory())
         self._times_s = phase_times_s(config)
         self._track, self._plausibility, self._reserve = track, plausibility, reserve
 

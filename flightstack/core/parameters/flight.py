@@ -120,64 +120,6 @@ class Loop:
 
 
 @dataclass(frozen=True, slots=True)
-class BarrierShape:
-    """Shape of the barrier: alpha and beta, or the peak's height with its distance or cone angle (eq. 7)."""
-
-    # shape parameter: the peak is 1/alpha from the landing spot
-    alpha_1_m: Annotated[float, span(0.05, 20.0)] | None = None
-    beta_m: Annotated[float, span(0.05, 20.0)] | None = None  # shape parameter: the peak is beta/e high
-    # height of the peak, instead of alpha and beta
-    peak_height_m: Annotated[float, span(0.05, 10.0)] | None = None
-    # distance of the peak from the landing spot
-    peak_distance_m: Annotated[float, span(0.05, 20.0)] | None = None
-    # angle at the landing spot between the vertical and the peak
-    cone_half_angle_rad: Annotated[float, span(0.05, 1.5)] | None = None
-    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper filter: relative rate at which h may fall
-    # radius around the landing spot within which the gradient fades to vertical
-    apex_smoothing_m: Annotated[float, span(0.001, 0.02)] = 0.005
-
-    def __post_init__(self) -> None:
-        given = {
-            name
-            for name in ("alpha_1_m", "beta_m", "peak_height_m", "peak_distance_m", "cone_half_angle_rad")
-            if getattr(self, name) is not None
-        }
-        if given not in (
-            {"alpha_1_m", "beta_m"},
-            {"peak_height_m", "peak_distance_m"},
-            {"peak_height_m", "cone_half_angle_rad"},
-        ):
-            raise ConfigError(
-                f"found {', '.join(sorted(given)) or 'no shape'}; give alpha_1_m and beta_m, or "
-                f"peak_height_m with peak_distance_m or cone_half_angle_rad{self._as_numbers(given)}"
-            )
-
-    def _as_numbers(self, given: set[str]) -> str:
-        """Return the alpha and beta of a given peak as text, for a file whose base gives alpha and beta."""
-        if given < {"alpha_1_m", "beta_m"} or not given & {"alpha_1_m", "beta_m"}:
-            return ""
-        shape = {name: getattr(self, name) for name in given - {"alpha_1_m", "beta_m"}}
-        try:
-            built = BarrierShape(**shape).build()
-        except ConfigError:
-            return ""
-        return (
-            "; where a base file gives alpha_1_m and beta_m, write this peak as "
-            f"alpha_1_m = {built.alpha_1_m:.4g} and beta_m = {built.beta_m:.4g}"
-        )
-
-    def build(self) -> Barrier:
-        """Return the barrier with these parameters."""
-        if self.alpha_1_m is not None and self.beta_m is not None:
-            return Barrier(self.alpha_1_m, self.beta_m, self.apex_smoothing_m)
-        assert self.peak_height_m is not None
-        if self.peak_distance_m is not None:
-            return Barrier.from_peak(self.peak_height_m, self.peak_distance_m, self.apex_smoothing_m)
-        assert self.cone_half_angle_rad is not None
-        return Barrier.from_cone(self.peak_height_m, self.cone_half_angle_rad, self.apex_smoothing_m)
-
-
-@dataclass(frozen=True, slots=True)
 class PositionLoop:
     """Gain K_p of the position loop, per axis."""
 
@@ -252,7 +194,7 @@ class VehicleSide:
 class FlightConfig:
     """Complete configuration of the onboard process."""
 
-    barrier: BarrierShape
+    barrier: Barrier
     filter: str = "robust"  # name: `paper`, `robust`, or MODULE:NAME of a class
     loop: Loop = field(default_factory=Loop)
     position_loop: PositionLoop = field(default_factory=PositionLoop)
@@ -298,7 +240,7 @@ class FlightConfig:
         return replace(self, robust=robust, velocity_feedback=self.velocity_feedback.far)
 
     def __post_init__(self) -> None:
-        peak = self.barrier.build().peak_height_m
+        peak = self.barrier.peak_height_m
         least_m = peak + self.retreat.climb_margin_m
         if self.limits.altitude_max_m < least_m:
             raise ConfigError(

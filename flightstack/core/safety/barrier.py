@@ -22,8 +22,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
+from flightstack.common.strict_toml import span
 from flightstack.core.numeric import numeric
 from flightstack.core.types import ZERO, Vec3
 
@@ -59,34 +60,14 @@ def problem_of(boundary: Any, e_m: Vec3) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Barrier:
-    """Landing barrier with the parameters of its boundary.
+    """Landing barrier: the table [barrier] of a configuration. Eq. 7 gives alpha and beta for a peak."""
 
-    Attributes:
-        alpha_1_m: horizontal shape, 1/m; the peak is 1/alpha from the landing spot (paper eq. 7).
-        beta_m: vertical shape, m; the peak is beta/e high (paper eq. 5 and 7).
-        smoothing_m: radius of the apex within which the gradient fades to vertical.
-    """
-
-    alpha_1_m: float
-    beta_m: float
-    smoothing_m: float = 0.005
-
-    @classmethod
-    def from_peak(cls, peak_height_m: float, peak_distance_m: float, smoothing_m: float = 0.005) -> Barrier:
-        """Return the barrier whose boundary peaks at this height and horizontal distance (eq. 7)."""
-        return cls(1.0 / peak_distance_m, E * peak_height_m, smoothing_m)
-
-    @classmethod
-    def from_cone(
-        cls, peak_height_m: float, cone_half_angle_rad: float, smoothing_m: float = 0.005
-    ) -> Barrier:
-        """Return the barrier for a peak height and the half angle of the cone from landing spot to peak.
-
-        The paper prints ``alpha = e* tan(theta)``, which is a length. The inverse, ``alpha = 1 / (e*
-        tan(theta))``, has the unit 1/m. At the paper's 0.55 m and 60 degrees these are 0.95 and 1.05; both
-        round to the printed 1.0.
-        """
-        return cls.from_peak(peak_height_m, peak_height_m * math.tan(cone_half_angle_rad), smoothing_m)
+    # horizontal shape: the peak is 1/alpha from the landing spot
+    alpha_1_m: Annotated[float, span(0.05, 20.0)]
+    beta_m: Annotated[float, span(0.05, 20.0)]  # vertical shape: the peak is beta/e high
+    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper filter: relative rate at which h may fall
+    # radius around the landing spot within which the gradient fades to vertical
+    apex_smoothing_m: Annotated[float, span(0.001, 0.02)] = 0.005
 
     @property
     def peak_height_m(self) -> float:
@@ -129,7 +110,7 @@ class Barrier:
             moved_m: horizontal length of the motion, in any direction.
         """
         d2 = e_m[0] * e_m[0] + e_m[1] * e_m[1]
-        d, r = math.sqrt(d2), math.sqrt(d2 + self.smoothing_m * self.smoothing_m)
+        d, r = math.sqrt(d2), math.sqrt(d2 + self.apex_smoothing_m * self.apex_smoothing_m)
         gap = r - d
         if moved_m <= gap:
             turned = moved_m * gap / r  # worst case: a motion straight outwards
@@ -154,7 +135,7 @@ class Barrier:
         ad = self.alpha_1_m * d
         decay = self.beta_m * self.alpha_1_m * math.exp(-ad)
         # decay * (1 - ad) is b'(d); e divided by the smoothed length is a direction that is 0 at d = 0
-        factor = -decay * (1.0 - ad) / math.sqrt(d2 + self.smoothing_m * self.smoothing_m)
+        factor = -decay * (1.0 - ad) / math.sqrt(d2 + self.apex_smoothing_m * self.apex_smoothing_m)
         gx, gy = factor * ex, factor * ey
         vx, vy, vz = target_velocity_enu_m_s
         return ez - decay * d, (gx, gy, 1.0), -(gx * vx + gy * vy + vz)

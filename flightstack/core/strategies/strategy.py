@@ -351,7 +351,7 @@ def strategy_of(config: FlightConfig) -> Filter:
 
     Raises ConfigError: there is no such filter, or it rejects the configuration.
     """
-    return checked_class(config)(config, config.barrier.build())
+    return checked_class(config)(config, config.barrier)
 
 
 def checked_class(config: FlightConfig) -> type[Filter]:
@@ -360,7 +360,7 @@ def checked_class(config: FlightConfig) -> type[Filter]:
     found.check_config(config)
     if own_boundary(config.filter):
         at = Relative(OwnState(0.0, 0.0, e_m, ZERO, 0.0), TargetState(0.0, ZERO, ZERO, 0.0), e_m, 1.0)
-        boundary = found(config, config.barrier.build()).barrier(at)  # a new filter object
+        boundary = found(config, config.barrier).barrier(at)  # a new filter object
         if problem := problem_of(boundary, e_m):
             needed = "h, evaluate and linearisation_bound_m are needed, as in examples/own_boundary.py"
             raise ConfigError(f"filter {file_of(config.filter)}: its boundary {problem}; {needed}")

@@ -69,7 +69,7 @@ def test_changed_keys_are_flown_and_judged():
     made = fs.scenario("lab", {"wind.mean_m_s": np.float64(0.5), "barrier.alpha_1_m": 1.2}, filter="paper")
     assert (made.wind.mean_m_s, made.onboard.filter) == (0.5, "paper")
     assert made.judge is None
-    assert made.judged_by.alpha_1_m == made.onboard.barrier.build().alpha_1_m == 1.2
+    assert made.judged_by.alpha_1_m == made.onboard.barrier.alpha_1_m == 1.2
     apart = fs.scenario("lab", {"barrier.alpha_1_m": 1.2, "judge.alpha_1_m": 1.1, "judge.beta_m": 1.5})
     assert apart.judged_by.alpha_1_m == 1.1
     assert fs.scenario(made) is made
@@ -142,7 +142,7 @@ def test_a_sweep_judges_by_the_barrier_that_flew():
     assert sweep.table["barrier.alpha_1_m"].tolist() == [1.0, 1.3]
     for (alpha_1_m, _), campaign in sweep.points:
         (member,) = campaign.scenario.members
-        assert member.judged_by.alpha_1_m == member.onboard.barrier.build().alpha_1_m == alpha_1_m
+        assert member.judged_by.alpha_1_m == member.onboard.barrier.alpha_1_m == alpha_1_m
     assert [point["landed"] for point in sweep.rates()] == [1.0, 1.0]
     assert list(fs.frame(sweep.rates())["landed"]) == [1.0, 1.0]
     assert len(sweep.plot().data) == 2

@@ -13,7 +13,8 @@ import pytest
 from flightstack.compiled import jit
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Record, cell, new
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeoff
+from flightstack.core.parameters.flight import FlightConfig, Takeoff
+from flightstack.core.safety.barrier import Barrier
 from sim.clock import TickGrid
 from sim.runners.robot import TargetMotion
 from sim.scenarios import scenario
@@ -47,7 +48,7 @@ def flight(loop, kind, error=False):
         own=StateError() if error else None,
     )
     start = Start(StartKind(kind), offset_m=(0.0, 0.05, 0.03))
-    onboard = FlightConfig(BarrierShape(1.0, 1.5), takeoff=Takeoff(start_offset_m=(-1.0, 0.0, 0.7)))
+    onboard = FlightConfig(Barrier(1.0, 1.5), takeoff=Takeoff(start_offset_m=(-1.0, 0.0, 0.7)))
     wind = Wind(1.0, 0.6)
     sim = VehicleSim(Scenario("test", "", onboard, start=start, vehicle=spec, wind=wind), 5)
     sim.arm()

@@ -50,7 +50,7 @@ def paper(**sections):
             {"limits": {"velocity_max_m_s": [0.2, 0.2]}},
             ["velocity_max_m_s: found [0.2, 0.2]", "an array of 3 values"],
         ),
-        ({"barrier": {"alpha_1_m": 1.0}}, ["barrier", "give alpha_1_m and beta_m"]),
+        ({"barrier": {"alpha_1_m": 1.0}}, ["barrier.beta_m: missing"]),
         ({"barrier": {"alpha_1_m": 1.0, "beta_m": float("nan")}}, ["beta_m", "finite"]),
         ({"filter": "best"}, ["filter", "'best'", "paper, robust"]),
         ({"limits": {"altitude_max_m": 0.6}}, ["altitude_max_m", "peak"]),
@@ -207,7 +207,7 @@ def test_no_margin_is_blown_up_by_more_than_half():
             robust={"fade_radius_m": pad_m, "tracking_error_m_s": 0.1, "rate_1_s": 1.0, "sigma_factor": 0.0},
             touchdown={"pad_radius_m": pad_m},
         )
-        filter_ = RobustFilter(widest, widest.barrier.build())
+        filter_ = RobustFilter(widest, widest.barrier)
         assert 0.1 < filter_.margin_m(0.0, 0.0) < 0.16
 
 

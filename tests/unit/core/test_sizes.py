@@ -13,7 +13,7 @@ from flightstack.verify.certificate import checks
 from tests.unit.core.core_helpers import config
 from tests.unit.core.mission.mission_helpers import NOW_S, names, tick
 from tests.unit.core.mission.test_contact import contact_after
-from tests.unit.core.mission.test_guidance import BARRIER, PAD, asked
+from tests.unit.core.mission.test_guidance import PAD, asked
 
 
 def blind(settings):
@@ -82,7 +82,7 @@ def test_a_changed_size_changes_what_it_does(section, key, other, does, expected
 def test_the_climb_goes_half_the_margin_beyond_and_flies_clear_a_quarter_below():
     for margin_m in (0.2, 0.6):
         settings = config(retreat={"climb_margin_m": margin_m})
-        top = high_enough_m(Situation(settings, BARRIER, None, clearing())) - PAD[2]
+        top = high_enough_m(Situation(settings, None, clearing())) - PAD[2]
         rising = asked(Phase.CLIMB, settings, (0.0, 0.0, top), clearing()).velocity[2]
         assert rising == pytest.approx(0.5 * margin_m)
         for lacking, climbs in ((0.26, True), (0.24, False)):

@@ -15,7 +15,8 @@ from flightstack.common.pacing import Tick
 from flightstack.config import load
 from flightstack.config.options import OnboardOptions
 from flightstack.core.memory import Memory
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Retreat
+from flightstack.core.parameters.flight import FlightConfig, Retreat
+from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
@@ -43,7 +44,7 @@ def waiting(counts=(), battery=1, refused=0, told=(), keys=()):
         odometry=SimpleNamespace(refused=refused, told=list(told)),
         search=SimpleNamespace(keys=lambda: keys, stop=lambda: None),
     )
-    return WaitReport(FlightConfig(BarrierShape(1.0, 1.5)), 1, link, wires, searches=True)
+    return WaitReport(FlightConfig(Barrier(1.0, 1.5)), 1, link, wires, searches=True)
 
 
 def at(own=OWN, status=STANDS, target=TARGET, own_ok=True, placed=False):
@@ -233,7 +234,7 @@ def test_a_router_of_ros_that_is_not_there_is_said_before_the_flight(monkeypatch
 
 
 def test_what_the_autopilot_did_by_itself_carries_its_own_reason():
-    report = WaitReport(FlightConfig(BarrierShape(1.0, 1.5)), 1, None, None, searches=False)
+    report = WaitReport(FlightConfig(Barrier(1.0, 1.5)), 1, None, None, searches=False)
     assert "the autopilot sent no reason (no STATUSTEXT or EVENT for 5 s)" in report.cause(1.0)
     report.note_text(1.0, 6, "Takeoff detected")
     for severity, text in ((2, "Crash: Disarming: AngErr=70>30"), (6, "Disarmed by crash detection")) * 2:
@@ -245,9 +246,7 @@ def test_what_the_autopilot_did_by_itself_carries_its_own_reason():
 
 
 def test_what_ends_a_wait_is_counted_down_with_its_setting():
-    config = FlightConfig(
-        barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5), retreat=Retreat(abort_time_max_s=40.0)
-    )
+    config = FlightConfig(barrier=Barrier(alpha_1_m=1.0, beta_m=1.5), retreat=Retreat(abort_time_max_s=40.0))
     assert countdown(config, Phase.WAIT, 12.0) == "gives up within 48 s (checks.wait_time_max_s)"
     assert countdown(config, Phase.ABORT, 12.0) == "ends within 28 s (retreat.abort_time_max_s)"
     assert countdown(config, Phase.HOLD, 3.0) == "aborts within 0 s (checks.hold_time_s)"

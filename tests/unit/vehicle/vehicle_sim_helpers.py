@@ -1,6 +1,7 @@
 """Scenarios and flights for the tests of the simulated vehicle."""
 
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeoff
+from flightstack.core.parameters.flight import FlightConfig, Takeoff
+from flightstack.core.safety.barrier import Barrier
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.tables import OdometryLink, Start, StartKind, VehicleSpec, VelocityLoop
 from sim.vehicle.vehicle import VehicleSim
@@ -13,7 +14,7 @@ HIGH = Start(StartKind.HOVER, offset_m=(0.0, 0.0, 1.0))
 
 def scenario(start=HIGH, **parts):
     takeoff = Takeoff(start_offset_m=(-1.0, 0.0, 0.7))
-    onboard = FlightConfig(BarrierShape(1.0, 1.5), takeoff=takeoff)
+    onboard = FlightConfig(Barrier(1.0, 1.5), takeoff=takeoff)
     parts.setdefault("vehicle", VehicleSpec(mocap=QUIET))
     return Scenario("test", "", onboard, start=start, **parts)
 

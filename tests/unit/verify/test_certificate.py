@@ -83,7 +83,7 @@ def test_each_limit_from_both_sides(name, passes, fails):
 @pytest.mark.parametrize("alpha_1_m", [0.5, 2.0, 2.5, 3.33, 3.34, 5.0, 9.0])
 def test_barriers_peak_is_proven_if_the_boundary_rises_at_every_distance_over_the_pad(alpha_1_m):
     sections = {"barrier": {"alpha_1_m": alpha_1_m, "beta_m": 0.5}, "touchdown": {"pad_radius_m": 0.3}}
-    barrier = config(**sections).barrier.build()
+    barrier = config(**sections).barrier
     rises = all(barrier.slope(k * 0.3 / 1000) >= 0.0 for k in range(1001))
     assert one("barrier's peak", **sections).proven == rises
 

@@ -174,7 +174,6 @@ def test_a_pad_without_room_for_the_feet_is_not_proven(kind, pad_m, stands):
 @pytest.mark.parametrize(
     ("own", "text"),
     [
-        ("[onboard.barrier]\ncone_half_angle_rad = 1.0\npeak_height_m = 0.5", "alpha_1_m = 1.284 and beta_m"),
         ("[onboard.touchdown]\npad_radius_m = 0.2", "there is one pad"),
         ("[target]\nturn_rate_rad_s = 2.9", "above target.turn_rate_max_rad_s"),
         ("[target]\nspeed_m_s = 2.9", ": raise target.speed_max_m_s, or lower target.speed_m_s"),
@@ -194,4 +193,4 @@ def test_barrier_of_the_verdict_and_pad_of_the_configuration_follow_from_what_a_
     )
     scenario = load(tmp_path / "mine.toml")
     assert scenario.onboard.touchdown.pad_radius_m == 0.4
-    assert scenario.judged_by == scenario.onboard.barrier.build()
+    assert scenario.judged_by == scenario.onboard.barrier

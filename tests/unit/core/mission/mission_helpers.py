@@ -23,13 +23,13 @@ def starting(filter="robust", **sections):
 
 
 ROBUST, PAPER = starting(), starting("paper")
-BARRIER = ROBUST.barrier.build()
+BARRIER = ROBUST.barrier
 
 
 def mission_of(settings, strategy=None, track=None, plausibility=None):
     """Return the mission of a vehicle without a battery table."""
     return Mission(
-        settings, BARRIER, strategy or strategy_of(settings), track or TargetTrack(settings.checks),
+        settings, strategy or strategy_of(settings), track or TargetTrack(settings.checks),
         plausibility or Plausibility(settings), ReserveEstimate(None, STILL, 0.01),
     )  # fmt: skip
 

@@ -142,9 +142,9 @@ def test_the_landing_has_its_time():
 
 def test_high_enough_is_above_the_peak_over_where_the_target_was_last():
     memory = Memory(phase=Phase.CLIMB, target_position_enu_m=PAD)
-    edge = high_enough_m(Situation(ROBUST, BARRIER, None, memory))
+    edge = high_enough_m(Situation(ROBUST, None, memory))
     assert edge == pytest.approx(PAD[2] + 1.5 / math.e + ROBUST.retreat.climb_margin_m)
-    assert high_enough_m(Situation(ROBUST, BARRIER, None, Memory())) == pytest.approx(edge - PAD[2])
+    assert high_enough_m(Situation(ROBUST, None, Memory())) == pytest.approx(edge - PAD[2])
     for above, expected in ((1e-9, True), (-1e-9, False)):
         e = (0.5, 0.0, edge - PAD[2] + above)
         assert ("HIGH_ENOUGH" in names(tick(e=e, memory=memory))) is expected

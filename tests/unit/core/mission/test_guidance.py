@@ -25,7 +25,7 @@ MOVING = (0.1, -0.05, 0.02)
 
 
 ROBUST, PAPER = config(), config("paper")
-BARRIER = ROBUST.barrier.build()
+BARRIER = ROBUST.barrier
 SHAPES = [PAPER, ROBUST]
 
 
@@ -125,7 +125,7 @@ def test_holding_is_standing_still_or_following_what_was_followed_and_rising():
 
 def test_the_climb_ends_above_everything_and_never_sinks():
     memory = Memory(target_position_enu_m=PAD)
-    top = high_enough_m(Situation(ROBUST, BARRIER, None, memory)) - PAD[2]
+    top = high_enough_m(Situation(ROBUST, None, memory)) - PAD[2]
     fast, slow = (asked(Phase.CLIMB, e=(0.3, 0.0, z), memory=memory).velocity for z in (0.0, top + 0.05))
     assert fast == (0.0, 0.0, ROBUST.limits.velocity_max_m_s[2])
     assert slow == pytest.approx((0.0, 0.0, 0.05 * ROBUST.position_loop.gain_1_s[2]))
@@ -155,7 +155,7 @@ def clearing(e, target_m_s=ZERO, **changes):
 
 def test_flying_clear_is_up_then_away_then_down():
     vx, _, vz = ROBUST.limits.velocity_max_m_s
-    top = high_enough_m(Situation(ROBUST, BARRIER, None, Memory(target_position_enu_m=PAD))) - PAD[2]
+    top = high_enough_m(Situation(ROBUST, None, Memory(target_position_enu_m=PAD))) - PAD[2]
     assert clearing((0.3, 0.0, 0.1))[0] == Command(Request.EXTERNAL, (0.0, 0.0, vz))
     assert clearing((0.3, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))
     away = clearing((-0.3, -0.4, top))[0].velocity

@@ -18,7 +18,7 @@ CONE = Barrier(1.0, 1.5)
 
 def robust(**sections):
     settings_ = config(**sections)
-    return RobustFilter(settings_, settings_.barrier.build()), settings_
+    return RobustFilter(settings_, settings_.barrier), settings_
 
 
 def seen(own_velocity, target_velocity, e=(1.0, 0.0, 1.0), sigma_m=0.0, sigma_z_m=0.0):

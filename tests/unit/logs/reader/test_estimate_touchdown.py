@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flightstack.core.parameters.flight import BarrierShape, Contact, FlightConfig, Touchdown
+from flightstack.core.parameters.flight import Contact, FlightConfig, Touchdown
+from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
 from logs.verdict.estimate import find_touchdown
@@ -14,7 +15,7 @@ from tests.synthetic_flight import landing, write_log
 
 FEET_M, PAD_M = 0.12, 0.5
 LARGE = FlightConfig(
-    BarrierShape(alpha_1_m=0.4, beta_m=3.75),
+    Barrier(alpha_1_m=0.4, beta_m=3.75),
     touchdown=Touchdown(pad_radius_m=PAD_M, feet_below_reference_m=FEET_M, height_m=0.25),
     contact=Contact(gap_m=0.03),
     filter="paper",  # the heights of the robust filter are for a small vehicle

@@ -94,13 +94,12 @@ def test_barrier_from_the_configuration_if_the_run_names_none(log):
     rows = landing()
     channel = writer.channel("/cf1/controller/step", schemas.CONTROLLER_STEP)
     writer.write(channel, EPOCH_NS, EPOCH_NS, 0, rows.steps[0].pack())
-    text = b"[barrier]\npeak_height_m = 0.5\npeak_distance_m = 2.0\n"
+    text = b"[barrier]\nalpha_1_m = 0.5\nbeta_m = 1.5\n"
     text += b"[limits]\nvelocity_max_m_s = [0.3, 0.3, 0.4]\n"
     writer.attachment("onboard.toml", "application/toml", EPOCH_NS, text)
     writer.close()
     flight = load_flight(log)
-    assert flight.barrier.peak_height_m == pytest.approx(0.5)
-    assert flight.barrier.peak_distance_m == pytest.approx(2.0)
+    assert (flight.barrier.alpha_1_m, flight.barrier.beta_m) == (0.5, 1.5)
     assert flight.config.limits.velocity_max_m_s == (0.3, 0.3, 0.4)
 
 

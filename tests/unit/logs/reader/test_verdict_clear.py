@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 
 from flightstack.common.pacing import EPOCH_NS
-from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig
+from flightstack.core.parameters.flight import Checks, FlightConfig
+from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
 from logs.verdict.verdict import Outcome, judge
@@ -14,7 +15,7 @@ from tests.synthetic_flight import DT_S, EDGE, GROUND, ROBOT, TUMBLED, landing, 
 
 CLEAR_M = 1.0
 ABORT_TICK, CLEAR_TICK = 600, 700
-CONFIG = FlightConfig(BarrierShape(alpha_1_m=1.0, beta_m=1.5), checks=Checks(clearance_m=CLEAR_M))
+CONFIG = FlightConfig(Barrier(alpha_1_m=1.0, beta_m=1.5), checks=Checks(clearance_m=CLEAR_M))
 
 
 @pytest.fixture

@@ -11,7 +11,8 @@ from bridge.mavlink.line_budget import LineTooSlowError
 from bridge.mavlink.line_budget import plan as line_plan
 from bridge.mavlink.preflight.table import Level, Needs, table
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Mode, Request
 from flightstack.onboard.preflight import needs_of
 from sim.scenarios import scenario
@@ -127,7 +128,7 @@ def rules(name):
 
 
 def line_rates():
-    config = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))
+    config = FlightConfig(barrier=Barrier(alpha_1_m=1.0, beta_m=1.5))
     rows = []
     for baud in (921_600, 115_200, 57_600, 38_400, 19_200):
         try:
