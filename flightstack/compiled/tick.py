@@ -25,8 +25,8 @@ from flightstack.core.mission.phases import TABLE
 from flightstack.core.numeric import STAND_INS, NotOrdinary
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.osqp import Osqp, calls
+from flightstack.core.sender_clock import Reading
 from flightstack.core.snapshot import FUTURE_MAX_S, Snapshot
-from flightstack.core.target.track import Verdict
 from flightstack.core.types import (
     Inputs,
     Operator,
@@ -78,7 +78,7 @@ def take(kernel: Controller, row: F64, arrival_s: float) -> None:
         arrival_s, row[0], checks.target_frame, checks.target_child_frame, (row[1], row[2], row[3]),
         (row[4], row[5], row[6]), row[7], row[8], 0.0, 0.0,
     )  # fmt: skip
-    if kernel.take(sample) is not Verdict.ACCEPTED or kernel.track.stepped_s != 0.0:
+    if kernel.take(sample) is not Reading.FRESH or kernel.track.stepped_s != 0.0:
         raise NotOrdinary
 
 

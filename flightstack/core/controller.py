@@ -20,11 +20,12 @@ from flightstack.core.mission.machine import Mission, Rules, Transition
 from flightstack.core.numeric import NotOrdinary, rare
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.gate import ApprovedSetpoint, GateVerdict
+from flightstack.core.sender_clock import Reading
 from flightstack.core.snapshot import Relative, Snapshot, relative, snapshot_of
 from flightstack.core.strategies.strategy import Filter, strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate
-from flightstack.core.target.track import TargetState, TargetTrack, Verdict
+from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import (
     ZERO,
     Charge,
@@ -198,7 +199,7 @@ class Controller:
         events = []
         for sample in samples:
             verdict, count = self.take(sample), self.track.memory.rejected
-            if verdict is Verdict.ACCEPTED:
+            if verdict is Reading.FRESH:
                 if self.track.stepped_s:
                     by = f"{self.track.stepped_s:+.2f} s"
                     events.append(Event(WARN, f"target: its sender's clock was set by {by}, or began anew"))
@@ -217,13 +218,11 @@ class Controller:
 
     def _estimate_vehicle(self, inputs: Inputs, now_s: float) -> Inputs:
         """Return the inputs with the current vehicle state; None if a number of it is not finite."""
-        own, status, samples, operator, power, neighbours = inputs
-        if own is not None:
-            if own.is_finite:  # a NaN would remain in all estimator states
-                own = self.estimate_own(own, status is not None and status.flies_by_setpoints, now_s)
-            else:
-                own = None
-        return Inputs(own, status, samples, operator, power, neighbours)
+        own, status = inputs.own, inputs.status
+        if own is None or not own.is_finite:  # a NaN would remain in all estimator states
+            return inputs._replace(own=None)
+        flies = status is not None and status.flies_by_setpoints
+        return inputs._replace(own=self.estimate_own(own, flies, now_s))
 
     def _estimate_reserve(self, inputs: Inputs, now_s: float) -> Charge:
         """Estimate the thrust reserve, set this tick's acceleration limits, and return the battery state."""
@@ -247,10 +246,10 @@ class Controller:
         self.velocity.accelerate(reserve.acceleration_max_m_s2)
         return reserve.charge if flies else Charge.FIT
 
-    def take(self, sample: TargetSample) -> Verdict:
+    def take(self, sample: TargetSample) -> Reading:
         """Check a target sample, and update the target estimate if the sample is accepted."""
         verdict = self.track.accept(sample)
-        if verdict is Verdict.ACCEPTED:
+        if verdict is Reading.FRESH:
             if self.track.stepped_s != 0.0:
                 self._begin_anew()
             self.strategy.take(sample)

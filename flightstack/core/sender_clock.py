@@ -38,15 +38,20 @@ STAMP_MAX_S = 2.0**32  # largest valid stamp, s: the year 2106; ROS 2 and Unix t
 
 
 class Reading(TextEnum):
-    """Result of the check of a time stamp."""
+    """Result of the check of a time stamp; the last five belong to the other checks of a target sample."""
 
-    FRESH = "in time"
-    STEPPED = "by a clock that was set, or began anew"
-    UNUSABLE = "not between 1970 and 2106"
+    FRESH = "accepted"
+    STEPPED = "accepted: the sender's clock was set, or began anew"
+    UNUSABLE = "time stamp not between 1970 and 2106"
     REPEATED = "repeated"
     OUT_OF_ORDER = "out of order"
-    AHEAD = "from the future"
+    AHEAD = "time stamp from the future"
     LATE = "too late"
+    NOT_FINITE = "not finite"
+    WRONG_ROBOT = "from another robot or frame"
+    TOO_FAST = "faster than allowed"
+    JUMP = "jumped"
+    FROZEN = "not measured anew"
 
     @property
     def good(self) -> bool:

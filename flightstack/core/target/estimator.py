@@ -38,7 +38,6 @@ class TargetMotion(NamedTuple):
 
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
-    acceleration_enu_m_s2: Vec3
     position_sigma_m: float  # standard deviation of x and of y
     position_sigma_z_m: float
     velocity_sigma_m_s: float
@@ -156,7 +155,7 @@ class TargetEstimator:
         if math.isnan(dt_s):
             raise ValueError("no target sample yet: there is no motion to carry on")
         fades, lasts = fading(dt_s, self._fade_s), lasting(dt_s)
-        position, velocity, acceleration = _moved(
+        position, velocity, _ = _moved(
             (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
             turn(memory.turn_rate_rad_s, dt_s), fades, lasts,
         )  # fmt: skip
@@ -166,7 +165,6 @@ class TargetEstimator:
         return TargetMotion(
             position,
             velocity,
-            acceleration,
             math.sqrt(_position_variance(memory.covariance_xy, fades, jerk2_xy)),
             math.sqrt(_position_variance(memory.covariance_z, lasts, self.noise_z.jerk2)),
             math.sqrt(_velocity_variance(memory.covariance_xy, fades, jerk2_xy)),

@@ -19,26 +19,10 @@ from flightstack.core.numeric import norm, rare
 from flightstack.core.parameters.flight import Checks
 from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
 from flightstack.core.target.plausibility import SMOOTHING_S, TRUSTED_AGAIN, drifted, repeats, smoothed
-from flightstack.core.types import TargetSample, TextEnum, Vec3
+from flightstack.core.types import TargetSample, Vec3
 
 STANDING_M_S = 1e-3  # speed above which a target moves, m/s; at rest it may repeat its position to the bit
 DISTRUSTS_MAX = 2  # number of contradictions in a flight after which the target remains distrusted
-
-
-class Verdict(TextEnum):
-    """Result of the check of a sample."""
-
-    ACCEPTED = "accepted"
-    NOT_FINITE = "not finite"
-    WRONG_ROBOT = "from another robot or frame"
-    BAD_STAMP = "time stamp not between 1970 and 2106"
-    REPEATED = "repeated"
-    OUT_OF_ORDER = "out of order"
-    AHEAD = "time stamp from the future"
-    LATE = "too late"
-    TOO_FAST = "faster than allowed"
-    JUMP = "jumped"
-    FROZEN = "not measured anew"
 
 
 class TargetState(NamedTuple):
@@ -74,11 +58,11 @@ class TargetTrack:
         assert last is not None
         return last
 
-    def accept(self, sample: TargetSample) -> Verdict:
+    def accept(self, sample: TargetSample) -> Reading:
         """Judge one sample; an accepted sample becomes the newest one."""
         verdict, memory = self._judge(sample), self.memory
         self.stepped_s = 0.0
-        if verdict is Verdict.ACCEPTED:
+        if verdict is Reading.FRESH:
             before_s = memory.offset_s
             if self._clock.take(sample.source_time_s, sample.arrival_s):
                 self.stepped_s = before_s - memory.offset_s
@@ -94,8 +78,8 @@ class TargetTrack:
         return verdict
 
     @rare
-    def _note(self, verdict: Verdict) -> None:
-        self.memory.refusal = "" if verdict is Verdict.ACCEPTED else verdict.text
+    def _note(self, verdict: Reading) -> None:
+        self.memory.refusal = "" if verdict is Reading.FRESH else verdict.text
 
     @property
     def moves_m_s(self) -> Vec3:
@@ -127,47 +111,43 @@ class TargetTrack:
             memory.distrusted, memory.parted_m = True, drift_m
             memory.distrusts += memory.settled
 
-    def _judge(self, sample: TargetSample) -> Verdict:
+    def _judge(self, sample: TargetSample) -> Reading:
         checks, memory = self._checks, self.memory
         last = memory.last
         x, y, z = sample.position_enu_m
         vx, vy, vz = sample.velocity_enu_m_s
         if not math.isfinite(x + y + z + vx + vy + vz + sample.yaw_rad + sample.source_time_s):
-            return Verdict.NOT_FINITE
+            return Reading.NOT_FINITE
         if sample.frame_id != checks.target_frame or sample.child_frame_id != checks.target_child_frame:
-            return Verdict.WRONG_ROBOT
+            return Reading.WRONG_ROBOT
         if vx * vx + vy * vy + vz * vz > checks.target_speed_max_m_s * checks.target_speed_max_m_s:
-            return Verdict.TOO_FAST
+            return Reading.TOO_FAST
         patience_s = math.inf if memory.settled else PATIENCE_S
         reading = self._clock.judge(sample.source_time_s, sample.arrival_s, patience_s)
         if reading is not Reading.FRESH and reading is not Reading.STEPPED:
-            return self._refused(reading)
+            return reading
         if last is None:
-            return Verdict.ACCEPTED
+            return Reading.FRESH
         gap_s = sample.arrival_s - last.arrival_s
         lost, stepped = gap_s > checks.target_age_max_s, reading is Reading.STEPPED
         if repeats(last.position_enu_m, sample.position_enu_m, sample.velocity_enu_m_s, STANDING_M_S):
-            return Verdict.FROZEN
+            return Reading.FROZEN
         if lost or stepped or memory.elsewhere is not None:
             return self._judge_anew(last, sample, gap_s, lost, stepped)
         near = self._near(last, sample, sample, sample.source_time_s - last.source_time_s)
-        return Verdict.ACCEPTED if near else self._judge_anew(last, sample, gap_s, lost, stepped)
-
-    @rare
-    def _refused(self, reading: Reading) -> Verdict:
-        return Verdict.BAD_STAMP if reading is Reading.UNUSABLE else Verdict[reading.name]
+        return Reading.FRESH if near else self._judge_anew(last, sample, gap_s, lost, stepped)
 
     @rare
     def _judge_anew(
         self, last: TargetSample, sample: TargetSample, gap_s: float, lost: bool, stepped: bool
-    ) -> Verdict:
+    ) -> Reading:
         """Check the position of a sample that is far from the last one or follows a loss of the target."""
         checks, memory = self._checks, self.memory
         # if clock and position restart at the same time, the odometry has restarted: the robot is the same
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
         free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
         if lost and free and memory.elsewhere is None:
-            return Verdict.ACCEPTED  # the previous sample does not bound the current position
+            return Reading.FRESH  # the previous sample does not bound the current position
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
         # after a loss, the current or the last velocity may explain a wrong position by chance; samples that
         # continue from the new place show that the target is really there
@@ -178,8 +158,8 @@ class TargetTrack:
         near = not stays and self._near(last, sample, last if lost else sample, step_s)
         if near or self._proved(sample, lost):
             memory.elsewhere = None
-            return Verdict.ACCEPTED
-        return Verdict.JUMP
+            return Reading.FRESH
+        return Reading.JUMP
 
     def _near(self, before: TargetSample, after: TargetSample, at_last: TargetSample, step_s: float) -> bool:
         """Whether the mean of two velocities explains the motion of the target between two samples.

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.parameters.flight import Checks
+from flightstack.core.sender_clock import Reading
 from flightstack.core.target.estimator import TURN_RATE_MAX_RAD_S, TargetEstimator
-from flightstack.core.target.track import TargetTrack, Verdict
+from flightstack.core.target.track import TargetTrack
 from flightstack.core.types import ZERO, TargetSample
 from tests.unit.core.target.test_target_estimator import LINK, circle
 
@@ -30,32 +31,30 @@ def later(seconds, **changes):
 @pytest.fixture
 def track():
     track = TargetTrack(Checks())
-    assert track.accept(FIRST) is Verdict.ACCEPTED
+    assert track.accept(FIRST) is Reading.FRESH
     return track
 
 
 @pytest.mark.parametrize(
     ("sample", "verdict"),
     [
-        (later(0.01), Verdict.ACCEPTED),
-        (later(0.01, position_enu_m=(math.nan, 2.0, 0.2)), Verdict.NOT_FINITE),
-        (later(0.01, velocity_enu_m_s=(math.inf, 0.0, 0.0)), Verdict.NOT_FINITE),
-        (later(0.01, child_frame_id="other"), Verdict.WRONG_ROBOT),
-        (later(0.01, frame_id="odom"), Verdict.WRONG_ROBOT),
-        (later(0.01, source_time_s=1000.0), Verdict.REPEATED),
-        (later(0.01, source_time_s=999.9), Verdict.OUT_OF_ORDER),
-        (later(0.01, velocity_enu_m_s=(1.6, 0.0, 0.0)), Verdict.TOO_FAST),
-        (later(0.01, position_enu_m=(2.001, 2.0, 0.2)), Verdict.JUMP),
+        (later(0.01), Reading.FRESH),
+        (later(0.01, position_enu_m=(math.nan, 2.0, 0.2)), Reading.NOT_FINITE),
+        (later(0.01, velocity_enu_m_s=(math.inf, 0.0, 0.0)), Reading.NOT_FINITE),
+        (later(0.01, child_frame_id="other"), Reading.WRONG_ROBOT),
+        (later(0.01, frame_id="odom"), Reading.WRONG_ROBOT),
+        (later(0.01, source_time_s=1000.0), Reading.REPEATED),
+        (later(0.01, source_time_s=999.9), Reading.OUT_OF_ORDER),
+        (later(0.01, velocity_enu_m_s=(1.6, 0.0, 0.0)), Reading.TOO_FAST),
+        (later(0.01, position_enu_m=(2.001, 2.0, 0.2)), Reading.JUMP),
         # the sample is 0.2 m from the expected position
-        (later(0.01, position_enu_m=(1.2009, 2.0, 0.2)), Verdict.ACCEPTED),
-        (later(0.01, position_enu_m=(1.202, 2.0, 0.2)), Verdict.JUMP),
+        (later(0.01, position_enu_m=(1.2009, 2.0, 0.2)), Reading.FRESH),
+        (later(0.01, position_enu_m=(1.202, 2.0, 0.2)), Reading.JUMP),
     ],
 )
 def test_verdicts(track, sample, verdict):
     assert track.accept(sample) is verdict
-    assert (track.memory.accepted, track.memory.rejected) == (
-        (2, 0) if verdict is Verdict.ACCEPTED else (1, 1)
-    )
+    assert (track.memory.accepted, track.memory.rejected) == ((2, 0) if verdict is Reading.FRESH else (1, 1))
 
 
 def drives(t_s, stamp_s):
@@ -74,7 +73,7 @@ def steady(until_s, settled):
     track = TargetTrack(Checks(), 0.01)
     track.memory.settled = settled
     for t_s in ticks(0.0, until_s):
-        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED
+        assert track.accept(drives(t_s, t_s)) is Reading.FRESH
     return track
 
 
@@ -89,20 +88,20 @@ def test_a_robot_that_sets_off_in_a_gap_is_believed(gap_s, before_m_s, accelerat
     track = TargetTrack(Checks())
     track.accept(FIRST._replace(velocity_enu_m_s=before_m_s))
     sample = later(gap_s, position_enu_m=tuple(gone), velocity_enu_m_s=then)
-    assert track.accept(sample) is Verdict.ACCEPTED
+    assert track.accept(sample) is Reading.FRESH
 
 
 def test_of_a_lost_robot_the_velocity_of_now_proves_no_place(track):
-    assert track.accept(later(0.2, position_enu_m=(2.0, 2.0, 0.2))) is Verdict.JUMP
+    assert track.accept(later(0.2, position_enu_m=(2.0, 2.0, 0.2))) is Reading.JUMP
     fast = (1.0, 0.0, 0.0)  # the mean of both predicts the reported position, 0.9 s after the last one
     there = later(0.9, position_enu_m=(1.495, 2.0, 0.2), velocity_enu_m_s=fast)
-    assert track.accept(there) is Verdict.JUMP
+    assert track.accept(there) is Reading.JUMP
 
 
 def test_a_sample_that_was_long_on_its_way_is_late(track):
     track.accept(later(0.2))
     slow = later(0.21)._replace(arrival_s=10.21 + 0.26)
-    assert track.accept(slow) is Verdict.LATE
+    assert track.accept(slow) is Reading.LATE
 
 
 def test_the_age_counts_from_the_measurement_less_the_shortest_delay(track):
@@ -116,10 +115,10 @@ def test_the_age_counts_from_the_measurement_less_the_shortest_delay(track):
 @pytest.mark.parametrize("ahead_s", [0.05, 0.15, 0.3, 60.0, 3600.0, 1e9, 1e300, math.inf, math.nan, -1e9])
 def test_one_wrong_stamp_costs_one_sample(ahead_s, settled):
     track = steady(2.0, settled)
-    assert track.accept(drives(2.0, 2.0 + ahead_s)) is not Verdict.ACCEPTED
+    assert track.accept(drives(2.0, 2.0 + ahead_s)) is not Reading.FRESH
     for k in range(1, 100):
         t_s = 2.0 + 0.02 * k
-        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED
+        assert track.accept(drives(t_s, t_s)) is Reading.FRESH
         assert track.at(t_s).age_s < 1e-6
 
 
@@ -131,7 +130,7 @@ def test_a_clock_that_was_set_is_followed_after_samples_that_agree(by_s, silent_
     track, proof_s = steady(2.0, settled), Checks().recovery_time_s
     for k in range(200):
         t_s = 2.0 + silent_s + 0.02 * k
-        good = track.accept(drives(t_s, t_s + by_s)) is Verdict.ACCEPTED
+        good = track.accept(drives(t_s, t_s + by_s)) is Reading.FRESH
         if 0.02 * k < proof_s - 1e-9:
             assert not good
             assert track.at(t_s).age_s == pytest.approx(t_s - 1.98)
@@ -210,15 +209,13 @@ def test_a_yaw_that_is_no_number_turns_nothing(unknown):
 def test_numbers_of_a_target_that_is_stuck_are_the_last_also_at_rest(track):
     """At rest, noise of the velocity suffices to detect a repeated position."""
     rest = {"position_enu_m": FIRST.position_enu_m, "velocity_enu_m_s": (0.004, -0.003, 0.0)}
-    assert track.accept(later(0.02, **rest)) is Verdict.FROZEN
-    assert track.accept(later(0.04, **(rest | {"velocity_enu_m_s": ZERO}))) is Verdict.ACCEPTED
+    assert track.accept(later(0.02, **rest)) is Reading.FROZEN
+    assert track.accept(later(0.04, **(rest | {"velocity_enu_m_s": ZERO}))) is Reading.FRESH
 
 
 def test_a_robot_that_jumps_is_refused_whatever_its_velocity_says(track):
     fast = (1.4, 0.0, 0.0)  # the mean velocity explains 0.15 m
-    assert (
-        track.accept(later(0.2, position_enu_m=(1.34, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.ACCEPTED
-    )
+    assert track.accept(later(0.2, position_enu_m=(1.34, 2.0, 0.2), velocity_enu_m_s=fast)) is Reading.FRESH
     track = TargetTrack(Checks())
     track.accept(FIRST)
-    assert track.accept(later(0.2, position_enu_m=(1.36, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.JUMP
+    assert track.accept(later(0.2, position_enu_m=(1.36, 2.0, 0.2), velocity_enu_m_s=fast)) is Reading.JUMP
