@@ -102,7 +102,7 @@ class FleetMember:
         self.memory = FleetMemory(tuple(Heard() for _ in fleet.others))
         self._fleet, self._sigma_m, self.is_alone = fleet, sigma_m, not fleet.others
         self._index = {n: k for k, n in enumerate(fleet.others)}
-        self._program, self._given_m_s = FleetProgram(len(fleet.others)) if fleet.others else None, 0.0
+        self._program, self._given_m_s = FleetProgram() if fleet.others else None, 0.0
 
     @property
     def slots(self) -> list[tuple[int, Heard]]:

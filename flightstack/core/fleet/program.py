@@ -16,7 +16,7 @@ import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from flightstack.core.fleet.solution import Row, least_slack, nearest, prepare
+from flightstack.core.fleet.solution import Row, least_slack, nearest
 from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.osqp import Osqp
 from flightstack.core.safety.position_loop import clip, clip_to_box
@@ -43,8 +43,7 @@ class FleetResult(NamedTuple):
 class FleetProgram:
     """Quadratic program of this vehicle and its neighbours."""
 
-    def __init__(self, neighbours: int = OTHERS_MAX) -> None:
-        prepare(neighbours)
+    def __init__(self) -> None:
         self._solver = Osqp(_ROWS)
 
     def solve(

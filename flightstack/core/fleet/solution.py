@@ -207,13 +207,6 @@ def _sets(rows: int, size: int) -> Any:
     return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
 
 
-def prepare(neighbours: int) -> None:
-    """Compute the sets of all programs with at most this number of neighbours before the flight."""
-    for rows in range(1, neighbours + 3):
-        for size in (1, 2, 3):
-            _sets(rows, size)
-
-
 def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
     count, start = len(rows), np.array(nominal)
     normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), np.array(_SIDES)])

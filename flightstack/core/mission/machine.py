@@ -144,11 +144,6 @@ class Mission(Situation):
                 or self._stands(at, standing, now_s)
             )
 
-    def flags_at(self, at: Relative, now_s: float) -> int:
-        """Return the flags that may change in a tick if all inputs are good and there are no neighbours."""
-        flags = time_flags(self.config.checks, self._times_s, self.memory, now_s)
-        return flags | landing_flags(self, at, now_s, True, True)
-
     def stay(self, at: Relative, lasting: int, rules: Rules, now_s: float) -> None:
         """Run an ordinary tick: all inputs are good. Raise NotOrdinary if a rule of the phase fires.
 
@@ -159,7 +154,8 @@ class Mission(Situation):
         memory.target_velocity_enu_m_s = at.target.velocity_enu_m_s
         memory.own_ok_s = now_s
         self.watch_contact(at, False, now_s)
-        flags = lasting | self.flags_at(at, now_s)
+        flags = lasting | time_flags(self.config.checks, self._times_s, memory, now_s)
+        flags |= landing_flags(self, at, now_s, True, True)
         for k in range(len(rules)):
             if flags & rules[k, 0] == rules[k, 0] and not flags & rules[k, 1]:
                 raise NotOrdinary

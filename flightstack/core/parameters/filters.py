@@ -12,7 +12,7 @@ import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from types import FunctionType, MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import Any
 
 from flightstack.common.strict_toml import ConfigError, meant
@@ -110,19 +110,4 @@ def referred(reference: str, key: str = "filter") -> Any:
         where = getattr(found, "__file__", "built in")
         raise ConfigError(
             f"{key}: found {reference!r}, but module {module} ({where}) has no {attribute}"
-            f"{_listed(found, key, attribute)}"
         ) from None
-
-
-def _listed(module: ModuleType, key: str, wrong: str) -> str:
-    """Return a text with the filters that a module defines, or its functions, and the nearest one."""
-    own = {
-        name: each
-        for name, each in vars(module).items()
-        if getattr(each, "__module__", "") == module.__name__
-    }
-    filters = [name for name, each in own.items() if isinstance(each, type) and hasattr(each, "certificate")]
-    functions = [name for name, each in own.items() if isinstance(each, FunctionType)]
-    kind, names = ("filters", filters) if key == "filter" else ("functions", functions)
-    close = meant(wrong, names)
-    return f"; its {kind}: {', '.join(names) or 'none'}{close and f'; {close}'}"

@@ -223,7 +223,7 @@ def test_a_filter_that_there_is_not_is_refused_with_what_is_allowed(verb):
     assert "filter: found 'best', allowed: paper, robust, or MODULE:NAME" in done.err
     done = called(*verb, "--filter", "examples.own_boundary:Kone")
     assert done.code == 2
-    assert "has no Kone; its filters: ConeFilter\n" in done.err
+    assert "has no Kone\n" in done.err
 
 
 TIER_RUNS = 30  # landings of each tier; docs/reference/results.md has 10,000
