@@ -16,10 +16,8 @@ from dataclasses import dataclass
 import flightstack as fs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
-from flightstack.core.safety.projection import best_corner, project
-from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.snapshot import Relative
-from flightstack.core.types import FilterStatus, Vec3
+from flightstack.core.types import Vec3
 from flightstack.verify.ends import contact, notices, reaches_touchdown
 from flightstack.verify.types import Check
 
@@ -55,28 +53,6 @@ class Cone:
         return self.slope * (moved_m * moved_m / (2.0 * d) if moved_m < 2.0 * d else 2.0 * (moved_m - d))
 
 
-class Projection:
-    """The quadratic program of the paper's eq. 11, solved in closed form.
-
-    Args:
-        rate_1_s: relative rate at which h may fall, 1/s.
-    """
-
-    def __init__(self, rate_1_s: float) -> None:
-        self._rate_1_s = rate_1_s
-
-    def solve(
-        self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
-    ) -> FilterResult:
-        """Return the nearest admissible velocity in the box; if none, the corner that raises h fastest."""
-        bound = -self._rate_1_s * h_m - dh_dt_m_s
-        found = project(nominal, gradient, bound, lower, upper)
-        velocity = found if found is not None else best_corner(gradient, lower, upper)
-        status = FilterStatus.CLOSED_FORM if found is not None else FilterStatus.INFEASIBLE
-        slack = sum(g * v for g, v in zip(gradient, velocity, strict=True)) - bound
-        return FilterResult(velocity, slack, velocity != nominal, status, 0.0, 0, 0.0)
-
-
 class ConeFilter(fs.Filter):
     """Safety filter with the cone as boundary.
 
@@ -93,10 +69,6 @@ class ConeFilter(fs.Filter):
     def barrier(self, at: Relative) -> Cone:
         """Return the cone; its shape does not change during the flight."""
         return self._cone
-
-    def program(self) -> Projection:
-        """Return the optimisation problem of each tick (eq. 11), which is solved in closed form."""
-        return Projection(self.rate_1_s)
 
     def may_touch(self, at: Relative) -> bool:
         """Whether the vehicle is low, over the pad and above the cone."""

@@ -19,7 +19,6 @@ from flightstack.api.landing import Changes, single, whole
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
 from flightstack.core.mission.phases import TIME_OVER
-from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import ZERO, Vec3
 from logs.reader.flight_data import Truth
@@ -109,7 +108,6 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         flown = int(self.np_random.integers(2**31)) if seed is None else whole("seed", seed)
         controller = Controller(self.scenario.onboard)
         controller.strategy.ask, controller.strategy.exchange.agent = self._ask, True
-        assert isinstance(controller.velocity.program, SafetyFilter)
         controller.velocity.program.enforces = self._enforces
         flights = Flights(self.scenario, flown, controller=controller)
         (self._companion,) = flights.members

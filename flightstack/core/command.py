@@ -20,7 +20,7 @@ from flightstack.core.numeric import NotOrdinary, rare
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.gate import ApprovedSetpoint, BarrierCheck, Gate, GateVerdict
 from flightstack.core.safety.position_loop import limit, slew
-from flightstack.core.safety.qp_filter import FilterResult, Program
+from flightstack.core.safety.qp_filter import FilterResult, SafetyFilter
 from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
 from flightstack.core.types import ZERO, FilterStatus, Mode, Phase, Vec3
@@ -48,7 +48,7 @@ class Command(NamedTuple):
 class VelocityCommand(Situation):
     """Velocity command of each tick; ``memory`` has the last one."""
 
-    program: Program  # quadratic program of the landing, plain or compiled
+    program: SafetyFilter  # quadratic program of the landing
     gate: Gate
     slew_step: Vec3
     up_step_m_s: float  # largest upward velocity change per tick that the thrust reserve allows
@@ -57,7 +57,7 @@ class VelocityCommand(Situation):
 
     def __init__(self, config: FlightConfig, strategy: Filter, memory: Memory, fleet: FleetMember) -> None:
         super().__init__(config, strategy, memory)
-        self.fleet, self.program, limits = fleet, strategy.program(), config.limits
+        self.fleet, self.program, limits = fleet, SafetyFilter(strategy.rate_1_s), config.limits
         self._period_s = period_s = 1.0 / config.loop.rate_hz
         self.gate = Gate(strategy.rate_1_s, limits.velocity_max_m_s, limits.altitude_max_m, period_s)
         x, y, z = strategy.acceleration_max_m_s2

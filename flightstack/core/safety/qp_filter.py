@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from time import perf_counter
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from flightstack.core.numeric import numeric
 from flightstack.core.safety.osqp import Osqp
@@ -45,15 +45,6 @@ class FilterResult(NamedTuple):
     residual_m_s: float
     iterations: int
     solve_s: float
-
-
-class Program(Protocol):
-    """Program that computes the filtered velocity from the nominal one."""
-
-    def solve(
-        self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
-    ) -> FilterResult:
-        """Filter one nominal velocity; the arguments are those of ``SafetyFilter.solve``."""
 
 
 class SafetyFilter:

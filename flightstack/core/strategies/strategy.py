@@ -32,7 +32,7 @@ from flightstack.core.parameters.filters import FILTERS, file_of, named
 from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
 from flightstack.core.safety.barrier import ActiveBarrier, Barrier, problem_of
 from flightstack.core.safety.position_loop import nominal_velocity
-from flightstack.core.safety.qp_filter import FilterResult, Program, SafetyFilter
+from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.snapshot import Relative
 from flightstack.core.strategies.user_filter import (
     NEEDED,
@@ -238,10 +238,6 @@ class Filter:
     def motors_off(self, at: Relative) -> bool:
         """Whether the motors stop in the touchdown before contact: the paper's rule does not wait for it."""
         return self._by_rule
-
-    def program(self) -> Program:
-        """Return a new program that filters the nominal velocity; it allocates its memory once."""
-        return SafetyFilter(self.rate_1_s)
 
     def take(self, sample: TargetSample) -> None:
         """Update the target estimate with an accepted sample."""
