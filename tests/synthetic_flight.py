@@ -13,7 +13,7 @@ from bridge.ros2.cdr import Odometry
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import nominal_velocity, slew
-from flightstack.core.safety.projection import project
+from flightstack.core.safety.projection import projected
 from flightstack.core.types import Phase
 from logs.recorder.recording import McapFile
 from logs.schema import schemas
@@ -101,7 +101,7 @@ def _landing() -> Rows:
         h, gradient, dh_dt = BARRIER.evaluate(seen_e, pad_v)
         nominal = nominal_velocity(seen_e, (1.0, 1.0, 1.0), pad_v)
         bound = -OMEGA_1_S * h - dh_dt
-        filtered = project(nominal, gradient, bound, tuple(-b for b in BOX), BOX)
+        filtered, _ = projected(nominal, gradient, bound, tuple(-b for b in BOX), BOX)
         aim = tuple(b + o for b, o in zip(pad, START_E_M, strict=True))
         before = phase
         if phase == Phase.WAIT and t_s >= GROUND_S:

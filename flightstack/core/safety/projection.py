@@ -29,12 +29,6 @@ def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
 EMPTY = -1.0  # value of the multiplier if no point of the box meets the half-space
 
 
-def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 | None:
-    """Project ``nominal`` onto ``{lower <= u <= upper, g . u >= b}``; ``None`` if that set is empty."""
-    point, multiplier = projected(nominal, g, b, lower, upper)
-    return None if multiplier == EMPTY else point
-
-
 @numeric
 def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
     """Return the minimiser and the multiplier lambda of the half-space.

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from flightstack.core.numeric import numeric
 from flightstack.core.safety.osqp import Osqp
-from flightstack.core.safety.projection import EMPTY, best_corner, projected
+from flightstack.core.safety.projection import EMPTY, projected
 from flightstack.core.types import FilterStatus, Vec3
 
 RESIDUAL_MAX_M_S = 1e-6  # largest violation of box or barrier by an accepted result
@@ -69,21 +69,17 @@ class SafetyFilter:
         if not self.enforces:
             free, _ = clipped(nominal, gradient, bound, lower, upper)
             return FilterResult(free, 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
-        corner = best_corner(gradient, lower, upper)
-        slack = gx * corner[0] + gy * corner[1] + gz * corner[2] - bound
-        if slack < 0.0:
-            return FilterResult(corner, slack, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
         started_s = perf_counter()
         exact, multiplier = projected(nominal, gradient, bound, lower, upper)
-        if multiplier == EMPTY:  # the feasible set is empty because of rounding
-            multiplier = math.inf
+        if multiplier == EMPTY:
+            slack = gx * exact[0] + gy * exact[1] + gz * exact[2] - bound
+            return FilterResult(exact, slack, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
         point, residual, iterations = self._osqp(nominal, gradient, bound, lower, upper, exact, multiplier)
-        solve_s = perf_counter() - started_s
-        status = FilterStatus.SOLVED
-        if residual > RESIDUAL_MAX_M_S or not math.isfinite(residual):
+        solve_s, status = perf_counter() - started_s, FilterStatus.SOLVED
+        if not residual <= RESIDUAL_MAX_M_S:
             point, status = exact, FilterStatus.CLOSED_FORM
-        slack, active = judged(point, nominal, gradient, bound, lower, upper)
-        return FilterResult(point, slack, active, status, residual, iterations, solve_s)
+        slack = gx * point[0] + gy * point[1] + gz * point[2] - bound
+        return FilterResult(point, slack, multiplier != 0.0, status, residual, iterations, solve_s)
 
     def _osqp(
         self, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, start: Vec3,
@@ -127,14 +123,3 @@ def clipped(point: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3)
     cx, cy, cz = min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)
     barrier_miss = bound - (gx * cx + gy * cy + gz * cz)
     return (cx, cy, cz), max(abs(x - cx), abs(y - cy), abs(z - cz), barrier_miss, 0.0)
-
-
-@numeric
-def judged(
-    point: Vec3, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3
-) -> tuple[float, bool]:
-    """Return the slack of the barrier's constraint at a point, and whether the nominal one violates it."""
-    (x, y, z), (nx, ny, nz), (gx, gy, gz) = point, nominal, gradient
-    (lx, ly, lz), (hx, hy, hz) = lower, upper
-    free = gx * min(max(nx, lx), hx) + gy * min(max(ny, ly), hy) + gz * min(max(nz, lz), hz)
-    return gx * x + gy * y + gz * z - bound, free < bound

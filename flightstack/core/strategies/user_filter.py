@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flightstack.common.text import one_line
-from flightstack.core.safety.projection import best_corner, project
+from flightstack.core.safety.projection import projected
 from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import FilterStatus, Vec3
@@ -75,8 +75,8 @@ class At(NamedTuple):
         """
         permitted = self.permitted(checked_velocity(velocity_m_s, "at.enforced"))
         gradient, lower, upper = self.gradient.tolist(), self.lower_m_s.tolist(), self.upper_m_s.tolist()
-        found = project(permitted, tuple(gradient), self.bound_m_s, tuple(lower), tuple(upper))
-        return np.array(found if found is not None else best_corner(gradient, lower, upper))
+        found, _ = projected(permitted, tuple(gradient), self.bound_m_s, tuple(lower), tuple(upper))
+        return np.array(found)
 
 
 def three_finite(found: Any) -> Vector | None:

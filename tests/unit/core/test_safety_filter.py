@@ -16,7 +16,7 @@ from scipy import sparse
 
 from flightstack.core.safety import osqp, qp_filter
 from flightstack.core.safety.osqp import Osqp
-from flightstack.core.safety.projection import EMPTY, best_corner, project, projected
+from flightstack.core.safety.projection import EMPTY, best_corner, projected
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus
 from tests.examples import examples
@@ -34,6 +34,12 @@ sides = st.tuples(st.floats(-1.0, 1.0), st.one_of(st.just(0.0), st.floats(0.0, 1
 boxes = st.tuples(sides, sides, sides).map(
     lambda b: (tuple(low for low, _ in b), tuple(low + size for low, size in b))
 )
+
+
+def project(*given):
+    """Return the exact projection; None: no point of the box meets the half-space."""
+    point, multiplier = projected(*given)
+    return None if multiplier == EMPTY else point
 
 
 def low(box):
