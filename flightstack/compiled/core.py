@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import Enum
 from importlib.util import find_spec
 
 from flightstack.common.text import pip_install
@@ -10,19 +9,6 @@ from flightstack.compiled.jit import is_kept, is_off, keep, telling
 from flightstack.core.controller import Controller
 from flightstack.core.numeric import hypot_is_known
 from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
-
-
-class Core(Enum):
-    """Code that computes a control step; the value is that of the option ``--core``."""
-
-    AUTO = "auto"  # in real time: compiled code if its machine code is on disk, else plain Python
-    PLAIN = "plain"
-    COMPILED = "compiled"
-
-
-def is_possible() -> bool:
-    """Whether numba is installed and not disabled."""
-    return not is_off() and find_spec("numba") is not None
 
 
 def suits(config: FlightConfig) -> bool:
@@ -39,31 +25,28 @@ def suits_but_filter(config: FlightConfig) -> bool:
     )
 
 
-def _stamp(config: FlightConfig) -> str:
-    """Return the name of a file that marks the machine code of this configuration as complete."""
-    return f"core-{config.filter}"
+def chosen_core(core: str, config: FlightConfig, *, lockstep: bool) -> str:
+    """Return the code to use, ``plain`` or ``compiled``; ``core``: value of the option ``--core``.
 
-
-def chosen_core(core: Core, config: FlightConfig, *, lockstep: bool) -> Core:
-    """Return the code to use: ``PLAIN`` or ``COMPILED``.
-
-    In lockstep the default is plain Python: loading compiled code takes longer than it saves in one flight.
+    ``auto``: compiled code in real time if its machine code is on disk, else plain Python. In lockstep,
+    loading compiled code takes longer than it saves in one flight.
 
     Raises ValueError: compiled code is requested but not possible.
     """
-    if core is Core.COMPILED and not is_possible():
+    possible, fits = not is_off() and find_spec("numba") is not None, suits(config)
+    if core == "compiled" and not possible:
         raise ValueError(
             "--core compiled: numba is not installed, or switched off by NUMBA_DISABLE_JIT; "
             f"{pip_install('sim')}, or leave it out"
         )
-    if core is Core.COMPILED and not suits(config):
+    if core == "compiled" and not fits:
         raise ValueError(
             f"--core compiled: found filter {config.filter}; compiled code flies robust and paper, without "
             "[fleet] and velocity_loop.dead_time_s, with touchdown.rule contact: leave it out"
         )
-    if core is Core.AUTO:
-        warm = not lockstep and is_possible() and suits(config) and is_kept(_stamp(config))
-        return Core.COMPILED if warm else Core.PLAIN
+    if core == "auto":
+        warm = not lockstep and possible and fits and is_kept(f"core-{config.filter}")
+        return "compiled" if warm else "plain"
     return core
 
 
@@ -75,5 +58,5 @@ def compiled(config: FlightConfig) -> Controller:
 
     with telling("the controller, about 10 s, once"):
         made = CompiledController(config)
-    keep(_stamp(config))
+    keep(f"core-{config.filter}")
     return made

@@ -26,7 +26,7 @@ from flightstack.common.pacing import (
     run_promptly,
 )
 from flightstack.common.strict_toml import ConfigError, dumps
-from flightstack.compiled.core import Core, chosen_core, compiled
+from flightstack.compiled.core import chosen_core, compiled
 from flightstack.config.options import OnboardOptions
 from flightstack.core.controller import ERROR, WARN, Controller, Outputs
 from flightstack.core.memory import Memory
@@ -72,8 +72,8 @@ class Onboard:
         self.namespace = options.namespace or namespace_of(config)
         self.names = Names(self.namespace, options.system_id)
         rate_hz = config.loop.rate_hz
-        self.core = chosen_core(Core(options.core), config, lockstep=options.lockstep)
-        self.controller = compiled(config) if self.core is Core.COMPILED else Controller(config)
+        self.core = chosen_core(options.core, config, lockstep=options.lockstep)
+        self.controller = compiled(config) if self.core == "compiled" else Controller(config)
         origin = config.vehicle.origin_wgs84
         self.wires = ZenohWires(config, options, self.namespace)
         self.fleet = _fleet(config, options, self.wires.session, self.namespace)
@@ -162,7 +162,7 @@ class Onboard:
                 "system_id": str(options.system_id),
                 "lockstep": str(options.lockstep).lower(),
                 "autopilot": options.autopilot,
-                "core": self.core.value,
+                "core": self.core,
                 # the message rates of a slow serial line depend on the baud rate
                 **({"baud": str(endpoint.baud)} if endpoint.baud is not None else {}),
                 "signed": str(endpoint.signed).lower(),
@@ -213,7 +213,7 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
         signals = Signals()
         if onboard.log_file is not None:
             say(f"log {onboard.log_file}")
-        say(f"core {onboard.core.value}")
+        say(f"core {onboard.core}")
         for text in ignored(config):
             say(text)
         say("ready")

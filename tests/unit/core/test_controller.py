@@ -16,8 +16,7 @@ from flightstack.core.types import (
     TargetSample,
     VehicleStatus,
 )
-from tests.point_mass import World
-from tests.unit.core.core_helpers import SLOW, config
+from tests.unit.core.core_helpers import config
 
 CONFIG = config()
 TICK_S = 1.0 / CONFIG.loop.rate_hz
@@ -157,12 +156,3 @@ def test_told_to_end_while_it_flies_clear_it_lands_and_the_emergency_stop_is_sti
     out = bench.step(1.0, xy=(0.5, 0.0), operator=Operator.EMERGENCY_STOP, **FLIES)
     assert out.request is Request.MOTORS_OFF
     assert bench.step(1.0, operator=Operator.EMERGENCY_STOP, **FLIES).events == ()
-
-
-def ruled(rule):
-    return config(limits=SLOW, touchdown={"rule": rule})
-
-
-def landed(rule, **changes):
-    world = World(ruled(rule), solid_pad=True, **changes)
-    return world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))

@@ -4,8 +4,7 @@ import pytest
 
 from bridge.mavlink.profiles import ARDUPILOT, AUTO, CHOICES, PROFILES, PX4, refusal
 from bridge.target.ros2_target import TargetType
-from flightstack.compiled.core import Core
-from flightstack.config.options import AUTOPILOTS, CORES, TARGET_TYPES
+from flightstack.config.options import AUTOPILOTS, TARGET_TYPES
 from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.autopilots_page import PAGE, split, tables
 
@@ -22,9 +21,8 @@ def test_every_profile_is_whole():
     assert (AUTO, *PROFILES) == CHOICES
 
 
-def test_the_command_knows_cores_and_autopilots():
+def test_the_command_knows_autopilots_and_types_of_targets():
     assert AUTOPILOTS == CHOICES
-    assert tuple(each.value for each in Core) == CORES
     assert tuple(each.value for each in TargetType) == TARGET_TYPES
 
 
