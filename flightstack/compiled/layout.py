@@ -10,16 +10,10 @@ from enum import IntEnum
 from functools import cache
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
-from flightstack.core.numeric import ABSENT, UNSEEN
+from flightstack.core.numeric import UNSEEN
 
 WORD = 8  # size of a double or integer, bytes
 _texts: list[str] = [""]
-
-
-def _none(value: object) -> tuple[()]:
-    if value is not None:
-        raise TypeError("compiled code knows only that it is not there")
-    return ()
 
 
 def _code(text: str) -> int:
@@ -37,15 +31,11 @@ class Kind(NamedTuple):
     @property
     def is_object(self) -> bool:
         """Whether the value is the address of an object."""
-        if self.hint is None:
-            return False
         return not self.parts and self.hint not in (float, int, bool, str) and not is_enum(self.hint)
 
     @property
     def format(self) -> str:
         """Format string for ``struct``."""
-        if self.hint is None:
-            return ""
         if self.parts:
             return "".join(part.format for part in self.parts)
         return "d" if self.hint is float else "q"
@@ -53,8 +43,6 @@ class Kind(NamedTuple):
     def taken(self, path: str) -> str:
         """Return a Python expression for the elements of a value, in the order of compiled memory."""
         if not self.parts:
-            if self.hint is None:
-                return f"*none({path})"
             if self.hint is str:
                 return f"code({path})"
             return f"at.get(id({path}), 0)" if self.is_object else path
@@ -75,8 +63,6 @@ class Kind(NamedTuple):
                 return f"({inner})"
             scope[self.hint.__name__] = self.hint
             return f"{self.hint.__name__}({inner})"
-        if self.hint is None:
-            return "None"
         if self.hint in (float, int):
             return f"v[{at}]"
         if self.hint is str:
@@ -93,9 +79,7 @@ def is_enum(hint: Any) -> bool:
 def kind_of_hint(hint: Any) -> Kind | None:
     """Return the layout of a declared type; ``None`` if compiled code cannot hold it."""
     if get_origin(hint) is Annotated:
-        if UNSEEN in get_args(hint):
-            return None
-        return Kind(None) if ABSENT in get_args(hint) else kind_of_hint(get_args(hint)[0])
+        return None if UNSEEN in get_args(hint) else kind_of_hint(get_args(hint)[0])
     if get_origin(hint) in (typing.Union, python_types.UnionType):
         given = [each for each in get_args(hint) if each is not type(None)]
         return kind_of_hint(given[0]) if len(given) == 1 else None
@@ -151,7 +135,7 @@ def reader_of(cls: Any) -> Callable[[Any, tuple[Any, ...]], None]:
 def taker_of(cls: Any) -> Callable[[Any, dict[int, int]], tuple[Any, ...]]:
     """Return a function that returns the elements of an object, in the order of compiled memory."""
     parts = "".join(f"{kind.taken(f'o.{name}')}, " for name, (kind, _) in fields_of(cls).items())
-    scope: dict[str, Any] = {"code": _code, "none": _none}
+    scope: dict[str, Any] = {"code": _code}
     exec(f"def take(o, at):\n    return ({parts})", scope)
     return scope["take"]  # type: ignore[no-any-return]
 

@@ -90,8 +90,6 @@ else:
             if get_origin(kind.hint) is tuple:
                 return types.BaseTuple.from_types(inner)
             return types.BaseTuple.from_types(inner, kind.hint)
-        if kind.hint is None:
-            return types.none
         if kind.hint is bool:
             return types.boolean
         if kind.hint is float:
@@ -187,8 +185,6 @@ else:
                 items.append(item)
                 at += size
             return context.make_tuple(builder, kind, items), at
-        if kind == types.none:
-            return context.get_dummy_value(), 0
         if kind == types.float64:
             return builder.load(builder.bitcast(place, _DOUBLE.as_pointer())), 1
         number = builder.load(builder.bitcast(place, _WHOLE.as_pointer()))
@@ -205,8 +201,6 @@ else:
                 to = cgutils.pointer_add(builder, place, WORD * at)
                 at += _store(context, builder, each, to, builder.extract_value(value, n))
             return at
-        if kind == types.none:
-            return 0
         if kind == types.float64:
             builder.store(value, builder.bitcast(place, _DOUBLE.as_pointer()))
             return 1

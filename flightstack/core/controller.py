@@ -295,6 +295,8 @@ class Controller:
         memory, track = self.memory, self.track.memory
         if track.run_since_s < math.inf or track.distrusted or self.plausibility.memory.distrusted:
             return False
+        if track.elsewhere is not None:
+            return False
         if memory.lifting or memory.yaw_rad is None or not memory.good_since_s < math.inf:
             return False
         if memory.phase is Phase.LANDED:

@@ -11,7 +11,7 @@ from enum import IntEnum
 from math import inf, nan
 from typing import Annotated, Any
 
-from flightstack.core.numeric import ABSENT, UNSEEN
+from flightstack.core.numeric import UNSEEN
 from flightstack.core.types import ZERO, MemberStatus, OwnState, Phase, TargetSample, Vec3
 
 
@@ -76,9 +76,8 @@ class TrackMemory(ClockMemory):
     """State of the target track, with its sender's clock."""
 
     last: TargetSample | None = None  # newest accepted sample; None before the first
-    elsewhere: Annotated[TargetSample | None, ABSENT] = (
-        None  # newest of the samples that agree with each other after a jump
-    )
+    # newest of the samples that agree with each other after a jump
+    elsewhere: Annotated[TargetSample | None, UNSEEN] = None
     elsewhere_since_s: float = 0.0
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
     drift_smooth_m: Vec3 = ZERO  # ``drift_m`` without the noise of single samples

@@ -37,8 +37,7 @@ def rare(function: F) -> F:
     return function
 
 
-# annotations of fields that are None (ABSENT), or do not exist (UNSEEN), in compiled code
-ABSENT, UNSEEN = "absent", "unseen"
+UNSEEN = "unseen"  # annotation of fields that do not exist in compiled code
 
 
 class NotOrdinary(Exception):  # noqa: N818

@@ -15,7 +15,7 @@ import math
 from typing import NamedTuple
 
 from flightstack.core.memory import TrackMemory
-from flightstack.core.numeric import norm, rare
+from flightstack.core.numeric import STAND_INS, norm, rare
 from flightstack.core.parameters.flight import Checks
 from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
 from flightstack.core.target.plausibility import SMOOTHING_S, TRUSTED_AGAIN, drifted, repeats, smoothed
@@ -132,7 +132,7 @@ class TargetTrack:
         lost, stepped = gap_s > checks.target_age_max_s, reading is Reading.STEPPED
         if repeats(last.position_enu_m, sample.position_enu_m, sample.velocity_enu_m_s, STANDING_M_S):
             return Reading.FROZEN
-        if lost or stepped or memory.elsewhere is not None:
+        if lost or stepped or self._searches():
             return self._judge_anew(last, sample, gap_s, lost, stepped)
         near = self._near(last, sample, sample, sample.source_time_s - last.source_time_s)
         return Reading.FRESH if near else self._judge_anew(last, sample, gap_s, lost, stepped)
@@ -160,6 +160,10 @@ class TargetTrack:
             memory.elsewhere = None
             return Reading.FRESH
         return Reading.JUMP
+
+    def _searches(self) -> bool:
+        """Whether the newest sample jumped to another place; compiled code runs only if not."""
+        return self.memory.elsewhere is not None
 
     def _near(self, before: TargetSample, after: TargetSample, at_last: TargetSample, step_s: float) -> bool:
         """Whether the mean of two velocities explains the motion of the target between two samples.
@@ -198,3 +202,10 @@ class TargetTrack:
         (x, y, z), (vx, vy, vz) = last.position_enu_m, last.velocity_enu_m_s
         position = (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s)
         return TargetState(age_s, position, last.velocity_enu_m_s, last.yaw_rad, 0.0, 0.0)
+
+
+def _never(_one: TargetTrack) -> bool:
+    return False
+
+
+STAND_INS[TargetTrack._searches] = _never
