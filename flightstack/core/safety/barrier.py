@@ -162,11 +162,6 @@ class RobustBarrier(NamedTuple):
     margin_m: float
     fade_radius_m: float
 
-    @property
-    def slope_max(self) -> float:
-        """Bound of the boundary's slope: the steepest slope of the barrier plus that of the margin."""
-        return self.barrier.slope_max + self.margin_m / self.fade_radius_m * math.sqrt(2.0 / math.e)
-
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
         """Return how far h may fall below its linear prediction; see ``Barrier.linearisation_bound_m``.
 

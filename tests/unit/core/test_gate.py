@@ -198,7 +198,7 @@ speeds = st.floats(-1.5, 1.5)
 
 
 @given(
-    st.builds(Barrier, st.floats(0.2, 5.0), st.floats(0.1, 3.0), st.floats(0.001, 0.02)),
+    st.builds(Barrier, st.floats(0.2, 5.0), st.floats(0.1, 3.0), apex_smoothing_m=st.floats(0.001, 0.02)),
     st.floats(0.0, 0.3), st.floats(0.01, 0.3), st.sampled_from((10, 25, 100, 500)), st.floats(0.3, 3.0),
     st.one_of(st.floats(0.0, 0.1), st.floats(0.0, 2.5)), st.floats(0.0, math.tau), st.floats(-0.3, 0.3),
     st.tuples(speeds, speeds, speeds), st.tuples(speeds, speeds, st.floats(-0.3, 0.3)),
