@@ -218,11 +218,12 @@ class Controller:
 
     def _estimate_vehicle(self, inputs: Inputs, now_s: float) -> Inputs:
         """Return the inputs with the current vehicle state; None if a number of it is not finite."""
-        own, status = inputs.own, inputs.status
-        if own is None or not own.is_finite:  # a NaN would remain in all estimator states
-            return inputs._replace(own=None)
-        flies = status is not None and status.flies_by_setpoints
-        return inputs._replace(own=self.estimate_own(own, flies, now_s))
+        own, status, samples, operator, power, neighbours = inputs
+        if own is not None:
+            flies = status is not None and status.flies_by_setpoints
+            # a NaN would remain in all estimator states
+            own = self.estimate_own(own, flies, now_s) if own.is_finite else None
+        return Inputs(own, status, samples, operator, power, neighbours)
 
     def _estimate_reserve(self, inputs: Inputs, now_s: float) -> Charge:
         """Estimate the thrust reserve, set this tick's acceleration limits, and return the battery state."""
