@@ -31,8 +31,16 @@ def _make_class(row: dict[str, Any]) -> Any:
                 setattr(self, f"_{name}_raw", value)
                 setattr(self, name, value.split(b"\x00", 1)[0].decode("ascii", errors="replace"))
 
+    def pack(self: Any, mav: Any, force_mavlink1: bool = False) -> bytes:
+        values: list[Any] = []
+        for name, length in zip(row["ordered_fieldnames"], row["lengths"], strict=True):
+            value = getattr(self, f"_{name}_raw" if name in texts else name)
+            values += value[:length] if length > 1 else [value]
+        payload = made["unpacker"].pack(*values)
+        return bytes(self._pack(mav, row["crc_extra"], payload, force_mavlink1))
+
     orders = [row["ordered_fieldnames"].index(name) for name in names]
-    made = {**row, "__init__": init, "orders": orders, "unpacker": struct.Struct(row["format"])}
+    made = {**row, "__init__": init, "pack": pack, "orders": orders, "unpacker": struct.Struct(row["format"])}
     return type(f"MAVLink_{row['msgname'].lower()}_message", (dialect.MAVLink_message,), made)
 
 
