@@ -37,7 +37,6 @@ class Direction(Enum):
 
 class Received(NamedTuple):
     message: Message
-    raw: bytes
     peer: Peer
 
     @property
@@ -157,7 +156,7 @@ class Endpoint:
             counters["peers_refused"] += 1
         if self.tap is not None:
             self.tap(Direction.IN, frame, peer)
-        received.append(Received(message, frame, peer))
+        received.append(Received(message, peer))
 
     def _refused(self, frame: bytes) -> Refusal | None:
         """Return the reason why signing rejects a frame; None: the frame is accepted."""

@@ -46,7 +46,7 @@ class RecordedEndpoint(Endpoint):
 
     def receive(self) -> list[Received]:
         known = [each for each in self.incoming if message_id(each[0]) in MESSAGES]  # others are raw records
-        received = [Received(decode(frame), frame, (peer, 0)) for frame, peer in known]
+        received = [Received(decode(frame), (peer, 0)) for frame, peer in known]
         self.incoming.clear()
         return received
 

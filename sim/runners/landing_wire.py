@@ -87,14 +87,14 @@ class Inlet(Endpoint):
                 continue
             rounded(message)
             header.srcSystem, header.srcComponent = self._ids
-            arrived.append(Received(message, b"", PEER))
+            arrived.append(Received(message, PEER))
 
     def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
         """Pass a packed frame to the other end; a damaged frame is lost."""
         del peer
         for good in split_frames(frame):
             if message_id(good) in MESSAGES:
-                self.other._arrived.append(Received(decode(good), good, PEER))
+                self.other._arrived.append(Received(decode(good), PEER))
 
     def wait(self, timeout_s: float) -> bool:
         """Let the other end run, instead of waiting; return whether messages have arrived."""

@@ -186,7 +186,7 @@ def test_a_repeat_is_no_replay_and_a_damaged_one_stays_damaged():
     frames = []
     while len(frames) < 2:
         assert vehicle.wait(5.0)
-        frames += [r.raw for r in vehicle.receive()]
+        frames += [bytes(r.message.get_msgbuf()) for r in vehicle.receive()]
     assert frames[0] == frames[1]
     damaged = bytearray(hello.get_msgbuf())
     damaged[12] ^= 0xFF
