@@ -16,12 +16,11 @@ _ENOUGH = 200  # maximum number of shown faults
 
 
 class FaultSpan(NamedTuple):
-    """One fault, with its times since the flight's origin, s; ``over``: whether it ended before the log."""
+    """One fault, with its times since the flight's origin, s; one without an end lasts as long as the log."""
 
     text: str
     begin_s: float
     end_s: float
-    over: bool
 
 
 def fault_spans(flight: Flight) -> list[FaultSpan]:
@@ -34,10 +33,9 @@ def fault_spans(flight: Flight) -> list[FaultSpan]:
             begun.setdefault(text.removeprefix(BEGINS), event.t_s)
         elif text.startswith(ENDS):
             name = text.removeprefix(ENDS)
-            begin_s = begun.pop(name, None)
-            if begin_s is not None:
-                found.append(FaultSpan(name, begin_s, event.t_s, over=True))
-    found += [FaultSpan(name, begin_s, flight.duration_s, over=False) for name, begin_s in begun.items()]
+            if (begin_s := begun.pop(name, None)) is not None:
+                found.append(FaultSpan(name, begin_s, event.t_s))
+    found += [FaultSpan(name, begin_s, flight.duration_s) for name, begin_s in begun.items()]
     return sorted(found, key=lambda span: span.begin_s)[:_ENOUGH]
 
 
