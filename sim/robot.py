@@ -16,23 +16,27 @@ import numpy as np
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import ROBOT_FAILED, one_line
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Cell, Record, Values, Vector, cell, cell_of_numbers, new, reader
+from flightstack.compiled.records import F64, Cell, Record, Vector, cell, cell_of_numbers, new, reader
 from flightstack.core.parameters.filters import file_of, referred
 from flightstack.core.types import Vec3
 from sim.chance import stream
 from sim.plant.params import load
 from sim.plant.sensors import BLOCK, NS, MeasurementChannel
 from sim.plant.state_error import DELAY, TURN, WIDTH, ErrorRows, PastRecord, mismeasured_path
-from sim.scenarios.tables import PathKind, StateError, TargetLink, TargetSpec
+from sim.scenarios.tables import PathKind, TargetLink, TargetSpec
 
 DRIVE_LAG_S = 0.1  # first-order lag of the drive, s; not documented by ROBOTIS, assumed 0.05 to 0.15 s
 
 
-class PadPose(NamedTuple):
-    """Pose of the pad centre (top side), ENU."""
+class Pad(NamedTuple):
+    """Motion of the pad centre (top side), in the order of ``PadRecord``."""
 
+    time_ns: int
     position_enu_m: Vec3
     yaw_rad: float
+    velocity_body_m_s: Vec3
+    velocity_enu_m_s: Vec3
+    yaw_rate_rad_s: float
 
 
 # an odometry sample: time of measurement, s; position, ENU, m; yaw; velocity in the body frame; yaw rate
@@ -237,9 +241,8 @@ def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) 
 class TargetModel:
     """Model of the target's true motion.
 
-    ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s``, ``yaw_rate_rad_s`` and the values of ``pad``
-    describe the pad centre at ``time_s``; the twist in the body frame is constant until the next step. Heave
-    continues also while the robot does not drive, like waves.
+    The twist in the body frame is constant until the next step. Heave continues also while the robot does not
+    drive, like waves.
 
     ``spec``: path, speeds, limits, pad; ``seed``: sets speed, turn rate and heading that ``spec`` leaves
     open, the time until the first change of stop-and-go and reversing, and the phase of the heave;
@@ -271,21 +274,26 @@ class TargetModel:
         m.yaw = wrap(2.0 * math.pi * heading) if spec.random_heading else wrap(spec.heading_rad)
         self._cell, self._read = cell_of_numbers(m), reader(m.pad)
         publish(self._cell, step_s)
-        self._show()
         # compile or load the code before the simulated time starts
-        drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, len(self.pad))))
+        drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, 12)))
 
     def stop(self) -> None:
         """Stop suddenly, as with locked wheels; the next step shows the stop."""
         self._record.v = self._record.w = 0.0
 
-    def step(self, dt_s: float, driving: bool) -> None:
-        """Advance by ``dt_s``; see ``drive``."""
-        self.run(1, dt_s, driving)
+    @property
+    def pad(self) -> Pad:
+        """Motion of the pad now."""
+        p = self._read()
+        return Pad(int(p[0]), p[1:4], p[4], p[5:8], p[8:11], p[11])
+
+    def row(self) -> F64:
+        """Return the motion of the pad now, in the form of ``run``."""
+        return np.array([self._read()], dtype=np.float64)
 
     def run(self, steps: int, dt_s: float, driving: bool) -> F64:
         """Run ``steps`` steps; return the pad's motion after each, (steps, 12) values of a PadRecord."""
-        pads = np.empty((steps, len(self.pad)))
+        pads = np.empty((steps, 12))
         if self._course is None or not driving:
             drive_on(self._cell, dt_s, driving, pads)
         else:
@@ -293,45 +301,7 @@ class TargetModel:
             for n in range(steps):
                 m.demand[:] = 2 * self._course(m.driven_s, m.x, m.y, m.yaw)
                 drive_on(self._cell, dt_s, True, pads[n : n + 1])
-        self._show()
         return pads
-
-    def _show(self) -> None:
-        self.pad: Values = self._read()  # values in the order of PadRecord
-        pad = self.pad
-        self.time_s: float = pad[0] / NS
-        self.pose = PadPose(pad[1:4], pad[4])
-        self.velocity_body_m_s: Vec3 = pad[5:8]
-        self.velocity_enu_m_s: Vec3 = pad[8:11]
-        self.yaw_rate_rad_s: float = pad[11]
-
-
-class TargetError:
-    """Errors of motion capture on the true state; call ``apply`` once for each sample, in order.
-
-    ``spec``: errors; ``rate_hz``: rate of the samples.
-    """
-
-    def __init__(self, spec: StateError, seed: int, rate_hz: float) -> None:
-        self._rows = ErrorRows(spec, seed, "target", rate_hz)
-        self._left = np.empty((0, WIDTH))
-        self._past = new(PastRecord)
-        self._past.rate = rate_hz
-        self._cell, self._late = cell(self._past), np.empty((1, 6))
-
-    def apply(self, pad: Sequence[float]) -> tuple[Sequence[float], float, Sequence[float]]:
-        """Return the measured position (ENU, m), heading (rad) and velocity in the body frame (m/s).
-
-        ``pad``: true motion, values of a PadRecord.
-        """
-        if not len(self._left):
-            self._left = self._rows.take(BLOCK)
-        rows, self._left = self._left[:1], self._left[1:]
-        mismeasured_path(self._cell, np.array([pad[1:4]]), np.array([pad[8:11]]), rows, self._late)
-        (x, y, z, vx, vy, vz), row = self._late[0].tolist(), rows[0]
-        yaw = pad[4] - pad[11] * float(row[DELAY]) + float(row[TURN + 2])
-        c, s = math.cos(yaw), math.sin(yaw)
-        return (x, y, z), yaw, (c * vx + s * vy, c * vy - s * vx, vz)
 
 
 _MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # indices in a PadRecord: position, heading, velocity, turn rate
@@ -349,8 +319,11 @@ class TargetOdometry:
     def __init__(self, link: TargetLink, seed: int) -> None:
         p, v = link.position_noise_m, link.velocity_noise_m_s
         sigmas = (p, p, p, link.yaw_noise_rad, v, v, v, v / load().robot.wheel_half_track_m)
-        self.channel = MeasurementChannel(link, sigmas, seed, "target.odometry")
-        self._error = None if link.error is None else TargetError(link.error, seed, link.rate_hz)
+        self._channel = MeasurementChannel(link, sigmas, seed, "target.odometry")
+        self._errors = None if link.error is None else ErrorRows(link.error, seed, "target", link.rate_hz)
+        self._left, past = np.empty((0, WIDTH)), new(PastRecord)
+        past.rate = link.rate_hz
+        self._past = cell(past)
 
     def run(self, pads: F64) -> tuple[list[int], F64]:
         """Measure the due samples; return the samples that the link releases in these steps, oldest first.
@@ -358,21 +331,36 @@ class TargetOdometry:
         ``pads``: (n, 12) true motion after each step, values of a PadRecord.
         Returns the index of the step in which each sample arrived, and the samples, (m, 9).
         """
-        values = pads[:, _MEASURED]
-
-        def worsen(n: int) -> None:
-            values[n] = self._measured(pads[n].tolist())
-
         times_ns = pads[:, 0].astype(np.int64).tolist()
-        arrived, samples = self.channel.run(times_ns, values, None if self._error is None else worsen)
+        arrived, samples = self._channel.run(times_ns, lambda due: self._measured(pads[due]))
         _finish(samples)
         return arrived, samples
 
-    def _measured(self, pad: Sequence[float]) -> Sequence[float]:
-        position, yaw, velocity = pad[1:4], pad[4], pad[5:8]
-        if self._error is not None:
-            position, yaw, velocity = self._error.apply(pad)
-        return (*position, yaw, *velocity, pad[11])
+    def _measured(self, pads: F64) -> F64:
+        values, count = pads[:, _MEASURED], len(pads)
+        if self._errors is not None:
+            while len(self._left) < count:
+                self._left = np.concatenate((self._left, self._errors.take(BLOCK)))
+            rows, self._left = self._left[:count], self._left[count:]
+            late = np.empty((count, 6))
+            mismeasured_path(self._past, pads[:, 1:4].copy(), pads[:, 8:11].copy(), rows, late)
+            _mismeasured(pads, rows, late, values)
+        return values
+
+
+@jitted
+def _mismeasured(pads: F64, rows: F64, late: F64, values: F64) -> None:
+    """Fill in position, heading and velocity in the body frame as motion capture measures them.
+
+    ``rows``: errors; ``late``: measured position and velocity, ENU.
+    """
+    for n in range(len(pads)):
+        value, v = values[n], late[n]
+        yaw = pads[n, 4] - pads[n, 11] * rows[n, DELAY] + rows[n, TURN + 2]
+        c, s = math.cos(yaw), math.sin(yaw)
+        for i in range(3):
+            value[i] = v[i]
+        value[3], value[4], value[5], value[6] = yaw, c * v[3] + s * v[4], c * v[4] - s * v[3], v[5]
 
 
 @jitted

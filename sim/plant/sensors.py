@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from operator import add
 from typing import Annotated
 
 import numpy as np
@@ -149,57 +148,42 @@ class MeasurementChannel:
     """
 
     def __init__(self, link: OdometryLink, sigmas: Sequence[float], seed: int, purpose: str) -> None:
-        self._losses = Losses(link, seed, purpose + ".loss")
+        self._losses, self._width = Losses(link, seed, purpose + ".loss"), len(sigmas)
         self._noise = NoiseRows(sigmas, seed, purpose + ".noise")
         self._rate = link.rate_hz
         self._delay_ns = round(link.delay_s * NS)
         self._queue: deque[tuple[int, int, Sequence[float]]] = deque()
-        self._index = 0
         self.due_ns = 0
         self.release_ns = NEVER_NS
         self.taken = 0
         self.lost = 0
 
-    def sample(self, now_ns: int, values: Sequence[float]) -> None:
-        """Measure ``values``; called once for each sample, when ``now_ns >= due_ns``."""
-        self._count()
-        self._send(now_ns, tuple(map(add, values, self._noise.take())))
+    def run(self, times_ns: Sequence[int], measure: Callable[[list[int]], F64]) -> tuple[list[int], F64]:
+        """Measure the samples that are due at these times, in increasing order, and release samples.
 
-    def run(
-        self, times_ns: Sequence[int], values: F64, worsen: Callable[[int], None] | None = None
-    ) -> tuple[list[int], F64]:
-        """Run ``sample`` and ``release`` for many times together, which is much faster.
-
-        ``times_ns``: times in increasing order; ``values``: (n, width) at each time, used where a sample is
-        due; ``worsen``: called before each measurement with the index of its time.
+        ``measure``: function from the indices of the times of due samples to their values, (n, width).
         Returns for each released sample the index of its release, and (m, 1 + width): time of measurement,
         ns, and values.
         """
         due: list[int] = []
         for n, now_ns in enumerate(times_ns):
             if now_ns >= self.due_ns:
-                self._count()
                 due.append(n)
-                if worsen is not None:
-                    worsen(n)
+                self.taken += 1
+                self.due_ns = round(self.taken * NS / self._rate)
         noisy: list[list[float]] = []
         if due:
-            noisy = (values[due] + [self._noise.take() for _ in due]).tolist()
+            noisy = (measure(due) + [self._noise.take() for _ in due]).tolist()
         released, rows, at = [], [], 0
         for n, now_ns in enumerate(times_ns):
             if at < len(due) and due[at] == n:
                 self._send(now_ns, noisy[at])
                 at += 1
             if now_ns >= self.release_ns:
-                for measured_ns, row in self.release(now_ns):
+                for measured_ns, row in self._release(now_ns):
                     released.append(n)
                     rows.append((measured_ns, *row))
-        return released, np.array(rows, dtype=np.float64).reshape(len(rows), 1 + values.shape[1])
-
-    def _count(self) -> None:
-        self._index += 1
-        self.due_ns = round(self._index * NS / self._rate)
-        self.taken += 1
+        return released, np.array(rows, dtype=np.float64).reshape(len(rows), 1 + self._width)
 
     def _send(self, now_ns: int, noisy: Sequence[float]) -> None:
         if self._losses.lost(now_ns):
@@ -209,7 +193,7 @@ class MeasurementChannel:
             self.release_ns = now_ns + self._delay_ns
         self._queue.append((now_ns + self._delay_ns, now_ns, noisy))
 
-    def release(self, now_ns: int) -> list[tuple[int, Sequence[float]]]:
+    def _release(self, now_ns: int) -> list[tuple[int, Sequence[float]]]:
         """Return ``(measured_ns, values)`` of all samples whose delay has passed, oldest first."""
         queue = self._queue
         out = []

@@ -246,12 +246,9 @@ class Px4Mocap:
 
         ``now_ns``: simulated time; ``now_us``: PX4's clock.
         """
-        channel = self._channel
-        if now_ns >= channel.due_ns:
-            channel.sample(now_ns, (*body.position_enu_m, 0.0, *body.quaternion))
-        if now_ns < channel.release_ns:
-            return []
-        return [self._odometry(values, now_us) for _, values in channel.release(now_ns)]
+        values = np.array([(*body.position_enu_m, 0.0, *body.quaternion)])
+        _, rows = self._channel.run([now_ns], values.__getitem__)
+        return [self._odometry(row[1:], now_us) for row in rows.tolist()]
 
     def _odometry(self, values: Sequence[float], now_us: int) -> Message:
         x, y, z, yaw, w, i, j, k = values

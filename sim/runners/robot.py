@@ -17,7 +17,7 @@ from bridge import frames
 from bridge.frames import Quat
 from flightstack.common.pacing import EPOCH_NS, NO_GO, RUN_AHEAD_TICKS
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, I64, Values
+from flightstack.compiled.records import F64, I64
 from flightstack.core.types import TargetSample, Vec3
 from flightstack.onboard.runner import NOTHING, Arrived
 from sim.clock import TickGrid
@@ -105,7 +105,8 @@ class TargetMotion:
         self._step_s = grid.period_s / self._substeps
         self._texts: list[tuple[int, Change]] = []
         # pad and samples of tick 0, as ``run`` returns them
-        self.first = self._driven([self.model.pad], [(0, sample) for sample in self._measure()])
+        row = self.model.row()
+        self.first = self._driven([row[0]], [(0, sample) for sample in self._measure(row)])
 
     def run(self, ticks: int, driving: bool) -> tuple[F64, list[int], F64]:
         """Advance by several ticks, in compiled calls as long as no fault is active.
@@ -114,30 +115,30 @@ class TargetMotion:
         which each sample was released; and the samples, (m, 9).
         """
         steps = ticks * self._substeps
-        if self.faults.quiet_until(self.model.pad[0] + steps * round(self._step_s * NS)):
+        if self.faults.quiet_until(self.model.pad.time_ns + steps * round(self._step_s * NS)):
             pads = self.model.run(steps, self._step_s, driving)
             self.tick += ticks
             at, samples = self._odometry.run(pads)
             every = self._substeps
             return np.ascontiguousarray(pads[every - 1 :: every]), [n // every for n in at], samples
-        decks, due = [], list[tuple[int, Sample]]()
+        decks, due = list[F64](), list[tuple[int, Sample]]()
         for n in range(ticks):
             self.tick += 1
             for _ in range(self._substeps):
                 if self.faults.locked:
                     self.model.stop()
-                self.model.step(self._step_s, driving and not self.faults.locked)
-                due += [(n, sample) for sample in self._measure()]
-            decks.append(self.model.pad)
+                row = self.model.run(1, self._step_s, driving and not self.faults.locked)
+                due += [(n, sample) for sample in self._measure(row)]
+            decks.append(row[0])
         return self._driven(decks, due)
 
-    def _driven(self, pads: list[Values], due: list[tuple[int, Sample]]) -> tuple[F64, list[int], F64]:
+    def _driven(self, pads: list[F64], due: list[tuple[int, Sample]]) -> tuple[F64, list[int], F64]:
         samples = np.array([sample for _, sample in due], dtype=np.float64).reshape(len(due), 9)
         return np.array(pads, dtype=np.float64), [n for n, _ in due], samples
 
-    def _measure(self) -> list[Sample]:
-        _, samples = self._odometry.run(np.array([self.model.pad], dtype=np.float64))
-        delivered = self.faults.deliver(round(self.model.time_s * 1e9), samples.tolist())
+    def _measure(self, row: F64) -> list[Sample]:
+        _, samples = self._odometry.run(row)
+        delivered = self.faults.deliver(int(row[0, 0]), samples.tolist())
         self._texts += [(self.tick, text) for text in self.faults.take_texts()]
         return delivered
 

@@ -283,9 +283,8 @@ class Physics(ABC):
         )
         self._row = np.empty(TRUTH)
         self._read_row = reader(self._row)
-        target = TargetModel(scenario.target, seed)
-        pose = target.pose
-        self.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
+        pad = TargetModel(scenario.target, seed).pad
+        self.set_deck(pad.position_enu_m, pad.yaw_rad, pad.velocity_enu_m_s, pad.yaw_rate_rad_s)
 
     def set_deck(
         self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float

@@ -68,10 +68,8 @@ def run_channel(link, seconds, sigmas=(0.0,), seed=1, step_ms=1):
     out = []
     for k in range(0, round(seconds * 1000) + 1, step_ms):
         now = k * MS
-        if now >= channel.due_ns:
-            channel.sample(now, [now / NS] * len(sigmas))
-        if now >= channel.release_ns:
-            out += [(now, t, v) for t, v in channel.release(now)]
+        _, rows = channel.run([now], np.full((1, len(sigmas)), now / NS).__getitem__)
+        out += [(now, int(row[0]), tuple(row[1:])) for row in rows.tolist()]
     return channel, out
 
 
@@ -89,7 +87,7 @@ def test_many_steps_in_one_call_are_the_same_to_the_last_bit(counts, loss, dropo
     for count in (1, *counts):
         times_ns = [10 * MS * n for n in range(k, k + count)]
         values = np.array([[now / NS] * len(sigmas) for now in times_ns])
-        at, rows = channel.run(times_ns, values)
+        at, rows = channel.run(times_ns, values.__getitem__)
         out += [(times_ns[n], int(row[0]), tuple(row[1:])) for n, row in zip(at, rows.tolist(), strict=True)]
         k += count
     assert out == wanted

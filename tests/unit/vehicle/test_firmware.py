@@ -80,8 +80,8 @@ def driven(error, seed=1):
     truth, samples = [], motion.first[2].tolist()
     for _ in range(600):
         samples += motion.run(1, True)[2].tolist()
-        model = motion.model
-        truth.append((*model.pose.position_enu_m, *model.velocity_body_m_s, model.pose.yaw_rad))
+        pad = motion.model.pad
+        truth.append((*pad.position_enu_m, *pad.velocity_body_m_s, pad.yaw_rad))
     return np.array(truth), samples
 
 

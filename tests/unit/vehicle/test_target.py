@@ -20,8 +20,8 @@ def drive(spec, seed=1, seconds=20.0, driving=True):
     model = TargetModel(spec, seed)
     states = []
     for _ in range(round(seconds / DT)):
-        states.append((model.time_s, model.pose, model.velocity_enu_m_s, model.yaw_rate_rad_s))
-        model.step(DT, driving)
+        states.append(model.pad)
+        model.run(1, DT, driving)
     return model, states
 
 
@@ -35,7 +35,7 @@ def test_a_function_steers_within_the_limits_and_its_error_says_whose_it_is(monk
     monkeypatch.setattr("sim.robot.referred", lambda name, key: zigzag)
     spec = TargetSpec(path=PathKind.FUNCTION, speed_m_s=0.2, turn_rate_rad_s=0.5, function="mine:zigzag")
     _, states = drive(spec, seconds=4.9)
-    assert math.hypot(*states[-1][2][:2]) == pytest.approx(0.2)
+    assert math.hypot(*states[-1].velocity_enu_m_s[:2]) == pytest.approx(0.2)
     with pytest.raises(ConfigError, match=r"mine:zigzag raised ZeroDivisionError: .* at t = 5\.0\d s"):
         drive(spec, seconds=6.0)
 
@@ -61,10 +61,10 @@ def test_limits_are_never_passed(path, seed):
         speed_max_m_s=0.5, stop_period_s=1.5,
     )  # fmt: skip
     model = TargetModel(spec, seed)
-    before = model.velocity_body_m_s[0], model.yaw_rate_rad_s
+    before = model.pad.velocity_body_m_s[0], model.pad.yaw_rate_rad_s
     for _ in range(1500):
-        model.step(DT, True)
-        now = model.velocity_body_m_s[0], model.yaw_rate_rad_s
+        model.run(1, DT, True)
+        now = model.pad.velocity_body_m_s[0], model.pad.yaw_rate_rad_s
         assert abs(now[0]) <= 0.5 + 1e-12
         assert abs(now[1]) <= spec.turn_rate_max_rad_s + 1e-12
         assert abs(now[0] - before[0]) <= 0.5 * DT + 1e-12
@@ -79,10 +79,11 @@ def test_pose_follows_from_the_twist_given_before():
         pad_behind_axle_m=0.032, heave_amplitude_m=0.15, heave_rate_hz=0.25,
     )  # fmt: skip
     _, states = drive(spec)
-    for (_, pose, v, w), (_, after, _, _) in itertools.pairwise(states):
+    for before, after in itertools.pairwise(states):
+        v, w = before.velocity_enu_m_s, before.yaw_rate_rad_s
         c, s = math.cos(w * DT), math.sin(w * DT)
         sx, sy = (s / w, (1.0 - c) / w) if w else (DT, 0.0)
-        x, y, z = pose.position_enu_m
+        x, y, z = before.position_enu_m
         expected = (x + sx * v[0] - sy * v[1], y + sx * v[1] + sy * v[0], z + DT * v[2])
         assert after.position_enu_m == pytest.approx(expected, abs=1e-12)
 
