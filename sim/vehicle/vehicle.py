@@ -35,7 +35,7 @@ WARM_UP_MS = 100  # simulated time in which every firmware loop runs and motion 
 _STATE_TEXTS = tuple(str(state.value) for state in STATES)
 _COLLISION = ContactBit.VEHICLE.value
 _BROKEN = tuple(Fault(What.MOTOR, Kind.DEAD, motor=motor) for motor in range(1, 5))
-_LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
+_LOCKED = STATES.index(State.LOCKED)
 
 
 class VehicleSim(Physics):
@@ -49,8 +49,8 @@ class VehicleSim(Physics):
         self._gravity = params.contact.gravity_m_s2
         self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed, r.imu)
         spec = scenario.vehicle
-        self._firmware = Firmware(spec, params, r.firmware)
-        self._newest_estimate = self._firmware.estimator.estimate
+        self.firmware = Firmware(spec, params, r.firmware)
+        self._newest_estimate = self.firmware.estimator.estimate
         self._mocap = MocapTape(spec.mocap, seed, r.mocap, r.world.body, spec.own)
         motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, self._hover_rpm)
         # the owner of the MAVLink connection uses ``faults.link``
@@ -94,9 +94,9 @@ class VehicleSim(Physics):
         r.firmware.commands[:] = r.rotors.rpm
         scale = self.plant.thrust
         force = (fx / scale, fy / scale, fz / scale)
-        trim = self._firmware.trim(force, self.plant.motors, self.battery_v)
+        trim = self.firmware.trim(force, self.plant.motors, self.battery_v)
         self.trim_velocity_enu_m_s = trim
-        self._firmware.start_flying(Setpoint(*trim))
+        self.firmware.start_flying(Setpoint(*trim))
 
     def _draw_offset(self, scenario: Scenario, seed: int) -> Vec3:
         rng = stream(seed, "start")
@@ -110,7 +110,7 @@ class VehicleSim(Physics):
         position, velocity, quaternion, _ = self.body()
         axes, g = rotation_axes(quaternion), self._gravity
         self._imu.settle(velocity, (g * axes[2], g * axes[5], g * axes[8]))
-        self._firmware.estimator.settle(position, velocity, axes, quaternion, self._imu.accel_bias)
+        self.firmware.estimator.settle(position, velocity, axes, quaternion, self._imu.accel_bias)
 
     def _fly(self, end_ms: int) -> int:
         if not self.faults.quiet:
@@ -150,7 +150,7 @@ class VehicleSim(Physics):
         mocap.divert(faults.mocap.active)
         if faults.mocap.active:
             for x, y, z, yaw in faults.mocap.deliver(now_ns, mocap.take(now_ms)):
-                self._firmware.estimator.correct(x, y, z, yaw)
+                self.firmware.estimator.correct(x, y, z, yaw)
             next_ms = min(next_ms, mocap.next_ms())
         return min(next_ms, ms_from(faults.next_ns))
 
@@ -161,50 +161,37 @@ class VehicleSim(Physics):
 
     def arm(self) -> str | None:
         """Arm the vehicle. Return None if accepted or already armed, else the reason of the rejection."""
-        return self._firmware.arm(self._ms, self.battery_v)
+        return self.firmware.arm(self._ms, self.battery_v)
 
     def disarm(self, force: bool) -> str | None:
         """Disarm and stop the motors; without ``force`` only in contact. Return the reason of a rejection."""
         if not force and self.armed and self.motors_running and not (self.on_pad or self.on_ground):
             return "in the air; land first, or force"
-        self._firmware.disarm(self._ms)
+        self.firmware.disarm(self._ms)
         return None
 
     def reboot(self) -> str | None:
         """Restart and unlock the firmware. Return None if done, else the reason of the rejection."""
         if self.armed:
             return "armed; disarm first"
-        self._firmware.supervisor.restart()
-        self._firmware.disarm(self._ms)
+        self.firmware.supervisor.restart()
+        self.firmware.disarm(self._ms)
         self.stop_setpoint()
         return None
 
     def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
         """Send a velocity set-point; it takes effect, and its age starts, after the radio's delay."""
         vx, vy, vz = velocity_enu_m_s
-        self._firmware.send(Setpoint(vx, vy, vz, yaw_rad), self._ms - self.sent_before_ms)
+        self.firmware.send(Setpoint(vx, vy, vz, yaw_rad), self._ms - self.sent_before_ms)
 
     def set_position(self, position_enu_m: Vec3, yaw_rad: float) -> None:
         """Send a position set-point to the PID loop; it is delayed as in ``set_velocity``."""
         setpoint = Setpoint(yaw_rad=yaw_rad, position=position_enu_m)
-        self._firmware.send(setpoint, self._ms - self.sent_before_ms)
-
-    def take_pose(self, position_enu_m: Vec3, quaternion: tuple[float, float, float, float]) -> None:
-        """Use an external pose as measurement; the scenario must set ``known_drag_1_s``."""
-        self._firmware.estimator.take_pose(position_enu_m, quaternion)
-
-    def reset_estimate(self, position_enu_m: Vec3, yaw_rad: float) -> None:
-        """Restart the estimate, at rest and level (kalman.resetEstimation)."""
-        level = (math.cos(0.5 * yaw_rad), 0.0, 0.0, math.sin(0.5 * yaw_rad))
-        self._firmware.estimator.settle(position_enu_m, ZERO, (0.0,) * 9, level, [0.0, 0.0, 0.0])
-
-    def know_drag(self, drag_1_s: Vec3) -> None:
-        """Write the firmware's parameters ``kalman.dragB_*``, 1/s."""
-        self._firmware.estimator.know_drag(drag_1_s)
+        self.firmware.send(setpoint, self._ms - self.sent_before_ms)
 
     def stop_setpoint(self) -> None:
         """Send a stop set-point; the motors are off as long as it is the newest set-point and not too old."""
-        self._firmware.send(STOP, self._ms - self.sent_before_ms)
+        self.firmware.send(STOP, self._ms - self.sent_before_ms)
 
     def begin_judging(self) -> None:
         """Start the judged part of the flight: the next touch of the pad counts as the first touch."""
@@ -235,11 +222,6 @@ class VehicleSim(Physics):
         return int(self._state[0])
 
     @property
-    def crashed(self) -> bool:
-        """Whether the supervisor detected a tumble; disarming resets it."""
-        return bool(self._state[0] == _CRASHED)
-
-    @property
     def state_text(self) -> str:
         text: str = _STATE_TEXTS[self._state[0]]
         return text
@@ -253,7 +235,7 @@ class VehicleSim(Physics):
     def motor_commands(self) -> tuple[float, float, float, float]:
         """Speed commands of M1..M4 divided by the highest speed at the current voltage, 0 to 1."""
         limit = speed_limit(self.record.battery)
-        m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self._firmware.commands)
+        m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self.firmware.commands)
         return (m1, m2, m3, m4)
 
     @property
@@ -261,7 +243,7 @@ class VehicleSim(Physics):
         """Duty cycles of M1..M4, 0 to 1, for a motor map without battery compensation."""
         at_zero, limit = speed_at_no_duty(self.record.battery), speed_limit(self.record.battery)
         m1, m2, m3, m4 = (
-            min(1.0, max(0.0, (c - at_zero) / (limit - at_zero))) for c in self._firmware.commands
+            min(1.0, max(0.0, (c - at_zero) / (limit - at_zero))) for c in self.firmware.commands
         )
         return (m1, m2, m3, m4)
 

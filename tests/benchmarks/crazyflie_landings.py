@@ -135,7 +135,9 @@ def _land(plant: SimPlant, server: Server, words: tuple[str, ...]) -> Landing:
     place = "pad" if vehicle.on_pad else "floor" if vehicle.on_ground else "air"
     told = [line for line in said if "->" in line or line.startswith(("ABORT", "LANDED"))] or said or [""]
     error_m = math.hypot(dx, dy) if place == "pad" else math.nan
-    locked = server.firmware.supervisor.state in (State.LOCKED, State.CRASHED) or vehicle.crashed
+    locked = (
+        server.firmware.supervisor.state in (State.LOCKED, State.CRASHED) or "crashed" in vehicle.state_text
+    )
     reason = told[-1] if told[-1].startswith("LANDED") else " | ".join(told)[-300:]
     return Landing(error_m, place, not plant.motors, locked, reason, seconds)
 

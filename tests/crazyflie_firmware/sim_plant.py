@@ -73,14 +73,16 @@ class SimPlant:
         if self._by_poses and quaternion_xyzw is not None:
             self._posed_s = self._now_s
             qx, qy, qz, qw = quaternion_xyzw
-            self.vehicle.take_pose((x, y, z), (qw, qx, qy, qz))
+            self.vehicle.firmware.estimator.take_pose((x, y, z), (qw, qx, qy, qz))
 
     def know_drag(self, drag_1_s) -> None:
         """Set the parameters ``kalman.dragB_*``."""
-        self.vehicle.know_drag(drag_1_s)
+        self.vehicle.firmware.estimator.know_drag(drag_1_s)
 
     def reset(self, x: float, y: float, z: float, yaw: float) -> None:
-        self.vehicle.reset_estimate((x, y, z), yaw)
+        level = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
+        estimator = self.vehicle.firmware.estimator
+        estimator.settle((x, y, z), (0.0, 0.0, 0.0), (0.0,) * 9, level, [0.0, 0.0, 0.0])
 
     def restart(self) -> None:
         self.motors_off()
