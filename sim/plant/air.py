@@ -174,33 +174,18 @@ def set_jet(d: DownwashRecord, thrust_n: float, position: F64, axes: Nine, jet: 
 
 
 @jitted
-def reaches(jets: F64, number: int, x: float, y: float, z: float, radius_m: float) -> bool:
-    """Whether a jet reaches any point within a radius around a position; inputs as in ``add_jet``."""
-    jet = jets[number]
-    x, y, z = x - jet[0], y - jet[1], z - jet[2]
-    along = x * jet[3] + y * jet[4] + z * jet[5] + radius_m
-    if jet[6] <= 0.0 or along <= 0.0:
-        return False
-    edge = EDGE * SPREAD * (max(along / jet[7], NEAR) - ORIGIN) * jet[7] + radius_m
-    along -= radius_m
-    return bool(x * x + y * y + z * z - along * along < edge * edge)
-
-
-@jitted
 def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> None:
     """Sum the air velocities at vehicle ``own`` from the jets of all other vehicles.
 
     ``jets``: (N, JET); ``position``: (3,) its centre of mass, ENU, m; ``axes``: its body axes in the world.
     """
     d.on = False
+    d.air[:] = 0.0
+    d.along[:] = 0.0
     x, y, z, zx, zy, zz = position[0], position[1], position[2], axes[6], axes[7], axes[8]
     for number in range(len(jets)):
-        if number == own or not reaches(jets, number, x, y, z, 2.0 * d.arm + d.above):
+        if number == own:
             continue
-        if not d.on:
-            d.on = True
-            d.air[:] = 0.0
-            d.along[:] = 0.0
         before_x, before_y, before_z = d.air[0], d.air[1], d.air[2]
         for i in range(4):
             a, b = POSITION_X[i] * d.arm, POSITION_Y[i] * d.arm
@@ -216,6 +201,7 @@ def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> N
             d.along[i] += d.air[0] * zx + d.air[1] * zy + d.air[2] * zz
         d.air[0], d.air[1], d.air[2] = before_x, before_y, before_z
         add_jet(jets, number, x, y, z, d.air)
+    d.on = bool(d.air.any() or d.along.any())
 
 
 @jitted

@@ -23,10 +23,6 @@ _LOCKSTEP = 1  # bit of HIL_ACTUATOR_CONTROLS.flags that shows lockstep
 FIRST_US = 1_000_000  # time of the first HIL_SENSOR; PX4 treats zero as "not set"
 
 
-class NoLockstepError(NoAnswerError):
-    """PX4 was built without lockstep; its clock is the wall clock."""
-
-
 class Lockstep:
     """Matches answers to steps: call ``sent`` with every HIL_SENSOR, ``take`` with every answer."""
 
@@ -44,7 +40,7 @@ class Lockstep:
     def take(self, answer: Message) -> bool:
         """Whether a HIL_ACTUATOR_CONTROLS answers the last HIL_SENSOR, so that the simulation may step."""
         if not answer.flags & _LOCKSTEP:
-            raise NoLockstepError(
+            raise NoAnswerError(
                 "PX4's HIL_ACTUATOR_CONTROLS has no lockstep flag: it was built without lockstep; "
                 "build px4_sitl_default, not px4_sitl_nolockstep"
             )
