@@ -28,7 +28,6 @@ from sim.runners.log import VehicleLog
 from sim.runners.published_robot import RealTimeDeck
 from sim.scenarios.scenario import Scenario
 
-SPEED_MAX = 100.0
 _LOG_EVERY = 3  # steps between two logged true states: 83 Hz
 _BEHIND_MAX_NS = 50_000_000  # largest difference between log times of true state and clock; above: corrected
 _NS_PER_STEP = STEP_MS * 1_000_000
@@ -95,7 +94,11 @@ def _run(scenario: Scenario, options: Px4SimOptions, stop: Stop, stack: ExitStac
     speed = options.speed
     host, port = parse_endpoint(options.tcp, allow_unsigned=options.allow_unsigned)
     with_robot = bool(options.connect or options.listen or options.zenoh_config is not None)
-    _check_speed(speed, with_robot and options.clock is None)
+    if with_robot and speed == 0.0 and options.clock is None:
+        raise ValueError(
+            "speed is 0, as fast as PX4 answers: the deck follows a robot over Zenoh, which drives at a "
+            "speed of its own; give --clock to both, or the speed of `target --speed`, or no Zenoh options"
+        )
     Px4Plant(scenario, options.seed).advance(STEP_MS)  # checks the scenario and compiles the code
     session = None
     if with_robot:
@@ -125,16 +128,6 @@ def _run(scenario: Scenario, options: Px4SimOptions, stop: Stop, stack: ExitStac
         )  # fmt: skip
         if _serve(flight, link, node, stop, options.duration_s) or (options.once and flight.steps):
             break
-
-
-def _check_speed(speed: float, with_robot: bool) -> None:
-    if not 0.0 <= speed <= SPEED_MAX:
-        raise ValueError(f"speed is {speed:g}: allowed is 0 (as fast as PX4 answers) to {SPEED_MAX:g}")
-    if with_robot and speed == 0.0:
-        raise ValueError(
-            "speed is 0, as fast as PX4 answers: the deck follows a robot over Zenoh, which drives at a "
-            "speed of its own; give --clock to both, or the speed of `target --speed`, or no Zenoh options"
-        )
 
 
 def _serve(flight: Px4Session, link: Px4Link, node: Px4Node, stop: Stop, duration_s: float | None) -> bool:
