@@ -281,19 +281,17 @@ def deck_state(payload: bytes) -> DeckState:
 
 
 class RealTimeDeck:
-    """A deck that follows received true poses: dead reckoning with the last twist, and smooth correction."""
+    """A deck that follows received true poses: it moves on with the last twist and is corrected smoothly."""
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
         self._subscriber = zenoh_link.ring_subscriber(session, truth_key(namespace))
-        self._last: DeckState | None = None
-        self._last_s = 0.0
-        self._stopped = False  # whether the deck stopped for lack of poses, and its warning was sent
+        self._last_s = math.inf  # time of the newest pose; infinite: before the first pose, or stopped
 
     def move(
         self, vehicle: Physics, truth: TrueStateRow, now_s: float, log: Callable[[bytes], None],
         warn: Callable[[str], None],
     ) -> None:  # fmt: skip
-        """Read new poses and move the vehicle's deck after them; without any pose it does not move.
+        """Read new poses and set the motion of the vehicle's deck, which lasts until the next pose.
 
         ``truth``: true state with the deck's current pose; ``log``: called with each message.
         """
@@ -302,47 +300,29 @@ class RealTimeDeck:
             log(payload)
         for payload in reversed(payloads):
             with contextlib.suppress(OdometryError):
-                self._last, self._last_s = deck_state(payload), now_s
-                break
-        if self._last is None:
-            return
-        position_enu_m, yaw_rad, age_s = truth.pad_position_enu_m, truth.pad_yaw_rad, now_s - self._last_s
-        stopped, self._stopped = self._stopped, age_s > STALE_S
-        state = DeckState(position_enu_m, yaw_rad, ZERO, 0.0, b"")
-        if not self._stopped:
-            state = follow(self._last, age_s, position_enu_m, yaw_rad)
-        elif not stopped:
+                state = follow(deck_state(payload), truth.pad_position_enu_m, truth.pad_yaw_rad)
+                vehicle.set_deck(*state[:4])
+                self._last_s = now_s
+                return
+        if now_s - self._last_s > STALE_S:
+            self._last_s = math.inf
+            vehicle.set_deck(truth.pad_position_enu_m, truth.pad_yaw_rad, ZERO, 0.0)
             warn("Robot's pose too old: deck stopped")
-        vehicle.set_deck(*state[:4])
 
 
-def follow(last: DeckState, age_s: float, position_enu_m: Vec3, yaw_rad: float) -> DeckState:
+def follow(robot: DeckState, position_enu_m: Vec3, yaw_rad: float) -> DeckState:
     """Return the deck state that corrects its position error smoothly, or by a jump if the error is large.
 
-    ``last``: the newest true pose; ``position_enu_m``, ``yaw_rad``: pose of the simulated deck.
+    ``robot``: the newest true pose; ``position_enu_m``, ``yaw_rad``: pose of the simulated deck.
     """
-    there = reckon(last, age_s)
-    x, y, z = position_enu_m
-    ex, ey, ez = there.position_enu_m[0] - x, there.position_enu_m[1] - y, there.position_enu_m[2] - z
+    (x, y, z), (rx, ry, rz) = position_enu_m, robot.position_enu_m
+    ex, ey, ez = rx - x, ry - y, rz - z
     if math.hypot(ex, ey, ez) > _SNAP_M:
-        return there
-    vx, vy, vz = there.velocity_enu_m_s
+        return robot
+    vx, vy, vz = robot.velocity_enu_m_s
     pulled = (vx + _PULL_1_S * ex, vy + _PULL_1_S * ey, vz + _PULL_1_S * ez)
-    turn = _PULL_1_S * math.remainder(there.yaw_rad - yaw_rad, math.tau)
-    return DeckState(position_enu_m, yaw_rad, pulled, there.yaw_rate_rad_s + turn, last.payload)
-
-
-def reckon(last: DeckState, age_s: float) -> DeckState:
-    """Return the state after ``age_s`` of dead reckoning on an arc of constant twist."""
-    turn = last.yaw_rate_rad_s * age_s
-    vx, vy, vz = last.velocity_enu_m_s
-    x, y, z = last.position_enu_m
-    # The chord is turned by half the turn of the velocity; it is almost as long as the arc.
-    c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
-    there = (x + (c * vx - s * vy) * age_s, y + (s * vx + c * vy) * age_s, z + vz * age_s)
-    c, s = math.cos(turn), math.sin(turn)
-    velocity = (c * vx - s * vy, s * vx + c * vy, vz)
-    return DeckState(there, last.yaw_rad + turn, velocity, last.yaw_rate_rad_s, last.payload)
+    turn = _PULL_1_S * math.remainder(robot.yaw_rad - yaw_rad, math.tau)
+    return DeckState(position_enu_m, yaw_rad, pulled, robot.yaw_rate_rad_s + turn, robot.payload)
 
 
 def truth_key(namespace: str) -> str:

@@ -1,4 +1,4 @@
-"""Tests the robot: motion, odometry, ticks simulated in advance, and dead reckoning of the deck."""
+"""Tests the robot: motion, odometry, ticks simulated in advance, and the deck that follows it."""
 
 import itertools
 import math
@@ -9,7 +9,7 @@ from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry
 from flightstack.common.strict_toml import ConfigError
 from sim.robot import DEMANDS, TargetModel
-from sim.runners.published_robot import deck_state, follow, reckon
+from sim.runners.published_robot import deck_state, follow
 from sim.runners.robot import DeckState
 from sim.scenarios.tables import PathKind, TargetSpec
 
@@ -104,25 +104,16 @@ def test_decodes_into_the_world_frame_also_when_the_frame_names_change():
         assert deck.yaw_rate_rad_s == 0.3
 
 
-def test_dead_reckoning_stays_on_the_arc():
-    radius_m, rate = 2.0, 0.4
-    start = DeckState((radius_m, 0.0, 0.2), math.pi / 2, (0.0, radius_m * rate, 0.0), rate, b"")
-    there = reckon(start, 0.1)
-    assert math.hypot(*there.position_enu_m[:2]) == pytest.approx(radius_m, abs=2e-5)
-    assert there.yaw_rad == pytest.approx(math.pi / 2 + 0.04)
-    assert math.hypot(*there.velocity_enu_m_s) == pytest.approx(radius_m * rate)
-
-
 def test_a_small_error_is_pulled_out_without_a_jump_and_a_large_one_is_not():
     robot = DeckState((0.0, 0.0, 0.2), 0.0, (0.2, 0.0, 0.0), 0.0, b"")
     x, yaw, dt = -0.02, 0.05, 0.01
     for k in range(100):
-        deck = follow(robot, k * dt, (x, 0.0, 0.2), yaw)
+        deck = follow(robot._replace(position_enu_m=(0.2 * k * dt, 0.0, 0.2)), (x, 0.0, 0.2), yaw)
         assert deck.position_enu_m == (x, 0.0, 0.2)
         assert abs(deck.velocity_enu_m_s[0] - 0.2) <= 0.1 + 1e-9
         x += deck.velocity_enu_m_s[0] * dt
         yaw += deck.yaw_rate_rad_s * dt
     assert x == pytest.approx(0.2, abs=1e-3)
     assert yaw == pytest.approx(0.0, abs=1e-3)
-    far = follow(robot, 0.0, (5.0, 0.0, 0.2), 0.0)
+    far = follow(robot, (5.0, 0.0, 0.2), 0.0)
     assert far.position_enu_m == robot.position_enu_m
