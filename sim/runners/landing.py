@@ -21,7 +21,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles import OWN_SITL
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import EPOCH_NS, Silence, Tick
+from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.compiled.jit import telling
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import MemberStatus, Phase
@@ -127,9 +127,9 @@ class Companion:
         """Whether the controller has ended its flight."""
         return self._stop.is_set
 
-    def take(self, silence: Silence, stop: Stop) -> MemberStatus | None:
+    def take(self, stop: Stop) -> MemberStatus | None:
         """Return the controller's message of this tick."""
-        del silence, stop
+        del stop
         return self._message
 
     def hear(self, words: Sequence[MemberStatus]) -> None:

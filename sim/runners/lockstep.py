@@ -46,7 +46,7 @@ class FleetEnd(Protocol):
     def left(self) -> bool:
         """Whether the companion has ended before this tick."""
 
-    def take(self, silence: Silence, stop: Stop) -> Any:
+    def take(self, stop: Stop) -> Any:
         """Return the companion's message of this tick, or None."""
 
     def hear(self, words: Any) -> None:
@@ -337,7 +337,7 @@ class LockstepWorld:
         if self._exchange is None:
             return
         fleet = [(each, each.words) for each in vehicles if each.words is not None]
-        sent = [end.take(silence, self._stop) if each.answers else None for each, end in fleet]
+        sent = [end.take(self._stop) if each.answers else None for each, end in fleet]
         for (vehicle, end), received in zip(fleet, self._exchange(tick, sent), strict=True):
             if vehicle.answers:
                 end.hear(received)

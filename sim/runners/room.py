@@ -7,7 +7,6 @@ therefore acts on other vehicles one tick later. Jets have no transport delay, a
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from collections.abc import Sequence
 from itertools import combinations
@@ -18,7 +17,7 @@ import numpy as np
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, PAIR, Silence
+from flightstack.common.pacing import COMPANION_SILENT_S, PAIR
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell
 from flightstack.onboard.lockstep import HEARD, OVER, TOLD
@@ -68,7 +67,6 @@ NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
 _MS_PER_S = 1000.0
 _YIELDS = 20  # number of polls without a pause; the message usually arrives during these polls
-_PAUSE_S = 50e-6  # time between later polls, s
 _MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
 
 
@@ -229,19 +227,13 @@ class MemberWords:
         self._poll()
         return self._last is not None and self._last < self.tick
 
-    def take(self, silence: Silence, stop: Stop) -> bytes | None:
+    def take(self, stop: Stop) -> bytes | None:
         """Wait for the member's message of this tick and return it; None: no message.
 
         If a member answers its vehicle but sends no message, the next ticks do not wait for it.
-
-        ``silence``: time in this tick without a message of any member.
         """
-        looks = 0
-        while not self._told_now() and not self._silent and not stop.is_set:
-            if silence.look() > COMPANION_SILENT_S:
-                self._silent = True
-            looks += 1
-            time.sleep(0.0 if looks <= _YIELDS else _PAUSE_S)
+        waits = COMPANION_SILENT_S if not self._silent else 0.0
+        self._silent = not wait_until(self._told_now, stop, waits, yields=_YIELDS)
         return self._payload if self._tick == self.tick and self._payload else None
 
     def hear(self, words: list[bytes]) -> None:

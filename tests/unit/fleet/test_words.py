@@ -8,7 +8,7 @@ import pytest
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import LockstepClock, Silence
+from flightstack.common.pacing import LockstepClock
 from flightstack.core.types import Intent, MemberStatus
 from flightstack.onboard import lockstep
 from flightstack.onboard.lockstep import LockstepStatuses
@@ -126,8 +126,8 @@ def test_who_leaves_is_gone_with_the_tick_after_its_last_one(ends):
     wait_for(lambda: vehicle._poll() or vehicle._last == 0)
     vehicle.tick = first.number
     assert not vehicle.left  # the reply of this tick may still be in transit
-    assert vehicle.take(Silence(), Stop())
+    assert vehicle.take(Stop())
     vehicle.tick = second.number
     assert vehicle.left
-    assert vehicle.take(Silence(), Stop()) is None
+    assert vehicle.take(Stop()) is None
     ends.processes.remove(process)
