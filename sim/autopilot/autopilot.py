@@ -13,7 +13,6 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.commander import Right, Sender
 from bridge.mavlink.server.commands import (
     DENIED,
-    REJECTED,
     UNSUPPORTED,
     Answer,
     Command,
@@ -25,12 +24,10 @@ from bridge.mavlink.server.parameters import REAL32, Parameter, Parameters, fixe
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.server import SYSTEM_ID, Handler, Server
 from bridge.mavlink.server.telemetry import Snapshot
-from flightstack.core.types import Vec3
 from sim.autopilot.flight import Flight
-from sim.autopilot.telemetry import STREAMS, degrees_e7, x_of, y_of
+from sim.autopilot.telemetry import STREAMS, degrees_e7
 from sim.vehicle.vehicle import VehicleSim
 
-_HOME_REACH_M = 100.0  # largest distance of home from the room's origin
 _CHANGE_MODE = 1  # MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
 
 
@@ -70,7 +67,6 @@ class Autopilot(Server[Flight]):
     def own_commands(self) -> dict[int, Entry]:
         m, owner = dialect, Right.OWNER
         return {
-            m.MAV_CMD_DO_SET_HOME: Entry(self._set_home, owner, place=True),
             m.MAV_CMD_DO_REPOSITION: Entry(self._pause, owner, place=True),
             m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: Entry(self._reboot, owner),
         }
@@ -86,24 +82,6 @@ class Autopilot(Server[Flight]):
         return [dialect.MAVLink_gps_global_origin_message(*degrees_e7(0.0, 0.0), 0, round(now_s * 1e6))]
 
     # Commands of this autopilot only, with PX4's results (Commander.cpp)
-
-    def _set_home(self, command: Command) -> Answer:
-        if (command.given(1) or 0.0) > 0.5:
-            estimate = self.flight.vehicle.estimate()
-            if not estimate.valid:
-                return Answer(REJECTED, "Home refused: no position estimate")
-            point: Vec3 | None = estimate.position_enu_m
-        else:
-            point = self._point(command)
-        if point is None:
-            return Answer(DENIED, "Home refused: latitude, longitude and altitude are needed")
-        distance_m = max(map(abs, point))
-        if distance_m > _HOME_REACH_M:
-            reason = f"Home refused: {distance_m:.4g} m from the origin, at most {_HOME_REACH_M:g}"
-            return Answer(REJECTED, reason)
-        self.flight.home_enu_m = point  # the origin of local coordinates does not change
-        self.streams.hasten(dialect.MAVLINK_MSG_ID_HOME_POSITION)
-        return Answer()
 
     def _pause(self, command: Command) -> Answer:
         """Hold the present position: QGroundControl pauses by a reposition without coordinates."""
@@ -123,12 +101,6 @@ class Autopilot(Server[Flight]):
         if reason is None:
             self.streams.reset(command.now_s)
         return answer(reason, DENIED)
-
-    def _point(self, command: Command) -> Vec3 | None:
-        latitude, longitude, height_m = command.given(5), command.given(6), command.given(7)
-        if latitude is None or longitude is None or height_m is None:
-            return None
-        return (x_of(longitude), y_of(latitude), command.local_z_m(height_m, self.flight.home_enu_m))
 
 
 # Parameters have PX4's names, units and values. Fixed parameters describe the simulator or have no effect.

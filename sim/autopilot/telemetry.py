@@ -33,16 +33,6 @@ def degrees_e7(x_m: float, y_m: float) -> tuple[int, int]:
     return round(latitude * _E7), round(longitude * _E7)
 
 
-def x_of(longitude_deg: float) -> float:
-    """Return the distance east of the origin, m."""
-    return math.radians(longitude_deg - ORIGIN_LONGITUDE_DEG) * _AROUND_M
-
-
-def y_of(latitude_deg: float) -> float:
-    """Return the distance north of the origin, m."""
-    return math.radians(latitude_deg - ORIGIN_LATITUDE_DEG) * _EARTH_RADIUS_M
-
-
 _NAN = math.nan
 _UNKNOWN_COVARIANCE = (_NAN,) + (0.0,) * 20  # a leading NaN means unknown
 _ESTIMATOR_FLAGS = (

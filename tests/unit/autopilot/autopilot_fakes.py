@@ -124,7 +124,7 @@ class Rig(Served):
         return self
 
     def homed(self) -> Rig:
-        assert self.command(179, 0.0, NAN, NAN, NAN, 47.39776, 8.545607, 0.25) == ACCEPTED
+        self.autopilot.flight.home_enu_m = (1.0, 2.0, 0.25)
         return self
 
     def offboard(self) -> Rig:
