@@ -71,7 +71,7 @@ class Launcher:
         self.children: list[Running] = []
         self.interrupted = False  # whether the operator requested the end of the run
         self._tells, self._real = tells, real
-        # reserved ports and instance numbers, released after all children have ended
+        # reserved ports, released after all children have ended
         self.reserved = contextlib.ExitStack()
         self._recorder: Child | None = None
         self._sockets = socket_folder()

@@ -7,7 +7,6 @@ at the start, so the robot's path is moved instead.
 
 from __future__ import annotations
 
-import contextlib
 import mmap
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +25,7 @@ from flightstack.launch.run_options import Flies, RunOptions
 from logs.schema import SCENARIO
 from sim.autopilot.telemetry import ORIGIN_WGS84
 from sim.options import Px4SimOptions, WorldOptions
-from sim.px4.program import InstanceClaim, Px4Model, Px4Program
+from sim.px4.program import Px4Model, Px4Program, free_instance
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.tables import StartKind
 from sim.vehicle.vehicle import compile_first
@@ -70,13 +69,6 @@ def _own(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at:
     return Flying(given, child)
 
 
-def _px4_number(launcher: Launcher, options: RunOptions) -> int:
-    """Return the instance number of PX4, on which the ports depend: the given one, or a free one."""
-    if options.instance is not None:
-        return options.instance
-    return launcher.reserved.enter_context(contextlib.closing(InstanceClaim())).number
-
-
 def _run_px4(
     launcher: Launcher, options: RunOptions, number: int, model: Px4Model, wanted: Mapping[str, float]
 ) -> Mapping[str, Any]:
@@ -99,7 +91,7 @@ def _px4(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at:
     """Start the simulator, then PX4 on it."""
     _program_of(options)  # a missing program is an error before anything starts
     compile_first(scenario)
-    number = _px4_number(launcher, options)
+    number = free_instance() if options.instance is None else options.instance
     clock: Mapping[str, Any] = {"clock": launcher.socket.with_name("clock")}
     poses = scenario.vehicle.mocap if options.mocap else None
     simulator = launcher.start(
@@ -124,7 +116,7 @@ def _px4_sih(launcher: Launcher, options: RunOptions, scenario: Scenario, robots
     del scenario, robots_at
     from sim.px4.airframe import SAFE_PARAMETERS
 
-    number = _px4_number(launcher, options)
+    number = free_instance() if options.instance is None else options.instance
     return Flying([_run_px4(launcher, options, number, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Motors, Record, reader
+from flightstack.compiled.records import F64, Motors, Record
 from flightstack.core.types import Vec3
 from sim.firmware.estimator import Estimator, EstimatorRecord
 from sim.firmware.geometric import PaperLoop, PaperRecord, paper_reset, paper_update
@@ -89,7 +89,6 @@ class Firmware:
 
     def __init__(self, spec: VehicleSpec, params: Params, record: FirmwareRecord) -> None:
         self.record = record
-        self._commands, self._read_commands = record.commands, reader(record.commands)
         self._delay_ms = round(spec.setpoint_delay_s * 1000.0)
         self._params = params
         record.gravity = gravity = params.contact.gravity_m_s2
@@ -102,14 +101,6 @@ class Firmware:
         period_s = 1.0 / spec.mocap.rate_hz
         self.estimator = Estimator(period_s, CONTROL_STEP_S, gravity, record.estimator, spec.known_drag_1_s)
         self.supervisor = Supervisor(record.supervisor)
-
-    @property
-    def commands(self) -> Four:
-        return self._read_commands()
-
-    @commands.setter
-    def commands(self, commands: Four) -> None:
-        self._commands[:] = commands
 
     def trim(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
         """Trim the controller for hover at yaw 0; return the velocity set-point of the hover.
@@ -151,4 +142,4 @@ class Firmware:
     def disarm(self, now_ms: int) -> None:
         """Disarm and stop the motors immediately."""
         self.supervisor.disarm(now_ms)
-        self.commands = OFF
+        self.record.commands[:] = OFF

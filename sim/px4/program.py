@@ -8,9 +8,8 @@ import os
 import re
 import signal
 import subprocess
-import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
@@ -89,30 +88,12 @@ def find_px4(place: Path) -> Px4Files:
     return Px4Files(binary, etc, alias)
 
 
-class InstanceClaim:
-    """Reserves the lowest free instance number until ``close``. PX4's system id is this number + 1 (rcS)."""
-
-    def __init__(self, numbers: Sequence[int] = INSTANCES) -> None:
-        for number in numbers:
-            file = os.open(
-                Path(tempfile.gettempdir()) / f"flightstack-px4-{number}.lock", os.O_RDWR | os.O_CREAT, 0o666
-            )
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                os.close(file)
-                continue
-            if _instance_runs(number):
-                os.close(file)
-                continue
-            self._file = file
-            self.number = number
-            return
-        raise Px4Error(f"all PX4 instances, {numbers[0]} to {numbers[-1]}, are in use here; end one")
-
-    def close(self) -> None:
-        """Release the number."""
-        os.close(self._file)
+def free_instance() -> int:
+    """Return the lowest instance number with which no PX4 runs; PX4's system id is this number + 1 (rcS)."""
+    for number in INSTANCES:
+        if not _instance_runs(number):
+            return number
+    raise Px4Error(f"all PX4 instances, 0 to {INSTANCES.stop - 1}, are in use here; end one")
 
 
 def _instance_runs(number: int) -> bool:

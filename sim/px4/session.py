@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
 from flightstack.common.hangup import Stop
+from flightstack.common.pacing import give_up_priority
 from sim.clock import NoAnswerError
 from sim.px4.airframe import rotor_speeds
 from sim.px4.link import SLICE_S, Px4Link
@@ -74,7 +75,6 @@ class Event(Enum):
     LOCKSTEP = "lockstep"
     ARMED = "armed"
     DISARMED = "disarmed"
-    PAUSED = "the machine paused: simulation too"  # reported only at the first pause in a flight
 
 
 class Px4Session:
@@ -101,7 +101,7 @@ class Px4Session:
         self._speed, self._silent_max_s, self._tell = speed, silent_max_s, tell
         self.steps = 0
         self.nudges = 0  # number of steps that ran without an answer
-        self._armed = self._paused = False
+        self._armed = False
         self._start_s = self._connected_s = self._answered_s = time.monotonic()
 
     @property
@@ -199,7 +199,7 @@ class Px4Session:
         armed = bool(answer.mode & _ARMED)
         self.plant.wanted[:] = rotor_speeds(answer.controls, armed, self.plant.params.rotor)
         if armed is not self._armed:
-            self._armed, self._paused = armed, False
+            self._armed = armed
             self._tell(Event.ARMED if armed else Event.DISARMED)
 
     @property
@@ -214,6 +214,4 @@ class Px4Session:
             time.sleep(left_s)
         elif left_s < -_BEHIND_MAX_S:
             self._start_s -= left_s
-            if self._armed and not self._paused:
-                self._paused = True
-                self._tell(Event.PAUSED)
+            give_up_priority()  # a simulation that is too slow must not block other programs

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from flightstack.compiled.jit import is_kept, is_off, keep, telling
-from flightstack.compiled.records import reader, scalars
+from flightstack.compiled.records import reader
 from flightstack.core.types import ZERO, Vec3
 from logs.schema.events import ContactBit
 from sim.chance import stream
@@ -32,10 +32,8 @@ from sim.vehicle.physics import Physics, fly
 LANDED_AFTER_MS = 150  # time of contact after which the vehicle counts as landed
 _KEPT = "vehicle"  # name of the compiled flight code in the cache folder
 WARM_UP_MS = 100  # simulated time in which every firmware loop runs and motion capture arrives
-_STATE_TEXTS = tuple(str(state.value) for state in STATES)
 _COLLISION = ContactBit.VEHICLE.value
 _BROKEN = tuple(Fault(What.MOTOR, Kind.DEAD, motor=motor) for motor in range(1, 5))
-_LOCKED = STATES.index(State.LOCKED)
 
 
 class VehicleSim(Physics):
@@ -55,7 +53,6 @@ class VehicleSim(Physics):
         motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, self._hover_rpm)
         # the owner of the MAVLink connection uses ``faults.link``
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
-        self._allowed, self._state = scalars(r.firmware.supervisor, "motors_allowed", "state")
         self._read_commands = reader(r.firmware.commands)
         # set-point that holds the hover at the start against weight and mean wind; zero for other starts
         self.trim_velocity_enu_m_s: Vec3 = ZERO
@@ -209,22 +206,21 @@ class VehicleSim(Physics):
     @property
     def armed(self) -> bool:
         """Whether the motors may turn."""
-        return bool(self._allowed[0])
+        return self.firmware.supervisor.motors_allowed
 
     @property
     def locked(self) -> bool:
         """Whether the firmware is locked until a reboot (``reboot``)."""
-        return bool(self._state[0] == _LOCKED)
+        return self.firmware.supervisor.state is State.LOCKED
 
     @property
     def supervisor_state(self) -> int:
         """Index of the supervisor's state in ``STATES``."""
-        return int(self._state[0])
+        return STATES.index(self.firmware.supervisor.state)
 
     @property
     def state_text(self) -> str:
-        text: str = _STATE_TEXTS[self._state[0]]
-        return text
+        return str(self.firmware.supervisor.state.value)
 
     @property
     def motors_running(self) -> bool:
@@ -235,7 +231,7 @@ class VehicleSim(Physics):
     def motor_commands(self) -> tuple[float, float, float, float]:
         """Speed commands of M1..M4 divided by the highest speed at the current voltage, 0 to 1."""
         limit = speed_limit(self.record.battery)
-        m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self.firmware.commands)
+        m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self._read_commands())
         return (m1, m2, m3, m4)
 
     @property
@@ -243,7 +239,7 @@ class VehicleSim(Physics):
         """Duty cycles of M1..M4, 0 to 1, for a motor map without battery compensation."""
         at_zero, limit = speed_at_no_duty(self.record.battery), speed_limit(self.record.battery)
         m1, m2, m3, m4 = (
-            min(1.0, max(0.0, (c - at_zero) / (limit - at_zero))) for c in self.firmware.commands
+            min(1.0, max(0.0, (c - at_zero) / (limit - at_zero))) for c in self._read_commands()
         )
         return (m1, m2, m3, m4)
 

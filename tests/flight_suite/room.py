@@ -17,7 +17,7 @@ from flightstack.common.strict_toml import dumps
 from flightstack.core.types import ZERO, Vec3
 from sim.plant import params
 from sim.px4.airframe import parameters
-from sim.px4.program import InstanceClaim, Px4Model, Px4Program
+from sim.px4.program import Px4Model, Px4Program, free_instance
 from sim.scenarios.scenario import Scenario, load, text
 
 
@@ -195,7 +195,7 @@ def on_px4(
     paced = ["--speed", str(speed)]
     clock = ["--clock", str(folder / "clock")] if clocked else []
     with contextlib.ExitStack() as stack:
-        claim = stack.enter_context(contextlib.closing(InstanceClaim()))
+        instance = free_instance()
         target_at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
 
         def start(verb: str, *words: str) -> Child:
@@ -205,12 +205,12 @@ def on_px4(
             return child
 
         # PX4's instance number determines the TCP port
-        plugs = ["--tcp", f"127.0.0.1:{4560 + claim.number}", "--connect", target_at, *paced, *clock]
+        plugs = ["--tcp", f"127.0.0.1:{4560 + instance}", "--connect", target_at, *paced, *clock]
         plugs += ["--mocap"] if mocap else []
         plugs += ["--recorder", str(recorder)] if recorder is not None else []
         simulator = start("px4-sim", *plugs)
         px4 = Px4Program(
-            place, folder / "px4", Px4Model.NONE_IRIS, instance=claim.number,
+            place, folder / "px4", Px4Model.NONE_IRIS, instance=instance,
             parameters=parameters(params.load(scenario.vehicle.airframe), poses),
         )  # fmt: skip
         stack.callback(px4.end)
@@ -218,7 +218,7 @@ def on_px4(
         target = start("target", "--listen", target_at, "--connect", onboard_at, *(clock or paced))
         yield Room(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
-            configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # PX4's rule for the id
+            configured(scenario, folder), folder, FENCE, system_id=instance + 1,  # PX4's rule for the id
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
             speed=1.0 if clocked else speed, clock=folder / "clock" if clocked else None, px4=px4,
         )  # fmt: skip

@@ -22,7 +22,7 @@ from logs.reader.flight_data import Truth
 from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.plant import Px4Plant
-from sim.px4.program import InstanceClaim, Px4Error, Px4Model, Px4Program, find_px4
+from sim.px4.program import Px4Error, Px4Model, Px4Program, find_px4, free_instance
 from sim.scenarios.scenario import load
 from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
@@ -36,9 +36,7 @@ pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("str
 
 @pytest.fixture
 def instance():
-    claim = InstanceClaim()
-    yield claim.number
-    claim.close()
+    return free_instance()
 
 
 def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_room(tmp_path):

@@ -42,7 +42,7 @@ def test_equals_the_vehicle_of_the_simulator_bit_by_bit_when_it_gets_the_same_ro
         if tick % 20 == 0:
             vehicle.set_velocity((0.2, -0.1, 0.3), 0.0)
         vehicle.advance(2)
-        plant.wanted[:] = vehicle.firmware.commands
+        plant.wanted[:] = vehicle.record.firmware.commands
         plant.advance(2)
         assert plant.body().position_enu_m == vehicle.body().position_enu_m, tick
     theirs, ours = vehicle.truth(), plant.truth()
