@@ -136,9 +136,6 @@ class Pilot:
         self._engaged = False  # whether the position loop has started in this mode
         self._yaw_rad = 0.0  # heading to hold
         self._takeoff_z_m = 0.0  # height of the take-off, local frame
-        self._version = -1  # version of the parameters from which the limits were read
-        self._limits = OwnLimits(1.0, 1.0, 0.0, 0.0, 0.0)
-        self._clip = (0.0, 0.0, 0.0)  # speed limits in m/s: horizontal, up, down
         self._fly: dict[FlightMode, Callable[[Estimate, bool, float], Event | None]] = {
             FlightMode.HOLD: self._fly_hold,
             FlightMode.TAKEOFF: self._fly_takeoff,
@@ -157,8 +154,7 @@ class Pilot:
     @property
     def passes_on(self) -> tuple[float, float, float] | None:
         """Speeds (horizontal, up, down) up to which set-points pass unchanged, m/s; None: any may change."""
-        known = self._version == self._parameters.version
-        return self._clip if known and self._engaged and self._setpoint is not None else None
+        return self._clip if self._engaged and self._setpoint is not None else None
 
     def handed_on(self, setpoint: Setpoint) -> None:
         """Record a set-point that was sent to the firmware unchanged."""
@@ -178,15 +174,18 @@ class Pilot:
     ) -> Event | None:
         """Run one control step of an armed vehicle."""
         self._takeoff_z_m = takeoff_z_m
-        if self._version != self._parameters.version:
-            self._read_limits()
         return self._fly[mode](estimate, standing, dt_s)
 
-    def _read_limits(self) -> None:
+    @property
+    def _clip(self) -> tuple[float, float, float]:
+        """Speed limits in m/s: horizontal, up, down."""
         p = self._parameters
-        xy, up, down = p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"]
-        self._version, self._clip = p.version, (xy, up, down)
-        self._limits = OwnLimits(
+        return p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"]
+
+    @property
+    def _limits(self) -> OwnLimits:
+        p, (xy, up, down) = self._parameters, self._clip
+        return OwnLimits(
             p["MPC_XY_P"], p["MPC_Z_P"], min(xy, p["MPC_XY_CRUISE"]), min(up, p["MPC_TKO_SPEED"]),
             min(down, p["MPC_LAND_SPEED"]),
         )  # fmt: skip

@@ -82,7 +82,7 @@ class PublishedRobot(Robot):
 
     def begin(self) -> None:
         """Publish the odometry of tick 0."""
-        self._keep_first()
+        self._keep(*self.first)
 
     def take(self, tick: int) -> DeckState:
         """Advance to the next tick; return the true pose there."""
@@ -105,7 +105,7 @@ class PublishedRobot(Robot):
             self._end(self._driven)
             self._driven += 1
         self._waiting += zip(pads.tolist(), deck_rows(pads).tolist(), strict=True)
-        for tick, fault in self._motion.take_texts():
+        for tick, fault in self.take_texts():
             level = Severity.WARN if fault.begins else Severity.INFO
             self.log.event(self._grid.ns(tick), level, str(fault))
 

@@ -97,8 +97,6 @@ class TargetMotion:
         self.tick = 0  # current tick
         self.model = TargetModel(scenario.target, seed, step_s=grid.period_s)  # true motion at this tick
         self.faults = TargetFaults(scenario.fault, seed)  # faults of robot and odometry
-        # whether the robot drives before the landing starts
-        self.drives_at_once = not scenario.target.wait_for_landing
         self._odometry = TargetOdometry(scenario.odometry, seed)
         # substeps per tick; the odometry measures at most one sample per substep
         self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
@@ -106,7 +104,7 @@ class TargetMotion:
         self._texts: list[tuple[int, Change]] = []
         # pad and samples of tick 0, as ``run`` returns them
         row = self.model.row()
-        self.first = self._driven([row[0]], [(0, sample) for sample in self._measure(row)])
+        self.first = self._as_arrays([row[0]], [(0, sample) for sample in self._measure(row)])
 
     def run(self, ticks: int, driving: bool) -> tuple[F64, list[int], F64]:
         """Advance by several ticks, in compiled calls as long as no fault is active.
@@ -130,9 +128,9 @@ class TargetMotion:
                 row = self.model.run(1, self._step_s, driving and not self.faults.locked)
                 due += [(n, sample) for sample in self._measure(row)]
             decks.append(row[0])
-        return self._driven(decks, due)
+        return self._as_arrays(decks, due)
 
-    def _driven(self, pads: list[F64], due: list[tuple[int, Sample]]) -> tuple[F64, list[int], F64]:
+    def _as_arrays(self, pads: list[F64], due: list[tuple[int, Sample]]) -> tuple[F64, list[int], F64]:
         samples = np.array([sample for _, sample in due], dtype=np.float64).reshape(len(due), 9)
         return np.array(pads, dtype=np.float64), [n for n, _ in due], samples
 
@@ -186,7 +184,7 @@ def deck_rows(pads: F64) -> F64:
     return decks
 
 
-class Robot(ABC):
+class Robot(TargetMotion, ABC):
     """A robot that drives tick by tick or computes future ticks; it may wait for the start of the landing.
 
     The number of future ticks is limited, so that the start of driving is known in time. A tick in a batch
@@ -194,52 +192,46 @@ class Robot(ABC):
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
-        self._go_tick = NO_GO  # tick from which the robot drives
-        self._grid = grid
-        self._motion = motion = TargetMotion(scenario, seed, grid)
-        self._driving = motion.drives_at_once
+        super().__init__(scenario, seed, grid)
+        self._go_tick, self._grid = NO_GO, grid  # tick from which the robot drives
+        self._driving = not scenario.target.wait_for_landing
 
-    def begin(self) -> None:  # noqa: B027
+    def begin(self) -> None:
         """Wait for the conditions of tick 0. Raises NoAnswerError: time-out."""
-
-    def _keep_first(self) -> None:
-        """Store the motion of tick 0."""
-        self._keep(*self._motion.first)
 
     @property
     def waits(self) -> bool:
         """Whether the start of the landing can still change its path or its faults."""
-        return not self._driving or self._motion.faults.waits_for(After.LANDING)
+        return not self._driving or self.faults.waits_for(After.LANDING)
 
     def _drive(self, until_tick: int) -> None:
         """Compute the motion of the robot, driving or at rest, up to a tick."""
-        motion = self._motion
-        while motion.tick < until_tick:
+        while self.tick < until_tick:
             end, goes_at = until_tick, self._go_tick
-            if NO_GO < goes_at <= motion.tick + 1:
-                motion.faults.refer(After.LANDING, self._grid.ns(goes_at))
+            if NO_GO < goes_at <= self.tick + 1:
+                self.faults.refer(After.LANDING, self._grid.ns(goes_at))
                 if not self._driving:
                     self._driving = True
-                    self._drives_off(motion.tick + 1)
+                    self._drives_off(self.tick + 1)
             elif goes_at > NO_GO:
                 end = min(end, goes_at - 1)  # faults with times relative to the landing start at that tick
-            self._keep(*motion.run(end - motion.tick, self._driving))
+            self._keep(*self.run(end - self.tick, self._driving))
 
     @abstractmethod
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
         """Store the motion of the next n ticks (``TargetMotion.run``)."""
 
-    def await_credit(self, tick: int) -> None:  # noqa: B027
+    def await_credit(self, tick: int) -> None:
         """Wait until the companion permits to compute this tick, if the robot depends on the companion."""
 
     @abstractmethod
     def take(self, tick: int) -> DeckState:
         """Advance to the next tick; return the true pose there."""
 
-    def run_ahead(self, tick: int) -> None:  # noqa: B027
+    def run_ahead(self, tick: int) -> None:
         """Compute future ticks while the companion computes, if that saves time."""
 
-    def _drives_off(self, tick: int) -> None:  # noqa: B027
+    def _drives_off(self, tick: int) -> None:
         """Called with the tick from which the robot drives."""
 
 
@@ -263,7 +255,7 @@ class DirectTarget(Robot):
         self._decks: list[list[float]] = []
         self._come: list[int] = []
         super().__init__(scenario, seed, grid)
-        self._keep_first()
+        self._keep(*self.first)
 
     def take(self, tick: int) -> DeckState:
         """Advance to this tick; return the true pose there."""

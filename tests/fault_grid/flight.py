@@ -97,7 +97,7 @@ class _Target(DirectTarget):
 
     def fail(self, fault: Fault, now_ns: int) -> None:
         """Start a fault of the target's odometry."""
-        self._motion.faults.add([fault], now_ns)
+        self.faults.add([fault], now_ns)
 
 
 def _cdr(sample: Sample) -> bytes:

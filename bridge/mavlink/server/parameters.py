@@ -78,7 +78,6 @@ class Parameters:
         self._table = tuple(sorted(rows, key=lambda parameter: parameter.name))
         self._index = {parameter.name: i for i, parameter in enumerate(self._table)}
         self._values = {parameter.name: parameter.default for parameter in self._table}
-        self.version = 0  # counter that changes with every write
         self.left_to_list: list[str] = []  # names of the requested list that are still to be sent
 
     def __getitem__(self, name: str) -> float:
@@ -114,7 +113,6 @@ class Parameters:
         if not parameter.accepts(value) or (parameter.type != REAL32 and value != int(value)):
             raise ValueError(f"parameter {name}: found {value:g}, allowed is {parameter.allowed}")
         self._values[name] = value
-        self.version += 1
 
     def list_all(self) -> None:
         """Start to send every value; a request during a list starts the list again."""
@@ -137,5 +135,4 @@ class Parameters:
         if armed and not parameter.in_flight:
             return Refused(NOT_NOW, f"{name}: only while disarmed")
         self._values[name] = min(max(value, parameter.low), parameter.high)
-        self.version += 1
         return None
