@@ -42,12 +42,6 @@ def cap(motors: Four, most: float) -> Four:
     return (m1, m2, m3, m4)
 
 
-@jitted
-def mix(thrust: float, moments: tuple[int, int, int]) -> Four:
-    """Return counts of M1..M4 from thrust and moment counts about body x, y, z (FLU), limited to 0..65535."""
-    return cap(spread(thrust, moments), COUNTS_MAX)
-
-
 class MapRecord(Record):
     """Inverse of the thrust map: rpm = (b + sqrt(b^2 + four_a counts)) inverse.
 
@@ -101,7 +95,7 @@ def motor_speeds(m: MapRecord, thrust: float, moments: tuple[int, int, int], rpm
             m.no_duty_rpm + per_v * v3 if v3 > 0.0 else 0.0,
             m.no_duty_rpm + per_v * v4 if v4 > 0.0 else 0.0,
         )
-    c1, c2, c3, c4 = mix(thrust, moments)
+    c1, c2, c3, c4 = cap(spread(thrust, moments), COUNTS_MAX)
     return (
         motor_speed(m, c1, rpm_max),
         motor_speed(m, c2, rpm_max),
@@ -136,7 +130,7 @@ def counts_per_n(params: Params, thrust_n: float, battery_v: float | None = None
 
 
 def moments_of(counts: Sequence[float]) -> tuple[int, int, int]:
-    """Return moment counts about body x, y, z for which ``mix`` gives these differences between M1..M4."""
+    """Return moment counts about body x, y, z for which ``spread`` gives these differences between M1..M4."""
     m1, m2, m3, m4 = counts
     return (
         round((m3 + m4 - m1 - m2) / 2.0),

@@ -89,7 +89,7 @@ class Firmware:
 
     def __init__(self, spec: VehicleSpec, params: Params, record: FirmwareRecord) -> None:
         self.record = record
-        self._delay_ms = round(spec.setpoint_delay_s * 1000.0)
+        self.delay_ms = round(spec.setpoint_delay_s * 1000.0)
         self._params = params
         record.gravity = gravity = params.contact.gravity_m_s2
         set_up_map(record.thrust_map, params.rotor, params.battery)
@@ -122,7 +122,7 @@ class Firmware:
 
     def send(self, setpoint: Setpoint, now_ms: int) -> None:
         """Send a set-point; it arrives after the radio's delay."""
-        self._inbox.send(setpoint, now_ms + self._delay_ms)
+        self._inbox.send(setpoint, now_ms + self.delay_ms)
 
     def arm(self, now_ms: int, battery_v: float) -> str | None:
         """Arm the vehicle; return None, or the reason of the rejection."""

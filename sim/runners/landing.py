@@ -108,8 +108,7 @@ class Companion:
         self.node = node = VehicleNode(system_id, self.name, vehicle, autopilot, here, self._notes)
         here.answer = self._answer
         self._link.poll(0.0)  # send the first heartbeat before the first tick, as the onboard process does
-        radio_s = scenario.vehicle.setpoint_delay_s
-        self.loop = LockstepVehicle(node, target, grid, self._stop, radio_s, self)
+        self.loop = LockstepVehicle(node, target, grid, self._stop, self)
         self._ends_s = scenario.duration_max_s
         self._wires = _Wires(self._link, rate_hz, target)
         self._runner = Runner(self.controller, self._wires, Leaving(self._ends_s), self)

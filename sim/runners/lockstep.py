@@ -61,8 +61,8 @@ Exchange = Callable[[int, Sequence[Any]], Sequence[Any]]
 class LockstepVehicle:
     """One vehicle, with its companion and its robot.
 
-    ``robot``: None for a deck that does not move; ``radio_s``: delay of set-points to the vehicle; ``words``:
-    link between the companion and the other members of its fleet; None: no fleet.
+    ``robot``: None for a deck that does not move; ``words``: link between the companion and the other members
+    of its fleet; None: no fleet.
     """
 
     def __init__(
@@ -71,10 +71,9 @@ class LockstepVehicle:
         robot: Robot | None,
         grid: TickGrid,
         stop: Stop,
-        radio_s: float,
         words: FleetEnd | None = None,
     ) -> None:
-        self.radio_ms = round(radio_s * 1000.0)  # delay of set-points by the radio
+        self.radio_ms = node.vehicle.firmware.delay_ms  # delay of set-points by the radio
         self.node, self._robot, self.grid, self._stop, self.words = node, robot, grid, stop, words
         self._companion: Peer | None = None  # the peer that answered first
         self._answers = True  # whether the vehicle waits for its companion

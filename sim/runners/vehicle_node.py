@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -36,12 +36,10 @@ class Held(Generic[T]):
         self._stalled: dict[Running, list[T]] = {}
         self._count = 0
         self.size = 0  # number of waiting items
-        self.overflows = 0  # number of items dropped because the queue was full
 
     def hold(self, item: T, due_ns: int, stall: Running | None) -> None:
-        """Store an item until ``due_ns``, or until the stall ends."""
+        """Store an item until ``due_ns``, or until the stall ends; a full queue drops it."""
         if self.size >= HELD_MAX:
-            self.overflows += 1
             return
         self.size += 1
         if stall is not None:
@@ -59,11 +57,7 @@ class Held(Generic[T]):
         return out
 
 
-class _Frame(NamedTuple):
-    """A frame to send, and its receivers."""
-
-    raw: bytes
-    peers: tuple[Peer, ...]
+_Frame = tuple[bytes, tuple[Peer, ...]]  # a packed message, and its receivers
 
 
 class Wire:
@@ -89,7 +83,7 @@ class Wire:
         for message in messages:
             fate = self._faults.fate(Way.OUT, message, now_ns)
             raw = self._endpoint.pack(message)  # a lost frame also uses a sequence number, as on a real link
-            frame = _Frame(_damaged(raw) if fate.damaged else raw, tuple(peers))
+            frame = (_damaged(raw) if fate.damaged else raw, tuple(peers))
             for due_ns in fate.due_ns:
                 if fate.stall is not None or due_ns > now_ns:
                     self._leaving.hold(frame, due_ns, fate.stall)
@@ -114,8 +108,9 @@ class Wire:
         return self._coming.due(now_ns) if self._coming.size else []
 
     def _ship(self, frame: _Frame) -> None:
-        for peer in frame.peers:
-            self._endpoint.repeat(frame.raw, peer)
+        raw, peers = frame
+        for peer in peers:
+            self._endpoint.repeat(raw, peer)
 
 
 def _damaged(raw: bytes) -> bytes:

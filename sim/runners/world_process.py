@@ -262,9 +262,8 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
         if isinstance(options, WorldOptions):
             ahead = robots_of(team, options, feed, partial(LockstepRobot, grid, session, stop), stack)
         members = [MemberWords(session, each.name) for each in nodes if words is not None]
-        radio_s = {number: scenario.vehicle.setpoint_delay_s for number, (scenario, _) in singles.items()}
         loops = [
-            LockstepVehicle(node, ahead.get(node.number), grid, stop, radio_s[node.number], end)
+            LockstepVehicle(node, ahead.get(node.number), grid, stop, end)
             for node, end in zip_longest(nodes, members)
         ]
         _ready(endpoints, stop)

@@ -12,7 +12,7 @@ import pytest
 
 from flightstack.compiled.records import new
 from sim.firmware.geometric import K_V_N_S_M, PaperLoop, paper_update
-from sim.firmware.mixer import mix
+from sim.firmware.mixer import COUNTS_MAX, cap, spread
 from sim.firmware.pid import PidLoop, cascade_update
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
 from sim.firmware.supervisor import PERIOD_MS, State, Supervisor, supervise
@@ -116,7 +116,7 @@ def test_pid_cascade(length):
 def test_mixer():
     d = data("mixer")
     for thrust, moments, expected in zip(d["thrust"], d["moments"], d["out"], strict=True):
-        got = np.array(mix(float(thrust), tuple(int(m) for m in moments)))
+        got = np.array(cap(spread(float(thrust), tuple(int(m) for m in moments)), COUNTS_MAX))
         assert np.abs(got - expected.astype(float)).max() <= ONE_COUNT  # the firmware truncates to integers
 
 
