@@ -21,7 +21,7 @@ SLICE_S = 0.1  # longest wait for the socket, s
 
 
 class LinkClosedError(ConnectionError):
-    """PX4 has closed the connection."""
+    """The connection has ended: PX4 closed it, or the client is not PX4; the message says which."""
 
 
 def parse_endpoint(text: str, *, allow_unsigned: bool) -> tuple[str, int]:

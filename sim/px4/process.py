@@ -23,7 +23,7 @@ from sim.clock import NS_PER_S, run_process
 from sim.options import Px4SimOptions
 from sim.px4.link import SLICE_S, LinkClosedError, Px4Link, parse_endpoint
 from sim.px4.plant import STEP_MS, Px4Plant, Px4Sensors
-from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
+from sim.px4.session import STEP_S, Event, Px4Session
 from sim.runners.log import VehicleLog
 from sim.runners.published_robot import RealTimeDeck
 from sim.scenarios.scenario import Scenario
@@ -44,14 +44,31 @@ class Px4Node:
         self._deck = deck
         self._deck_s = 0.0  # simulated time of all flights so far; the deck's clock must not jump back
 
-    def begin(self) -> None:
-        self.log.epoch_ns = self._clock.unix_ns()
+    def serve(self, flight: Px4Session, link: Px4Link, duration_s: float | None) -> bool:
+        """Serve one PX4 until it disconnects; return whether ``duration_s`` is over."""
+        try:
+            flight.greet()
+            self.log.epoch_ns = self._clock.unix_ns()
+            while not self._stop.is_set:
+                if duration_s is not None and flight.steps * STEP_S >= duration_s:
+                    return True
+                self._before_step(flight)
+                flight.step()
+        except LinkClosedError as error:
+            print(f"px4-sim: {error}; listening for the next one", file=sys.stderr)
+        finally:
+            link.close()
+            self._deck_s += flight.steps * STEP_S
+            garbage = link.garbage_bytes
+            if flight.nudges or flight.lockstep.old or garbage:
+                print(
+                    f"px4-sim: {flight.steps} steps, {flight.nudges} without an answer, "
+                    f"{flight.lockstep.old} old answers, {garbage} bytes that are no MAVLink",
+                    file=sys.stderr,
+                )
+        return False
 
-    def end(self, flown_s: float) -> None:
-        """Record the end of a flight that lasted this simulated time."""
-        self._deck_s += flown_s
-
-    def before_step(self, flight: Px4Session) -> None:
+    def _before_step(self, flight: Px4Session) -> None:
         """Publish the simulated time; at 83 Hz log the true state and move the deck."""
         if isinstance(self._clock, SimulationClock):
             passed_ns = round(self._deck_s * NS_PER_S) + flight.steps * _NS_PER_STEP
@@ -126,30 +143,5 @@ def _run(scenario: Scenario, options: Px4SimOptions, stop: Stop, stack: ExitStac
             link, plant, Px4Sensors(plant.params, plant.body(), options.seed, mocap), stop, speed=speed,
             silent_max_s=options.silent_max_s, tell=partial(_tell, paced=speed > 0.0),
         )  # fmt: skip
-        if _serve(flight, link, node, stop, options.duration_s) or (options.once and flight.steps):
+        if node.serve(flight, link, options.duration_s) or (options.once and flight.steps):
             break
-
-
-def _serve(flight: Px4Session, link: Px4Link, node: Px4Node, stop: Stop, duration_s: float | None) -> bool:
-    """Serve one PX4 until it disconnects; return whether ``duration_s`` is over."""
-    try:
-        flight.greet()
-        node.begin()
-        while not stop.is_set:
-            if duration_s is not None and flight.steps * STEP_S >= duration_s:
-                return True
-            node.before_step(flight)
-            flight.step()
-    except (LinkClosedError, NotPx4Error) as error:
-        print(f"px4-sim: {error}; listening for the next one", file=sys.stderr)
-    finally:
-        link.close()
-        node.end(flight.steps * STEP_S)
-        garbage = link.garbage_bytes
-        if flight.nudges or flight.lockstep.old or garbage:
-            print(
-                f"px4-sim: {flight.steps} steps, {flight.nudges} without an answer, "
-                f"{flight.lockstep.old} old answers, {garbage} bytes that are no MAVLink",
-                file=sys.stderr,
-            )
-    return False

@@ -16,7 +16,7 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import give_up_priority
 from sim.clock import NoAnswerError
 from sim.px4.airframe import rotor_speeds
-from sim.px4.link import SLICE_S, Px4Link
+from sim.px4.link import SLICE_S, LinkClosedError, Px4Link
 from sim.px4.plant import STEP_MS, Px4Plant, Px4Sensors
 
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
@@ -62,10 +62,6 @@ HELLO_MAX_S = 10.0  # time-out of PX4's first message, s of wall time; PX4 sends
 BOOT_MAX_S = 60.0  # time-out of PX4's first motor outputs, s of wall time
 NUDGE_S = 1.0  # wall time after which one step runs without an answer, s; PX4 may wait for a sensor
 _BEHIND_MAX_S = 0.1  # largest delay that simulated time catches up, s
-
-
-class NotPx4Error(RuntimeError):
-    """The client is not PX4; the message names it."""
 
 
 class Event(Enum):
@@ -114,7 +110,7 @@ class Px4Session:
         while not self._stop.is_set:
             left_s = until_s - time.monotonic()
             if left_s <= 0.0:
-                raise NotPx4Error(
+                raise LinkClosedError(
                     f"a client said nothing that is MAVLink for {HELLO_MAX_S:g} s "
                     f"({self._link.garbage_bytes} other bytes): PX4 sends a HEARTBEAT at once; dropped"
                 )
@@ -189,7 +185,7 @@ class Px4Session:
                 if self.lockstep.take(message):
                     newest = message
             elif kind == "HEARTBEAT" and message.autopilot != dialect.MAV_AUTOPILOT_PX4:
-                raise NotPx4Error(
+                raise LinkClosedError(
                     f"a client is autopilot {message.autopilot} of MAV_AUTOPILOT, allowed is "
                     f"{dialect.MAV_AUTOPILOT_PX4} (PX4); dropped"
                 )

@@ -14,7 +14,7 @@ from sim.px4 import session as px4_session
 from sim.px4.link import LinkClosedError, Px4Link
 from sim.px4.plant import Px4Plant, Px4Sensors
 from sim.px4.program import Px4Model, Px4Program
-from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
+from sim.px4.session import STEP_S, Event, Px4Session
 from sim.scenarios.tables import Start
 from tests.processes.bounded import AT_ONCE_S
 from tests.unit.px4.px4_fakes import FakePx4
@@ -160,13 +160,13 @@ def test_an_old_answer_and_one_said_twice_let_nothing_go_on(pair):
 
 def test_a_client_that_says_nothing_or_garbage_is_dropped_with_a_reason(pair, short):
     pair.fake.raw(b"GET / HTTP/1.1\r\n\r\n")
-    with pytest.raises(NotPx4Error, match="18 other bytes"):
+    with pytest.raises(LinkClosedError, match="18 other bytes"):
         pair.session.greet()
 
 
 def test_another_autopilot_is_refused_by_number(pair):
     pair.fake.hello(autopilot=mav.MAV_AUTOPILOT_ARDUPILOTMEGA)
-    with pytest.raises(NotPx4Error, match="autopilot 3"):
+    with pytest.raises(LinkClosedError, match="autopilot 3"):
         pair.session.greet()
 
 
