@@ -133,10 +133,8 @@ class Px4Program:
         files = find_px4(binary)
         self.folder = folder.absolute()  # working folder: parameters, PX4's log (log/), output (px4.txt)
         self.instance = instance  # instance number, which PX4 adds to all port numbers
-        self.simulator_port = 4560 + instance  # TCP port of the simulator that PX4 connects to (NONE_IRIS)
-        # UDP ports: destination and source of the MAVLink to a companion, and the port for ground stations
-        self.onboard_port, self.onboard_local_port = 14540 + instance, 14580 + instance
-        self.ground_port = 18570 + instance
+        # UDP port to which PX4 sends the MAVLink of a companion
+        self.onboard_port = 14540 + instance
         self._parameters = dict(parameters or {})
         self._speed, self._model, self._origin = speed, model, origin_wgs84
         self.absent: list[str] = []  # requested parameters that this release lacks; set by wait_ready
