@@ -79,17 +79,7 @@ def drives():
         robot = TargetMotion(each, 3, TickGrid(100))
         for tick in range(STEPS):
             _, at, samples = robot.run(1, driving=tick > 20)
-            model = robot.model
-            out.append(
-                [
-                    *model.pose,
-                    model.velocity_enu_m_s,
-                    model.velocity_body_m_s,
-                    model.yaw_rate_rad_s,
-                    at,
-                    samples.tolist(),
-                ]
-            )
+            out.append([*robot.model.pad, at, samples.tolist()])
     return out
 
 
