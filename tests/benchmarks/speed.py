@@ -8,6 +8,7 @@ from __future__ import annotations
 import gc
 import math
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
@@ -115,8 +116,29 @@ def lockstep() -> None:
     print(f"{statistics.median(factors):.1f} x real time (asked 30); runs {runs}")
 
 
+CRAZYFLOW = """
+import time
+import gymnasium, numpy as np
+import crazyflow.envs
+for worlds in (1, 64, 1024):
+    env = gymnasium.make_vec("DroneReachVel-v0", num_envs=worlds, freq=100)
+    env.reset(seed=1)
+    action = np.zeros(env.action_space.shape, np.float32)
+    env.step(action)  # compiles
+    steps, began_s, cpu_s = 200 if worlds < 1000 else 40, time.perf_counter(), time.process_time()
+    for _ in range(steps):
+        np.asarray(env.step(action)[1])
+    wall_s, cpu_s = time.perf_counter() - began_s, time.process_time() - cpu_s
+    rates = [steps * worlds / took_s for took_s in (cpu_s, wall_s)]
+    print("crazyflow, {} worlds: {:,.0f} steps/s of CPU time, {:,.0f} of wall time".format(worlds, *rates))
+"""
+
+
 def environment() -> None:
-    """Print steps per second of the Gymnasium environment and of Pendulum-v1."""
+    """Print steps per second of the Gymnasium environment, of Pendulum-v1 and, if requested, of crazyflow.
+
+    Argument: path of a Python interpreter with crazyflow installed; its steps are 0.01 s long, too.
+    """
     import gymnasium
 
     import flightstack as fs
@@ -138,6 +160,8 @@ def environment() -> None:
         print(f"landing, filter {name}: {statistics.median(rates):,.0f} steps/s of CPU time")
     pendulum = gymnasium.make("Pendulum-v1")
     print(f"Pendulum-v1: {flown(pendulum, range(20), pendulum.action_space.sample):,.0f} steps/s of CPU time")
+    for python in sys.argv[1:]:
+        subprocess.run([python, "-W", "ignore", "-c", CRAZYFLOW], check=True, timeout=600)
 
 
 PAPER_RUNS = ("paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2")
