@@ -18,7 +18,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import Vec3
-from flightstack.verify.ends import contact, notices, reaches_touchdown
+from flightstack.verify.ends import any_filter, reaches_touchdown
 from flightstack.verify.types import Check
 
 
@@ -91,6 +91,5 @@ def certificate(config: FlightConfig) -> list[Check]:
             "raise limits.velocity_max_m_s, or lower alpha * beta or touchdown.target_speed_max_m_s",
         ),
         reaches_touchdown(config),
-        contact(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
-        notices(config),
+        *any_filter(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
     ]
