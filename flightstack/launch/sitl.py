@@ -26,6 +26,7 @@ from flightstack.launch.vehicles import (
     plugged,
     to_the_floor_m,
 )
+from flightstack.onboard import process  # noqa: F401  # forked onboard processes then need not load it
 from flightstack.onboard.recording import Described, describe, log_in, new_folder
 from flightstack.verify.certificate import refuse
 from logs.schema import NO_PAD, SCENARIO, Names

@@ -21,6 +21,7 @@ from flightstack.common.processes import Child, LaunchError
 from flightstack.config.files import path_of
 from tests.flight_suite.companion import Companion, Radio, companion
 from tests.flight_suite.room import Room, on_px4
+from tests.processes.started import StartedChild
 from tests.px4_place import PX4_PLACE, px4_place
 
 SCENARIO = "large"
@@ -100,7 +101,7 @@ def fly(place: Path, phase: str, act: Act, folder: Path) -> str:
             "--until-clients",
             "2",
         ]
-        recorder = Child("record", words, folder)
+        recorder = StartedChild("record", words, folder)
         stack.callback(recorder.end, 30.0)
         recorder.wait_ready()
         room = stack.enter_context(on_px4(folder, place, SCENARIO, 1, recorder=socket))

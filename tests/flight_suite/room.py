@@ -19,6 +19,7 @@ from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import Px4Model, Px4Program, free_instance
 from sim.scenarios.scenario import Scenario, load, text
+from tests.processes.started import StartedChild
 
 
 class Lost(Enum):
@@ -121,9 +122,11 @@ def simulated(folder: Path, scenario_name: str = SCENARIO) -> Iterator[Room]:
     common = ["--scenario", scenario_name, "--seed", "1", "--duration", "300"]
     try:
         words = ["--connect", target_at, "--url", "udpin:127.0.0.1:0"]
-        vehicle = Child("vehicle", ["vehicle", *common, *words], folder)
+        vehicle = StartedChild("vehicle", ["vehicle", *common, *words], folder)
         children.append(vehicle)
-        target = Child("target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder)
+        target = StartedChild(
+            "target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder
+        )
         children.append(target)
         url = vehicle.wait_ready().replace("udpin", "udpout")
         target.wait_ready()
@@ -199,7 +202,7 @@ def on_px4(
         target_at, onboard_at = (stack.enter_context(contextlib.closing(Port())).endpoint for _ in range(2))
 
         def start(verb: str, *words: str) -> Child:
-            child = Child(verb, [verb, *common, *words], folder)
+            child = StartedChild(verb, [verb, *common, *words], folder)
             stack.callback(child.end)
             child.wait_ready()
             return child

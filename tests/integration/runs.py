@@ -152,8 +152,8 @@ class Background:
         return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
     def children(self) -> dict[str, int]:
-        """Return the ids of the child processes by the names of their files for errors."""
-        return {Path(f"/proc/{pid}/fd/2").readlink().stem: pid for pid in self.pids()}
+        """Return the ids of the child processes by process name (subcommand and vehicle)."""
+        return {Path(f"/proc/{pid}/comm").read_text().strip(): pid for pid in self.pids()}
 
 
 class Flying(Background):

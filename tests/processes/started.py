@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import multiprocessing
 import os
 import selectors
@@ -15,10 +14,10 @@ import time
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from flightstack.cli.main import main
-from flightstack.common.processes import forget_handlers, hand_on_niceness
+from flightstack.common.processes import Child, leave_parent
 
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(["tests.processes.loaded"])
@@ -30,6 +29,8 @@ class Started:
     Args:
         run: function to run, and its arguments.
         cwd: working folder.
+        text: whether its output is read as text.
+        errors: file for its standard error; None: a pipe.
     """
 
     stdin = None
@@ -39,15 +40,19 @@ class Started:
         run: Callable[..., object],
         *given: object,
         cwd: Path | None = None,
+        text: bool = True,
+        errors: IO[bytes] | None = None,
     ) -> None:
         out, to_out = SERVER.Pipe(duplex=False)
         err, to_err = SERVER.Pipe(duplex=False)
+        told = to_err if errors is None else Connection(os.dup(errors.fileno()), readable=False)
         about = (cwd or Path.cwd(), dict(os.environ), os.getpriority(os.PRIO_PROCESS, 0))
-        self._process = SERVER.Process(target=_begin, args=(run, given, about, to_out, to_err))
+        self._process = SERVER.Process(target=_begin, args=(run, given, about, to_out, told))
         self._process.start()
-        for theirs in (to_out, to_err):
+        for theirs in (to_out, to_err, told):
             theirs.close()
-        self.stdout, self.stderr = (os.fdopen(os.dup(one.fileno())) for one in (out, err))
+        kind = "r" if text else "rb"
+        self.stdout, self.stderr = (os.fdopen(os.dup(one.fileno()), kind) for one in (out, err))
         assert self._process.pid is not None
         self.pid = self._process.pid
 
@@ -70,7 +75,7 @@ class Started:
         if self.poll() is None:
             os.kill(self.pid, number)
 
-    def communicate(self, timeout: float) -> tuple[str, str]:
+    def communicate(self, timeout: float) -> tuple[Any, Any]:
         """Read the output to its end, and wait for the end of the process.
 
         Raises subprocess.TimeoutExpired: the process runs longer than the given time.
@@ -90,8 +95,21 @@ class Started:
                     if not data:
                         selector.unregister(key.fileobj)
         self.wait(max(0.0, until_s - time.monotonic()))
-        out, err = (said[stream].decode(errors="replace") for stream in (self.stdout, self.stderr))
-        return out, err
+        out, err = (said[stream] for stream in (self.stdout, self.stderr))
+        return (
+            (out.decode(errors="replace"), err.decode(errors="replace"))
+            if "b" not in self.stdout.mode
+            else (out, err)
+        )
+
+
+class StartedChild(Child):
+    """A ``Child`` of a process with threads, like the workers of the tests."""
+
+    def _program(self, arguments, program, works_in, errors):
+        if program is not None:
+            return super()._program(arguments, program, works_in, errors)
+        return Started(run_verb, list(arguments), text=False, errors=errors)
 
 
 def run_verb(words: Sequence[str]) -> None:
@@ -105,23 +123,9 @@ def _begin(
     """Turn the forked child into an independent process, and run the function."""
     folder, environment, nice = about
     os.setpriority(os.PRIO_PROCESS, 0, nice)
-    os.setsid()
-    hand_on_niceness(os.getpid())
-    forget_handlers()
-    _own_streams(output.fileno(), errors.fileno())
+    leave_parent(output.fileno(), errors.fileno())
     os.chdir(folder)
     sys.path.insert(0, str(folder))  # ``python -m`` also adds this folder
     os.environ.clear()
     os.environ.update(environment)
     run(*given)
-
-
-def _own_streams(output: int, errors: int) -> None:
-    """Give the process an empty standard input and these outputs; close all other files of its parent."""
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    for place, number in enumerate([fcntl.fcntl(n, fcntl.F_DUPFD, 3) for n in (nothing, output, errors)]):
-        os.dup2(number, place)
-    os.closerange(3, max(int(each.name) for each in Path("/proc/self/fd").iterdir()) + 1)
-    sys.stdin = os.fdopen(0, closefd=False)
-    sys.stdout = os.fdopen(1, "w", closefd=False)
-    sys.stderr = os.fdopen(2, "w", buffering=1, errors="backslashreplace", closefd=False)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from flightstack.common.processes import Child
 from flightstack.common.strict_toml import dumps
 from flightstack.core.types import Mode
 from logs.reader.flight import load_flight
@@ -28,6 +27,7 @@ from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.room import on_px4
 from tests.processes.bounded import AT_ONCE_S, wait_for
+from tests.processes.started import StartedChild
 from tests.px4_place import px4_or_skip
 
 # the worker of "stream 0" is the only one that flies the real PX4
@@ -139,7 +139,7 @@ def flown(tmp_path_factory):
     words = ["record", "--socket", str(socket), "--out", str(log), "--until-clients", "1"]
     ends = []
     with contextlib.ExitStack() as stack:
-        recorder = Child("record", words, folder)
+        recorder = StartedChild("record", words, folder)
         stack.callback(recorder.end, RECORDED_MAX_S)
         recorder.wait_ready()
         with on_px4(

@@ -11,12 +11,12 @@ from contextlib import ExitStack
 import pytest
 
 from bridge.mavlink.signing import Signer, load_key
-from flightstack.common.processes import Child
 from logs.compare import ABSENT, compare
 from tests.flight_suite.room import simulated
 from tests.integration.runs import flightstack, fly
 from tests.integration.sim_processes import Client, is_a, terminate, verb
 from tests.processes.bounded import PATIENCE_S
+from tests.processes.started import StartedChild
 from tests.serial_relay import PtyEnd, Relay, TcpEnd
 
 ARMED = 128
@@ -131,7 +131,7 @@ def land_over(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="s
         port = int(room.url.rpartition(":")[2])
         relay = Relay(make_near(folder), port, baud, noise_bytes_s=noise_bytes_s)
         stack.callback(relay.close)
-        flight = Child(
+        flight = StartedChild(
             "onboard",
             ["onboard", "--vehicle", relay.near.url, "--target", room.target_key, "--connect", *room.connect,
              "--listen", room.listen, "--config", str(config), "--autopilot", "sitl"],

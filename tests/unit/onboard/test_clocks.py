@@ -190,15 +190,6 @@ def test_one_that_ends_says_why(tmp_path):
         child(tmp_path, "raise SystemExit('no such thing')").wait_ready()
 
 
-def test_lines_that_come_with_the_one_that_is_waited_for_are_kept(tmp_path):
-    child = Child("printf", [r"hello\nready at once\nfirst\nsec"], tmp_path, program=["printf"])
-    try:
-        assert child.wait_ready() == "at once"
-        assert child.lines(0.0) == ["first"]
-    finally:
-        child.end()
-
-
 def test_a_long_wait_says_what_it_waits_for_once(monkeypatch, capsys):
     monkeypatch.setattr(clock, "_SAID_S", 0.01)
     assert not clock.wait_until(lambda: False, Stop(), 0.2, pause_s=0.001, what="the robot")
