@@ -17,7 +17,6 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.target.own_estimator import PUSH_TIME_S, steady_gains
@@ -302,9 +301,9 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
     Between two steps the integral differs from that of the straight line by at most h^3 / 12 times the second
     derivative. After the last step, the remaining state starts the response again.
     """
-    bend = np.abs(outputs @ loop @ loop) @ expm(np.abs(loop) * STEP_S)
+    bend = np.abs(outputs @ loop @ loop) @ matrix_exp(np.abs(loop) * STEP_S)
     powers = np.eye(len(loop))[np.newaxis]
-    factor: F64 = expm(loop * STEP_S)
+    factor = matrix_exp(loop * STEP_S)
     for doubling in range(1, DOUBLINGS[1] + 1):
         with np.errstate(over="ignore", invalid="ignore"):
             powers = np.concatenate([powers, powers @ factor])
@@ -327,3 +326,13 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
         gains: F64 = integral(inputs, factor @ inputs) + integral(np.eye(len(loop)), factor) @ rest
         return gains
     return None
+
+
+def matrix_exp(matrix: F64) -> F64:
+    """Return the exponential of a square matrix."""
+    from scipy.linalg import (
+        expm,
+    )  # a late import: it takes 0.5 s, and every process of a flight loads this module
+
+    result: F64 = expm(matrix)
+    return result

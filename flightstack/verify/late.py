@@ -14,12 +14,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import expm
 
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.velocity_tracking import lead_carried, lead_commanded, lead_observed, lead_of
 from flightstack.verify.envelope import Extremes
-from flightstack.verify.feedback import F64
+from flightstack.verify.feedback import F64, matrix_exp
 from flightstack.verify.types import PROOF, Check
 
 DAMPING_MIN = 0.5  # minimum damping of the position loop around the lagging velocity loop
@@ -58,7 +57,7 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
             [0.0, 0.0, 0.0, 0.0],
         ]
     )
-    step = expm(rates * period_s)[:3].tolist()
+    step = matrix_exp(rates * period_s)[:3].tolist()
     sent = max(late, acts) + 1  # number of stored set-points, the newest last
     size = STATES + sent + 2 * aged
 

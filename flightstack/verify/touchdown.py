@@ -11,14 +11,13 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import expm
 
 from flightstack.core.mission.guidance import CLIMB_OVER
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.robust import BRAKING
 from flightstack.verify import late
 from flightstack.verify.envelope import Extremes
-from flightstack.verify.feedback import follow_m
+from flightstack.verify.feedback import follow_m, matrix_exp
 from flightstack.verify.types import PROOF, Check
 
 STEP_S = 2e-3  # step of the comparison system, s
@@ -90,7 +89,7 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
             [0.0, 0.0, 0.0],
         ]
     )
-    step = expm(STEP_S * rates)
+    step = matrix_exp(STEP_S * rates)
     y = config.robust.commit_radius_m + x.position_error_m
     state = np.array([y, config.robust.commit_speed_m_s + error + gain * y, 1.0])
     steps = math.ceil(min(descent_time_s(config, x), config.touchdown.timeout_s) / STEP_S)
