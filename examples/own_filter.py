@@ -19,7 +19,7 @@ class Smooth(fs.Filter):
 
     @dataclass
     class State:
-        """State between ticks; logs contain it, and a replay restores it."""
+        """State between ticks; logs contain it, and a replay compares it."""
 
         velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
 

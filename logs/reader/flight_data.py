@@ -225,7 +225,7 @@ def read_config(data: bytes) -> FlightConfig:
 
 
 def shape(config: FlightConfig) -> dict[str, str]:
-    """Return the sizes of barrier and pad, m and 1/m, by their names in the metadata of a simulated run.
+    """Return the sizes of barrier and pad, m and 1/m, as texts by name.
 
     For a fleet the result also has the semi-axes of the ellipsoid around a vehicle pair.
     """

@@ -1,9 +1,9 @@
 """Derives the messages for viewers: standard ROS messages from controller steps and from MAVLink frames.
 
-The messages of a :class:`Deriver` let any viewer show the flight in 3-D. They contain only data of the steps
-and of the run's metadata. The log time of the steps alone determines which messages are derived: two runs
-with equal steps give equal messages. Frames: ``map`` is the ENU world, ``map_ned`` the same origin with NED
-axes, ``<ns>/base_link`` the vehicle (heading only), ``<ns>/target`` the pad with its heading,
+The messages of a :class:`Deriver` let any viewer show the flight in 3-D. They contain only data of the steps,
+of the configuration and of the run's metadata. The log time of the steps alone determines which messages are
+derived: two runs with equal steps give equal messages. Frames: ``map`` is the ENU world, ``map_ned`` the same
+origin with NED axes, ``<ns>/base_link`` the vehicle (heading only), ``<ns>/target`` the pad with its heading,
 ``<ns>/target_pad`` the pad without heading, in which the barrier does not move.
 """
 
@@ -65,7 +65,7 @@ class Deriver:
         self._slots: dict[int, int] = {}
 
     def configure(self, run: Mapping[str, str], shape: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Set barrier, pad and displayed text from the metadata of the run."""
+        """Set the displayed text from the metadata of the run; ``shape``: sizes of barrier and pad."""
         self._scene.configure({**shape, **run})
         self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in run.items()))
 

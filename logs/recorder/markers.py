@@ -101,7 +101,7 @@ class Scene:
         self._pack = packer(MARKER_ARRAY, frame_id=None)
 
     def configure(self, run: Mapping[str, str]) -> None:
-        """Set barrier, pad and ellipsoid from the metadata of the run; missing ones are not drawn."""
+        """Set barrier, pad and ellipsoid from their sizes (``shape``); missing ones are not drawn."""
         frame = self._target_frame
         self._pad = _pad(frame, float(run.get("pad_radius_m", PAD_RADIUS_M)))
         if "barrier_alpha_1_m" in run and "barrier_beta_m" in run:

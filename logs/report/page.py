@@ -1,4 +1,4 @@
-"""HTML pages of flights, campaigns and validations: a page is a list of panels and needs no network.
+"""HTML pages of flights and campaigns: a page is a list of panels and needs no network.
 
 ``render(Page(...))`` makes a page of any figures and tables. It escapes texts; the functions of this module
 return HTML, which is not escaped again.

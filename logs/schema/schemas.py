@@ -1,8 +1,9 @@
 """Definitions of all message types in the flight log: texts, hashes, and a generic codec.
 
 This stack's types and MAVROS' raw frame are the ``.msg`` files in ``msg/``, which are written by hand.
-Standard types come from the ROS 2 Jazzy store of ``rosbags``. Decoded MAVLink messages are made from the
-dialect when first needed. Writer, reader and comparison share one store.
+Standard types come from ``bridge/ros2/standard.msg``, and those that it lacks from the ROS 2 Jazzy store of
+``rosbags``. Decoded MAVLink messages are made from the dialect when first needed. Writer, reader and
+comparison share one store.
 """
 
 from __future__ import annotations

@@ -121,6 +121,6 @@ def rgba(color: Color | str) -> tuple[int, int, int, int]:
 
 
 def run_of(flight: Flight) -> dict[str, str]:
-    """Return the metadata of the run; for a real flight, barrier and pad from the configuration."""
+    """Return the metadata of the run, and barrier and pad of the configuration."""
     known = {} if flight.config is None else shape(flight.config)
     return known | flight.metadata.get("run", {})

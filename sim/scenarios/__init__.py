@@ -1,1 +1,1 @@
-"""Scenarios of one vehicle, one TOML file each."""
+"""Scenarios of one or several vehicles, one TOML file each."""

@@ -56,7 +56,7 @@ class Filter:
     have defaults. Velocities are ENU, m/s; positions ENU, m.
 
     A filter may store data for later ticks only in ``state`` and, as the package's filters do, in ``motion``,
-    ``tracking``, ``own`` and ``late``. A log contains these five attributes, and a replay restores them.
+    ``tracking``, ``own`` and ``late``. A log contains these five attributes, and a replay compares them.
 
     Args:
         config: configuration of the flight.
