@@ -42,10 +42,10 @@ class Cone:
         return self.h(e_m), (gx, gy, 1.0), -(gx * vx + gy * vy + vz)
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Return the largest error of a linear prediction of h after a horizontal motion by s = ``moved_m``.
+        """Return how far h may fall below its linear prediction in a horizontal motion by s = ``moved_m``, m.
 
-        With d, the distance from the axis, the error is slope * s^2 / (2 d) for a motion around the axis, and
-        slope * 2 (s - d) for a motion across it.
+        With d, the distance from the axis, this is at most slope * s^2 / (2 d) if s < 2 d, else
+        slope * 2 (s - d). On the axis, where the gradient points up, it is slope * s.
         """
         d = math.hypot(e_m[0], e_m[1])
         if d == 0.0:

@@ -23,7 +23,9 @@ class Found(NamedTuple):
 
     horizontal: Loop
     vertical: Loop
-    spread: float  # relative spread of the velocity loop's lags between logs; at least two standard errors
+    # largest relative deviation of one log's lag from the common lag of the velocity loop, but at least two
+    # relative standard errors of the common lag
+    spread: float
     tracking_error_m_s: float | None
     own_noise_m: float | None
     link: Link | None

@@ -74,7 +74,7 @@ class VelocityCommand(Situation):
         self.slew_step, self.up_step_m_s = (x * t, y * t, self.slew_step[2]), z * t
 
     def base(self, velocity_enu_m_s: Vec3) -> Vec3:
-        """Return the start of the slew limit: the last command, or without one the measured velocity."""
+        """Return the last command, or without one the measured velocity; the slew limit is relative to it."""
         if self.memory.commanding or self.memory.lifting:
             return self.memory.command
         return limit(velocity_enu_m_s, self.config.limits.velocity_max_m_s)

@@ -1,9 +1,10 @@
 """One tick of the flight stack: ``step(inputs, now) -> outputs`` without I/O, clock or randomness.
 
-samples -> estimates -> phase (``mission/``) -> nominal velocity -> neighbours (``velocity.beside``) -> filter
-and gate (``velocity.setpoint``). Live flight, lockstep simulation and replay call ``step``. ``land`` is the
-same sequence for an ordinary tick: a single vehicle with good inputs that follows set-points or has landed,
-and no change of phase. A campaign runs it compiled, and its results are equal to the last bit.
+samples -> estimates -> phase (``mission/``) -> nominal velocity -> neighbours (``beside``) -> filter and gate
+(``setpoint``); the last two are methods of ``VelocityCommand`` in ``command.py``. Live flight, lockstep
+simulation and replay call ``step``. ``land`` is the same sequence for an ordinary tick: a single vehicle with
+good inputs that follows set-points or has landed, and no change of phase. A campaign runs it compiled, and
+its results are equal to the last bit.
 """
 
 from __future__ import annotations

@@ -45,7 +45,8 @@ class Memory:
     swings: int = 0  # number of departures from the cone over the pad since the last touchdown
     ground_z_m: float = inf  # height at which the vehicle stood, m
     yaw_rad: float | None = None  # heading for the complete flight, rad
-    command: Vec3 = ZERO  # last velocity command before the lag correction; start of the slew limit
+    # last velocity command before the lag correction; the slew limit of the next command is relative to it
+    command: Vec3 = ZERO
     commanding: bool = False  # whether the last tick sent a velocity command, and the vehicle follows it
     lifting: bool = False  # whether the last tick sent a take-off climb, which takes effect after lift-off
     target_position_enu_m: Vec3 | None = None  # last known position of the target

@@ -145,8 +145,9 @@ def _slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, who: str, part: f
     """Check that within the slew limit a velocity can follow an active constraint; ``part``: the share taken.
 
     For an active constraint g . (u - c) = -rate h: g . u has to grow by rate times the closing speed plus the
-    acceleration of the other vehicle; the curvature of h reduces this sum. With half of the share only half
-    of it is needed. The remaining room is homogeneous in g and concave, so it is smallest along an axis.
+    acceleration of the other vehicle; the curvature of h reduces this sum. A vehicle whose share is one half
+    needs only half of this growth. The remaining room is homogeneous in g and concave, so it is smallest
+    along an axis.
     """
     speeds, most = config.limits.velocity_max_m_s, fleet.speed_max_m_s
     needed = [part * (fleet.rate_1_s * (m + most) + fleet.acceleration_max_m_s2) for m in speeds]

@@ -16,7 +16,7 @@ from flightstack.core.types import Vec3
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.types import PROOF, Check
 
-TICK_S = 0.05  # longest allowed tick, s, if the vehicle's lag is shorter
+TICK_S = 0.05  # length of a tick, s, that is allowed even if the vehicle's lag is shorter
 QUICKER = 1.25  # required ratio of the position loop's gain to omega
 FASTER = 1.4  # required ratio of the vehicle's speed to the target's
 # Required ratio of the boundary height at half the pad's radius to contact.gap_m. At a ratio of 1 two of 100
@@ -190,7 +190,8 @@ def answers(config: FlightConfig) -> list[Check]:
             PROOF,
         ),
         Check(
-            "tick", "a tick is no longer than the vehicle's lag", quick_s - tick_s, "s",
+            "tick", f"a tick is no longer than the vehicle's lag, or than {TICK_S:g} s if the lag is shorter",
+            quick_s - tick_s, "s",
             f"found {tick_s:.3g}, the lag is {loop.lag_xy_s:g}", "raise loop.rate_hz", PROOF,
         ),
     ]  # fmt: skip

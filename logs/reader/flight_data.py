@@ -154,8 +154,9 @@ class Flight(Judged):
     path: Path  # log file
     origin_ns: int  # log time of ``t_s = 0``
     duration_s: float  # time from the first to the last step or true state, s
-    damage: tuple[str, ...] = ()  # unreadable parts of the log, as text; empty for a good one
-    problems: tuple[str, ...] = ()  # damage, and an unreadable configuration of another version
+    damage: tuple[str, ...] = ()  # texts of unreadable parts of the log; empty: none
+    # texts of all damage, and of a configuration in the log that this version cannot read
+    problems: tuple[str, ...] = ()
     steps: Steps | None = None
     timing: Timing | None = None
     target: TargetOdometry | None = None

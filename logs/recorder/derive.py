@@ -160,7 +160,7 @@ class FrameDecoder:
 
 
 class Derivers:
-    """Derivations for all clients of one recorder, by topic: a client that reconnects continues."""
+    """Functions that derive messages, for all clients of one recorder; a client that reconnects continues."""
 
     def __init__(self) -> None:
         # values of each member's run, with barrier and pad of its configuration as ``shape``
@@ -170,7 +170,7 @@ class Derivers:
         self._frames: dict[str, FrameDecoder] = {}
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Pass the metadata of a run or of an onboard process to the derivations."""
+        """Pass the metadata of a run or of an onboard process to these functions."""
         member, name = split(name)
         if name == "run":
             self._runs[member][name].update(values)

@@ -75,7 +75,7 @@ class WireReplay:
         every: int,
         found: Tally,
     ) -> None:
-        """Create the replayed link at tick 0, whose differences are added to ``found``."""
+        """Create the replayed link at tick 0; differences between it and the log are added to ``found``."""
         self._found = found
         origin = config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)

@@ -105,7 +105,8 @@ class FleetVerdict:
     outcome: Outcome  # worst outcome of the members
     reason: str  # reason of the outcome, as text
     violation: bool | None  # whether a member violated the barrier over its pad; None: unknown
-    members: dict[str, Verdict]  # verdicts by member; one that collided with another vehicle has crashed
+    # verdict of each member, by name; a member that collided with another vehicle has the outcome crashed
+    members: dict[str, Verdict]
     collisions: int | None  # pairs whose shapes overlapped; None: data are missing
     # number of times that two flying vehicles came inside their ellipsoid; None: data are missing
     ellipsoid_violations: int | None

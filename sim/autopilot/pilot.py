@@ -217,7 +217,8 @@ class Pilot:
 
     def _fly_hold(self, estimate: Estimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
-            # Sent repeatedly: without set-points after a flight the firmware assumes a lost link and locks.
+            # The stop set-point is sent at every tick: if set-points stop after a flight, the firmware
+            # assumes a lost link and changes to LOCKED.
             self.stop()
             return None
         self._engage(estimate)

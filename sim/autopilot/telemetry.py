@@ -122,8 +122,8 @@ def _system_time(s: Snapshot[Flight]) -> Message:
     return dialect.MAVLink_system_time_message(s.epoch_ns // 1000 + s.boot_us, s.boot_ms)
 
 
-# Streams in the order of a datagram, with the default rates, Hz: PX4's rates, or rates that clients need as
-# measured. None: at every tick, or on request only.
+# Streams in the order of a datagram, with default rates, Hz: those of PX4, or rates that clients needed in
+# measurements. None: a message in ``EVERY_TICK`` is sent at every tick, all others on request only.
 STREAMS: StreamTable[Flight] = {
     dialect.MAVLINK_MSG_ID_SYS_STATUS: (common.sys_status, 5.0),
     dialect.MAVLINK_MSG_ID_SYSTEM_TIME: (_system_time, 1.0),

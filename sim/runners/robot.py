@@ -154,7 +154,10 @@ _turn = cast("Callable[[Quat, Vec3], Vec3]", jitted(frames.world_from_body))
 
 @jitted
 def _turn_samples(samples: F64, rows: F64) -> None:
-    """Compute heading, velocity and turn rate as the receiver decodes them, with normalised quaternions."""
+    """Compute heading, and velocity and turn rate in the world frame, with the receiver's formulas.
+
+    Quaternions are normalised; positions are copied.
+    """
     for n in range(len(samples)):
         sample, row = samples[n], rows[n]
         w, x, y, z = _quaternion(sample[4])
@@ -168,7 +171,7 @@ def _turn_samples(samples: F64, rows: F64) -> None:
 
 @jitted
 def _decks(pads: F64, decks: F64) -> None:
-    """Compute true poses as the receiver decodes them, one in each row."""
+    """Compute position, heading, velocity (world frame) and turn rate with the receiver's formulas."""
     for n in range(len(pads)):
         pad, deck, q = pads[n], decks[n], _quaternion(pads[n, 4])
         velocity = _turn(q, (pad[5], pad[6], pad[7]))

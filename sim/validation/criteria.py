@@ -107,7 +107,8 @@ class Criterion:
     reason: str  # reason for these two limits
     statistic: Statistic
     paths: tuple[str, ...]  # paths of the criterion's numbers in the results of a flight
-    cause: str | None = None  # text of a failure, with the value as placeholder; None: ``text``
+    # sentence for a missed limit, with a placeholder for the value; None: a sentence made from ``text``
+    cause: str | None = None
     by_chance: bool = False  # whether the result is random: it fails only if the whole interval is outside
     scale: float = 1.0  # factor from the value to the printed number
     unit: str = ""  # unit of the printed number

@@ -4,7 +4,8 @@ Every ``EVERY_S`` the plant starts from the true state: position, velocity and a
 rates from the gyro. After the start its only inputs are the recorded commands and voltages. Before each start
 three quantities are calibrated from earlier samples:
 
-- thrust: one factor, such that the last ``CALIBRATION_S`` reproduce the recorded change of velocity;
+- thrust: one factor, with which the plant reproduces the recorded change of velocity in the last
+  ``CALIBRATION_S`` seconds;
 - marker misalignment: two angles, from the same change of velocity;
 - torque: an observer follows the gyro and estimates the torque that the plant lacks. The slow part of this
   torque is constant in the prediction (unequal motors, offset centre of mass), the fast part decays.

@@ -178,14 +178,15 @@ def on_px4(
     Raises FileNotFoundError: no PX4 there. Raises LaunchError: a process did not start.
 
     Args:
-        folder: for output of processes.
+        folder: folder for output of processes.
         place: location of PX4's program (argument of ``sim.px4.program.find_px4``).
         scenario_name: name or file of the scenario; its robot waits for the first approach.
         seed: seed of wind, noise and the vehicle's spread.
         speed: ratio of simulated to real time.
-        clocked: robot and onboard process live by the simulator's clock, which is as fast as all of
-            them can be, at most ``speed``; a pilot in this process still lives by the wall's.
-        mocap: the scenario's motion capture instead of satellites.
+        clocked: whether robot and onboard process use the simulator's clock, which runs at most
+            ``speed`` times as fast as real time, and slower if one of the processes cannot follow; a
+            pilot in this process uses the wall clock.
+        mocap: whether the scenario's motion capture replaces satellites.
         recorder: socket of a recorder for the true states.
     """
     scenario = load(scenario_name)

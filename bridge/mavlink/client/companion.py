@@ -186,7 +186,7 @@ _WORKING_S = 3.0  # time until the next try after MAV_RESULT_IN_PROGRESS, s (as 
 _DATUM_PERIOD_S = 1.0  # time between two requests for the datum of the take-off height, s
 _DATUM_TRIES = 30
 _FINALS = 2  # final rejections before a request fails: one may belong to an earlier try
-# rejections that no repetition changes; other results are followed by the next try
+# rejections that a repetition does not change; after any other result the command is sent again
 _FINAL = frozenset(
     {dialect.MAV_RESULT_DENIED, dialect.MAV_RESULT_UNSUPPORTED, dialect.MAV_RESULT_COMMAND_INT_ONLY}
 )

@@ -81,7 +81,8 @@ class Entry(NamedTuple):
     run: Callable[[Command], Answer]
     right: Right  # senders that may send the command while one sender has control
     place: bool = False  # the command has a position or height, so the frame of COMMAND_INT matters
-    right_of: Callable[[Command], Right] | None = None  # right as a function of the parameters
+    # returns the right for a command, from its parameters; None: ``right`` applies
+    right_of: Callable[[Command], Right] | None = None
 
 
 Table = Mapping[int, Entry]

@@ -243,7 +243,7 @@ class FleetMember:
     ) -> tuple[Vec3, Rows]:
         """Return the nominal velocity with the side-step, and the constraints of the neighbours.
 
-        ``base``: start of the slew limit; ``most_m_s``: largest velocity.
+        ``base``: velocity to which the slew limit is relative; ``most_m_s``: largest velocity.
         """
         rows = self.rows(phase, own, base, now_s)
         if not rows.neighbours:

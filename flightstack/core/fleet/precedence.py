@@ -235,8 +235,9 @@ def place_beside(
     """Return the chosen place on the ground, or a new one if pads or vehicles come too near to it.
 
     The path of a pad is straight: from its position ``wait_max_s`` ago to its position in ``wait_max_s``. The
-    nearest free place is chosen; if no place is free, the one with the most room. A chosen place remains
-    as long as the path of ``descent_s`` is free: errors of a pad's velocity rotate the longer path too much.
+    free place nearest to this vehicle is chosen; if none is free, the one with the most room. A chosen place
+    remains as long as it is clear of the shorter paths, of ``descent_s`` before and after now: errors of a
+    pad's velocity rotate the longer path too much.
     """
     pads = [pad]
     for message in messages:

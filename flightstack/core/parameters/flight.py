@@ -86,7 +86,7 @@ class Contact:
     # sink rate below which the pad supports the vehicle
     speed_m_s: Annotated[float, span(0.005, 0.5)] = 0.05
     time_s: Annotated[float, span(0.01, 2.0)] = 0.1  # duration of the low sink rate
-    # time without motion low over the pad, despite a descent command, that counts as contact
+    # time after which a vehicle low over the pad that does not follow a descent command counts as in contact
     stopped_time_s: Annotated[float, span(0.0, 1.0)] = 0.03
 
 

@@ -54,7 +54,8 @@ def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tup
 @numeric
 def _multiplier(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3, value: float) -> float:
     """Return the lambda that meets the half-space; ``value`` is ``g . u`` at lambda = 0, below ``b``."""
-    # lambdas at which an axis starts to move (leaves its near bound) and stops (meets its far bound)
+    # values of lambda at which a component of u leaves its near bound (starts to change) and reaches its far
+    # bound (stops)
     events: list[tuple[float, float]] = []
     slope = 0.0
     for axis in range(3):

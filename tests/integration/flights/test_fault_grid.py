@@ -1,6 +1,7 @@
 """Tests that cells of the fault grid meet its requirements and equal docs/reference/fault_grid.md.
 
-For each failure one cell of each requirement is flown; ``python -m tests.benchmarks fault_grid`` flies all.
+For each part, kind of failure and different requirement one cell is flown; ``python -m tests.benchmarks
+fault_grid`` flies all cells.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from tests.fault_grid.run import SEED, equal, fly, scenario, undisturbed
 from tests.fault_grid.table import GRID, End, Moment, Part, Way
 
 MAKE_ANEW = "run: python -m tests.benchmarks fault_grid"
-# For each failure, of all moments with one required outcome only the first is flown: its fault lasts longest.
+# Of all moments with the same requirement only the first is flown: its fault lasts longest.
 FLOWN = {(part, way, GRID[part, way, m]): m for part in Part for way in Way for m in reversed(Moment)}
 CELLS = {(part, way, moment) for (part, way, _), moment in FLOWN.items()}
 GROUPS = sorted({(part, moment) for part, _, moment in CELLS}, key=str)

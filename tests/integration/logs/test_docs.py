@@ -158,7 +158,7 @@ log_docs = pytest.mark.xdist_group("log docs")  # these tests share a flight
 
 @pytest.fixture(scope="module")
 def folder(flown, tmp_path_factory):
-    """Provide the logs that commands name; all are copies of one flight."""
+    """Return a folder with the logs that the commands in docs name; all are copies of one flight."""
     path = tmp_path_factory.mktemp("docs")
     flight = flown("paper_static_1")
     assert flight.code == 0
