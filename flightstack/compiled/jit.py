@@ -69,13 +69,17 @@ def cache_directory() -> Path | None:
     name, chosen = f"jit-{_fingerprint()}", os.environ.get("NUMBA_CACHE_DIR")
     roots = [Path(chosen)] if chosen else []
     roots += [HERE / "__pycache__", Path(os.path.expanduser("~/.cache/flightstack"))]  # noqa: PTH111
-    return next((root / name for root in (*roots, _own_folder()) if _usable(root / name)), None)
+    for root in roots:
+        if _usable(root / name):
+            return root / name
+    last = _own_folder() / name  # made only if it is needed
+    return last if _usable(last) else None
 
 
 def _own_folder() -> Path:
     """Return a temporary folder that only this user can write, because its files are executed."""
-    folder = Path(tempfile.gettempdir()) / f"flightstack-{os.getuid()}"
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):  # also from tempfile: no temporary folder is writable
+        folder = Path(tempfile.gettempdir()) / f"flightstack-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
         if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077:
