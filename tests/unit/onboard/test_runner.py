@@ -85,7 +85,7 @@ def test_a_sample_that_cannot_be_decoded_is_a_problem_and_stays_for_the_log():
     messages = [RawSample(b"")]
     arrived = decoded(messages, 1.0)
     assert (arrived.samples, arrived.messages) == ((), messages)
-    assert "target sample refused: odometry payload has 0 bytes" in arrived.problems[0]
+    assert "target sample refused: payload of 0 bytes" in arrived.problems[0]
     assert decoded([], 1.0) == Arrived()
 
 
