@@ -15,7 +15,7 @@ from logs.verdict.types import TRUTH, Outcome, Verdict
 from logs.verdict.verdict import fleet_verdict, judge, judge_fleet, result
 from tests.synthetic_flight import landing, write_log
 
-pytestmark = pytest.mark.xdist_group("fleet_log")
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("fleet_log")]
 MEMBERS = ("cf1", "cf2", "cf3")
 
 

@@ -35,6 +35,7 @@ def told(fleet, tmp_path_factory):
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("fleet_log")
 def test_who_waited_for_whom_is_what_they_told(read):
     every = {name: flight.spans for name, flight in read.flights.items()}
@@ -56,6 +57,7 @@ def test_who_waited_for_whom_is_what_they_told(read):
     assert goes["cf3"] >= down["cf2"]
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("fleet_log")
 def test_distances_are_those_that_were_judged(read, fleet):
     series = pair_series(read)
@@ -71,6 +73,7 @@ def test_distances_are_those_that_were_judged(read, fleet):
     assert series[0].measure[100] == pytest.approx(rho)
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("fleet_log")
 def test_the_page_of_all_links_those_of_the_members(told):
     text = Path(told["report"]).read_text(encoding="utf-8")
@@ -90,6 +93,7 @@ def test_the_page_of_all_links_those_of_the_members(told):
     assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # waiting vehicle, and vehicle with right of way
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("fleet_log")
 def test_the_verdict_is_printed_with_a_line_of_each_member(fleet):
     table = run("log", "verdict", fleet.log)
@@ -129,6 +133,7 @@ def values(rrd, entity, column):
     return [each[0] if each else None for each in found]
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("fleet_log")
 @pytest.mark.slow
 def test_each_member_is_in_the_scene_at_its_place(fleet, saved):

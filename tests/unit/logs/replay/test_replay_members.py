@@ -9,7 +9,7 @@ from logs.reader.reader import LogFile
 from logs.recorder.recording import McapFile
 from logs.replay.read import FlightInputs, ReplayError
 
-pytestmark = pytest.mark.xdist_group("fleet_log")
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("fleet_log")]
 MEMBERS = ("cf1", "cf2", "cf3")
 
 
