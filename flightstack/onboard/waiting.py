@@ -161,7 +161,7 @@ class WaitReport:
         return why_silent(self._system_id, self._counted - counted, self._link.foreign, time=time)
 
     def of_vehicle(self, at: Snapshot, now_s: float) -> Sequence[str]:
-        """Return what is missing of the vehicle, one sentence each; the counters start anew."""
+        """Return what the vehicle lacks, one sentence per input; each call counts from the previous one."""
         checks, own, status = self._config.checks, at.inputs.own, at.inputs.status
         heard_s = now_s - status.arrival_s if status is not None else None
         own_age_s = now_s - own.arrival_s if own is not None else None
@@ -196,7 +196,7 @@ class WaitReport:
         return texts
 
     def of_target(self, at: Snapshot) -> Sequence[str]:
-        """Return what is missing of the target, in one sentence; the counters start anew."""
+        """Return what the target lacks, in at most one sentence; each call counts from the previous one."""
         wires, checks = self._wires, self._config.checks
         most_s, name = checks.target_age_max_s, f"samples on {wires.target.text}"
         refused, self._refused_before = wires.odometry.refused - self._refused_before, wires.odometry.refused
