@@ -34,3 +34,15 @@ def test_an_item_that_does_not_end_is_given_up():
 def test_processes_that_cannot_start_are_an_error():
     with pytest.raises(WorkersError, match="3 workers in a row"):
         list(in_processes(work, [1], 1, failed, start=os._exit, arguments=(1,)))
+
+
+def test_without_shared_memory_the_work_is_done_in_this_process(monkeypatch, capsys):
+    def no_lock():
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr("multiprocessing.Lock", no_lock)
+    assert list(in_processes(lambda item: (item, os.getpid()), range(2), 2, failed)) == [
+        (0, os.getpid()),
+        (1, os.getpid()),
+    ]
+    assert "one process instead of 2: no shared memory" in capsys.readouterr().err
