@@ -146,7 +146,7 @@ class Launcher:
             for endpoint in flight.endpoints:
                 self.hint(f"to watch: flightstack watch --connect {endpoint} --namespace {flight.namespace}")
         started_s = time.monotonic()
-        problem = self._watch(flights, title, limit_s, teller)
+        problem = self._watch(flights, title, limit_s, teller, lockstep=lockstep)
         wall_s = time.monotonic() - started_s
         self.end_all()
         if problem is None and self._recorder is not None:  # only now may the recorder end
@@ -154,8 +154,9 @@ class Launcher:
         return problem, wall_s
 
     def _watch(
-        self, flights: Sequence[Followed], title: str | None, limit_s: float, teller: Child | None
-    ) -> str | None:
+        self, flights: Sequence[Followed], title: str | None, limit_s: float, teller: Child | None,
+        *, lockstep: bool,
+    ) -> str | None:  # fmt: skip
         """Watch until the onboard processes have ended; return an error text, or None."""
         self._take_over()
         begun()
@@ -189,6 +190,8 @@ class Launcher:
                         return theirs  # the simulator of the vehicle has ended
                     problem = f"{child.name} ended in flight: {child.errors()}"
                     self._print(problem, style="red")
+                    if lockstep and _verb(child) == "world":  # no tick can follow, so waiting is in vain
+                        self._hand_on(signal.SIGTERM)
                 if self.interrupted:
                     return "interrupted"
                 if time.monotonic() > until:

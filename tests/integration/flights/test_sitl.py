@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from flightstack.core.types import ZERO, Phase
+from flightstack.onboard.lockstep import LOST_RUN_MAX_S
 from logs.reader.flight import load_flight
 from sim.runners.landing import land
 from sim.scenarios.scenario import load
@@ -95,5 +96,7 @@ def test_a_killed_world_ends_the_run(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
     run.until("-> TAKEOFF")  # ten seconds before the landing; lockstep simulates them in half a second
     kill(run.children()["world"])
+    began_s = time.monotonic()
     assert run.end() == 1
+    assert time.monotonic() - began_s < LOST_RUN_MAX_S / 2  # no tick can follow, so nothing waits for one
     assert any("world ended in flight" in line for line in run.lines), run.lines
