@@ -1,7 +1,4 @@
-"""Before a flight: reads and checks a vehicle's parameters, and sets its signing key, in bounded time.
-
-The check writes no parameter.
-"""
+"""Before a flight: reads and checks a vehicle's parameters in bounded time; writes none."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -22,8 +18,6 @@ from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import table as rules
 from bridge.mavlink.preflight.table import Asked, Choice, Finding, Level, Needs, Release
 from bridge.mavlink.profiles import OWN_SITL, Encoding, Profile, found, marked, refusal
-from bridge.mavlink.signing import EPOCH_NS, KEY_BYTES, TICK_NS, SigningKey
-from bridge.mavlink.transport.address import is_local, parse_url, resolve
 
 _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s
 _HEARTBEAT_S = 1.0
@@ -33,8 +27,6 @@ _SAY_S = 2.0  # time between two texts about the wait, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # time between two polls, s
 _READ_MAX_S = 30.0  # time limit of the check after the first message of the vehicle, s
-_COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
-_KEY_PERIOD_S, _KEY_TRIES = 0.5, 12  # time between two tries to change a signing key, s; number of tries
 
 _AT_ONCE = 5  # maximum number of parameter requests without a reply; a radio has a small buffer
 _READ_PERIOD_S = 0.4  # time between two requests of a parameter, s; autopilots reply within 0.05 s on a wire
@@ -307,53 +299,3 @@ class Examination(Dialogue):
             self.release, own = rules.release_of(message), marked(message)
             if own is not None and own.autopilot == self.profile.autopilot:
                 self.profile = own
-
-
-def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
-    """Set or remove the MAVLink signing key of a vehicle on the ground by SETUP_SIGNING.
-
-    The key is sent unencrypted, so only a cable or loopback is allowed. PX4 1.18 and later accepts a first
-    key unsigned on any link; a key of zeros, signed with the current key, ends signing. ArduPilot also
-    accepts a key but never signs on its first USB link. Both reject a key if armed.
-
-    ``key``: the new key, or the current key with ``remove``; ``wait_s``: time-out of the first heartbeat.
-    Returns the reason of a failure; None: the vehicle has shown the change.
-    """
-    kind, host, port = parse_url(url)
-    if kind != "serial" and not is_local(resolve(f"MAVLink URL {url!r}", host, port)):
-        raise ValueError(
-            f"{url!r} leads over a network, where the key could be read: set or remove it over a "
-            "cable (serial:DEVICE) or loopback"
-        )
-    with closing(Endpoint(url, system_id, _COMPONENT_ID, signing_key=key if remove else None)) as endpoint:
-        return _provision(Dialogue(endpoint, system_id, Senders()), key, remove=remove, wait_s=wait_s)
-
-
-def _provision(link: Dialogue, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
-    counters = link.endpoint.counters
-
-    def changed() -> bool:
-        """Whether received frames show the change: they are signed, or unsigned after a removal."""
-        return bool(counters["unsigned"] if remove else counters["unchecked"])
-
-    link.until(lambda: link.heard or changed(), wait_s)
-    if not link.heard:
-        if changed():
-            return "the vehicle does not sign: there is no key to remove"
-        return f"no heartbeat of system {link.target[0]} within {wait_s:g} s"
-    if link.armed:
-        return "the vehicle is armed: its key can be changed on the ground only"
-    if changed():
-        return "the vehicle signs already: remove its key first, with that key (--remove-signing)"
-    secret = bytes(KEY_BYTES) if remove else key.secret
-    stamp = 0 if remove else (time.time_ns() - EPOCH_NS) // TICK_NS
-    message = dialect.MAVLink_setup_signing_message(*link.target, list(secret), stamp)
-    for _ in range(_KEY_TRIES):
-        link.endpoint.send([message], link.senders.known)
-        if link.until(changed, _KEY_PERIOD_S):
-            return None
-    what = "still signs" if remove else "does not sign"
-    return (
-        f"the vehicle {what} after {_KEY_TRIES} tries in {_KEY_TRIES * _KEY_PERIOD_S:g} s: PX4 accepts keys "
-        "from 1.18 on, with an SD card; ArduPilot does not sign on USB"
-    )

@@ -16,7 +16,7 @@ class Chunk(NamedTuple):
     peer: Peer
 
 
-_PASSED = ("received", "sent", "bytes_in", "bytes_out", "unknown_frames", "stale_answered")
+_PASSED = ("received", "sent", "bytes_in", "bytes_out", "stale_answered")
 
 
 def dropped(counters: Counter[str]) -> str:
