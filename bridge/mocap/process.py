@@ -156,8 +156,7 @@ class MocapVehicle:
     def __init__(self, system_id: int, origin: Origin | None) -> None:
         """``origin`` is the position of the room's origin on earth, for an autopilot that needs it."""
         self.needs: PoseNeeds | None = None  # requirements of the vehicle; None: unknown or unsupported
-        self._origin, self._system_id = origin, system_id
-        self._origin_sender = OriginSender(None, system_id)
+        self._origin, self._origin_sender = origin, OriginSender(origin, system_id)
         self._autopilot: int | None = None  # MAV_AUTOPILOT number of the newest heartbeat
         self._origin_known = self._armed = False
         self._heard_s = self._beat_s = -math.inf
@@ -183,7 +182,12 @@ class MocapVehicle:
         """Handle a message of the vehicle's autopilot; return the reply."""
         id_ = message.get_msgId()
         if id_ == dialect.MAVLINK_MSG_ID_HEARTBEAT:
-            self._on_heartbeat(message, now_s)
+            self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+            if message.autopilot != self._autopilot or not self.heard(now_s):  # perhaps another vehicle
+                self._autopilot, self._origin_known = message.autopilot, False
+                self.needs = POSE_NEEDS.get(message.autopilot)
+                self._origin_sender.restart()
+            self._heard_s = now_s
         elif id_ == dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
             self._origin_known = True
         elif id_ == dialect.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
@@ -201,72 +205,53 @@ class MocapVehicle:
         if needs is None or not self.heard(now_s):
             return messages
         messages += [needs.message(p, round(p.measured_s * 1e6)) for p in poses]
-        return messages + self._origin_sender.step(not (self._armed or self._origin_known), now_s)
-
-    def _on_heartbeat(self, message: Message, now_s: float) -> None:
-        self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-        needs = POSE_NEEDS.get(message.autopilot)
-        self._autopilot = message.autopilot
-        if needs is not self.needs or not self.heard(now_s):
-            self.needs, self._origin_known = needs, False
-            origin = self._origin if needs is not None and needs.needs_origin else None
-            self._origin_sender = OriginSender(origin, self._system_id)
-        self._heard_s = now_s
+        lacks_origin = needs.needs_origin and not (self._armed or self._origin_known)
+        return messages + self._origin_sender.step(lacks_origin, now_s)
 
 
 TICK_S = 0.002  # longest delay that the loop adds to a pose, s
-_AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 
 
 class Bridge:
     def __init__(
-        self,
-        source: MocapSource,
-        vehicle: MocapVehicle,
-        endpoint: Endpoint,
-        system_id: int,
-        say: Callable[[str], None],
-        url: str,
+        self, source: MocapSource, endpoint: Endpoint, options: MocapOptions, say: Callable[[str], None]
     ) -> None:
-        self._source, self._vehicle, self._endpoint = source, vehicle, endpoint
-        self._system_id, self._say, self._url = system_id, say, url
+        self._source, self._endpoint, self._options, self._say = source, endpoint, options, say
+        self._vehicle = MocapVehicle(options.system_id, Origin(*options.origin) if options.origin else None)
         self._senders = Senders()
         self._told: dict[str, tuple[str | None, float]] = {}  # last text and its time, s, by topic
         self._start_s = time.monotonic()
-
-    @property
-    def now_s(self) -> float:
-        return time.monotonic() - self._start_s
 
     def run(self, stop: Stop, duration_s: float | None) -> None:
         """Run until a signal arrives; if the vehicle is armed, until a second signal arrives."""
         told = False
         while stop.count < 2:
-            self.turn()
-            if stop.count or (duration_s is not None and self.now_s >= duration_s):
-                if not self._vehicle.flies(self.now_s):
+            now_s = self._turn()
+            if stop.count or (duration_s is not None and now_s >= duration_s):
+                if not self._vehicle.flies(now_s):
                     return
                 if not told:
                     self._say("mocap: the vehicle is armed: ends when it is disarmed, or on a second signal")
                     told = True
 
-    def turn(self) -> None:
-        """Wait for a tick or a message, then forward the poses."""
+    def _turn(self) -> float:
+        """Wait for a tick or a message, then forward the poses; return the time, s."""
         self._endpoint.wait(TICK_S)
         for notice in (*self._endpoint.take_notices(), *self._senders.take_notices()):
             self._say(f"mocap: {notice}")
-        now_s, vehicle = self.now_s, self._vehicle
+        now_s, vehicle, options = time.monotonic() - self._start_s, self._vehicle, self._options
         for received in self._endpoint.receive():
             message, peer = received.message, received.peer
-            ours = received.sender == (self._system_id, _AUTOPILOT)
+            ours = received.sender == (options.system_id, dialect.MAV_COMP_ID_AUTOPILOT1)
             if ours and self._senders.admits(message, peer, now_s, armed=vehicle.flies(now_s)):
                 self._endpoint.send(vehicle.handle(message, now_s), peer)
         passed = self._source.poll(now_s, armed=vehicle.flies(now_s))
         self._endpoint.send(vehicle.step(passed, now_s))
         self._tell("poses", self._source.problem, now_s, good="mocap: poses are good")
-        problem, needs = vehicle.problem(now_s, self._url), vehicle.needs
+        problem, needs = vehicle.problem(now_s, options.vehicle_url), vehicle.needs
         good = f"mocap: {needs.title} receives poses, needs {needs.settings}" if needs is not None else ""
         self._tell("vehicle", f"mocap: {problem}" if problem else None, now_s, good=good)
+        return now_s
 
     def _tell(self, topic: str, text: str | None, now_s: float, *, good: str) -> None:
         """Print a problem when it begins and at most every two seconds; print ``good`` when it ends."""
@@ -279,16 +264,13 @@ class Bridge:
 
 def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
     """Run until a signal arrives; if the vehicle is armed, until a second signal arrives."""
-    origin = None
     if options.origin is not None:
         check_origin("--origin", options.origin)
-        origin = Origin(*options.origin)
     with ExitStack() as stack:
         endpoint = open_endpoint("mocap", options.vehicle_url, options.system_id, COMPONENT_ID, options)
         stack.callback(endpoint.close)
         source = stack.enter_context(MocapSource.opened(options.pose_key, options, RATE_MAX_HZ))
-        vehicle = MocapVehicle(options.system_id, origin)
-        bridge = Bridge(source, vehicle, endpoint, options.system_id, say, options.vehicle_url)
+        bridge = Bridge(source, endpoint, options, say)
         run_promptly()  # request a high priority: a delayed pose is useless
         stop = Stop().install()
         say("ready")

@@ -202,14 +202,12 @@ def _at(peer: Peer) -> str:
     return f"{peer[0]}:{peer[1]}"
 
 
-_SENDERS_SHOWN = 4
+_NO_DATA = "no data arrives; check that the vehicle is on and that its link leads to the address of --vehicle"
+_SENDERS_SHOWN = 4  # maximum number of listed senders
 
-
-_Causes = Sequence[tuple[tuple[str, ...], str]]  # counters, and a text with their sum as {n}
-
-# The first cause that applies is reported. Every vehicle sends some unknown messages, so the causes by other
-# senders come first.
-_SIGNING: _Causes = (
+# Causes of a missing heartbeat, the likely ones first: counters, and a text with their sum as {n}. Every
+# vehicle sends some unknown messages, so damage is the cause only if no frame is received.
+_CAUSES: Sequence[tuple[tuple[str, ...], str]] = (
     (("bad_signature",), "{n} frames are signed with another key than --signing-key"),
     (("unsigned",), "{n} frames have no signature: with --signing-key only signed ones are accepted"),
     (
@@ -217,14 +215,11 @@ _SIGNING: _Causes = (
         "{n} signed frames are rejected by their time stamps: its clock and ours differ",
     ),
     (("reflected",), "{n} frames have our own ids: the link sends back what we send"),
-)
-_DAMAGE: _Causes = (
+    (("received",), "{received}"),
     (("version_1",), "{n} frames are MAVLink 1: set that link of the vehicle to MAVLink 2"),
     (("bad_crc", "unknown_id", "undecodable"), "{n} frames are damaged or of unknown messages"),
     (("garbage_bytes",), "{n} bytes are no MAVLink 2 frames"),
 )
-
-_NO_DATA = "no data arrives; check that the vehicle is on and that its link leads to the address of --vehicle"
 
 
 def why_silent(
@@ -239,23 +234,15 @@ def why_silent(
     ``grown``: increments of the endpoint's counters; ``senders``: number of frames of each other sender
     (system, component); ``time``: duration without a heartbeat, such as " for 5 s".
     """
-    text = f"no heartbeat of system {system_id}, component 1{time}: "
-    cause = _first(_SIGNING, grown)
-    if cause:
-        return text + cause
-    if grown.get("received") and senders:
+    received = "only its other messages arrive"
+    if senders:
         shown = ", ".join(f"{system}/{component}" for system, component in sorted(senders)[:_SENDERS_SHOWN])
         more = ", ..." if len(senders) > _SENDERS_SHOWN else ""
-        return text + f"frames come from system/component {shown}{more}; --system-id names the vehicle's"
-    if grown.get("received"):
-        return text + "only its other messages arrive"
-    return text + (_first(_DAMAGE, grown) or _NO_DATA)
-
-
-def _first(causes: _Causes, grown: Mapping[str, int]) -> str:
-    """Return the sentence of the first cause that applies; empty if none applies."""
-    for counters, text in causes:
+        received = f"frames come from system/component {shown}{more}; --system-id names the vehicle's"
+    cause = _NO_DATA
+    for counters, text in _CAUSES:
         n = sum(grown.get(name, 0) for name in counters)
         if n:
-            return text.format(n=n)
-    return ""
+            cause = text.format(n=n, received=received)
+            break
+    return f"no heartbeat of system {system_id}, component 1{time}: {cause}"

@@ -6,20 +6,24 @@ import math
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import islice
+from operator import attrgetter
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.codec.messages import Message, parameter_name
+from bridge.mavlink.server.commander import Sender
 
 INT32 = dialect.MAV_PARAM_TYPE_INT32
 REAL32 = dialect.MAV_PARAM_TYPE_REAL32
 _FLOAT = struct.Struct("<f")
 _INT = struct.Struct("<i")
 _LIST_AT_ONCE = 20  # number of PARAM_VALUE messages per tick of a requested list, as PX4 sends over UDP
-_OUT_OF_RANGE = dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE  # the dialect has no error for a wrong type
-_READ_ONLY = dialect.MAV_PARAM_ERROR_READ_ONLY
-NOT_NOW = dialect.MAV_PARAM_ERROR_PERMISSION_DENIED
+_UNKNOWN: int = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
+_OUT_OF_RANGE: int = dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
+_READ_ONLY: int = dialect.MAV_PARAM_ERROR_READ_ONLY
+_NOT_NOW: int = dialect.MAV_PARAM_ERROR_PERMISSION_DENIED
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,74 +69,77 @@ def fixed(name: str, value: float, type_: int = INT32) -> Parameter:
     return Parameter(name, type_, value, value, value)
 
 
-class Refused(NamedTuple):
-    error: int  # error number of MAVLink (MAV_PARAM_ERROR)
-    reason: str
-
-
 class Parameters:
-    """Current values, read as ``parameters["COM_OF_LOSS_T"]``."""
+    """Current values, read as ``parameters["COM_OF_LOSS_T"]``, and replies to clients that read or write."""
 
     def __init__(self, rows: Iterable[Parameter]) -> None:
         """Set the defaults; the parameters are sorted by name."""
-        self._table = tuple(sorted(rows, key=lambda parameter: parameter.name))
-        self._index = {parameter.name: i for i, parameter in enumerate(self._table)}
-        self._values = {parameter.name: parameter.default for parameter in self._table}
+        self.table = {row.name: row for row in sorted(rows, key=attrgetter("name"))}
+        self._values = {name: row.default for name, row in self.table.items()}
         self.left_to_list: list[str] = []  # names of the requested list that are still to be sent
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
 
-    def __len__(self) -> int:
-        return len(self._table)
-
-    def entry(self, name: str) -> Parameter:
-        return self._table[self._index[name]]
-
-    def find(self, name: str, index: int) -> str | None:
-        """Return the name of a parameter requested by name (index -1) or by index; None: unknown."""
-        if index >= 0:
-            return self._table[index].name if index < len(self._table) else None
-        return name if name in self._index else None
-
-    def message(self, name: str) -> Message:
-        index = self._index[name]
-        parameter = self._table[index]
-        value = self._values[name]
-        if parameter.type == INT32:  # the float field carries the bits of the integer
-            (value,) = _FLOAT.unpack(_INT.pack(int(value)))
-        return dialect.MAVLink_param_value_message(
-            name.encode(), value, parameter.type, len(self._table), index
-        )
-
     def preset(self, name: str, value: float) -> None:
         """Set a parameter before the start; fixed parameters cannot change afterwards."""
-        if name not in self._index:
-            raise ValueError(f"parameter {name!r} is not known: allowed is {', '.join(self._index)}")
-        parameter = self.entry(name)
+        parameter = self.table.get(name)
+        if parameter is None:
+            raise ValueError(f"parameter {name!r} is not known: allowed is {', '.join(self.table)}")
         if not parameter.accepts(value) or (parameter.type != REAL32 and value != int(value)):
             raise ValueError(f"parameter {name}: found {value:g}, allowed is {parameter.allowed}")
         self._values[name] = value
 
     def list_all(self) -> None:
         """Start to send every value; a request during a list starts the list again."""
-        self.left_to_list = list(self._index)
+        self.left_to_list = list(self.table)
 
     def listing(self) -> list[Message]:
         """Return PARAM_VALUE of the next parameters of the requested list; empty: no list is requested."""
         names, self.left_to_list = self.left_to_list[:_LIST_AT_ONCE], self.left_to_list[_LIST_AT_ONCE:]
-        return [self.message(name) for name in names]
+        return [self._message(name) for name in names]
 
-    def set(self, name: str, wire_value: float, type_: int, *, armed: bool) -> Refused | None:
-        """Write PARAM_SET's float field of this MAV_PARAM_TYPE; return why it is rejected, or None."""
-        parameter = self._table[self._index[name]]
-        if type_ != parameter.type:
-            return Refused(_OUT_OF_RANGE, f"{name}: ignored, type {type_} instead of {parameter.type}")
-        value = float(_INT.unpack(_FLOAT.pack(wire_value))[0]) if type_ == INT32 else wire_value
-        if not parameter.accepts(value):
+    def read(self, request: Any, sender: Sender) -> Message:
+        """Return the value that PARAM_REQUEST_READ requests by index or, with index -1, by name."""
+        name = parameter_name(request.param_id)
+        if request.param_index < 0:
+            return self._message(name) if name in self.table else _error(name, _UNKNOWN, sender)
+        found = next(islice(self.table, request.param_index, None), None)
+        return self._message(found) if found else _error(name, _UNKNOWN, sender, request.param_index)
+
+    def write(
+        self, request: Any, sender: Sender, forbidden: str | None, *, armed: bool
+    ) -> tuple[list[Message], str | None]:
+        """Handle PARAM_SET, unless ``forbidden`` is a reason; return the replies and the reason, or None."""
+        name, type_, value = parameter_name(request.param_id), request.param_type, request.param_value
+        parameter = self.table.get(name)
+        if parameter is None:
+            return [_error(name, _UNKNOWN, sender)], None
+        if type_ == parameter.type == INT32:  # the float field carries the bits of the integer
+            value = float(_INT.unpack(_FLOAT.pack(value))[0])
+        error, reason = _NOT_NOW, None
+        if forbidden is not None:
+            reason = f"{name} refused: {forbidden}"
+        elif type_ != parameter.type:  # the dialect has no error for a wrong type
+            error, reason = _OUT_OF_RANGE, f"{name}: ignored, type {type_} instead of {parameter.type}"
+        elif not parameter.accepts(value):
             error = _OUT_OF_RANGE if parameter.low < parameter.high else _READ_ONLY
-            return Refused(error, f"{name}: {value:.6g}, allowed {parameter.allowed}")
-        if armed and not parameter.in_flight:
-            return Refused(NOT_NOW, f"{name}: only while disarmed")
-        self._values[name] = min(max(value, parameter.low), parameter.high)
-        return None
+            reason = f"{name}: {value:.6g}, allowed {parameter.allowed}"
+        elif armed and not parameter.in_flight:
+            reason = f"{name}: only while disarmed"
+        else:
+            self._values[name] = min(max(value, parameter.low), parameter.high)
+        # The error is sent first: MAVSDK treats a different value as a lost write and repeats it five times.
+        errors = [_error(name, error, sender)] if reason is not None else []
+        return [*errors, self._message(name)], reason
+
+    def _message(self, name: str) -> Message:
+        type_, value, index = self.table[name].type, self._values[name], list(self.table).index(name)
+        if type_ == INT32:
+            (value,) = _FLOAT.unpack(_INT.pack(int(value)))
+        return dialect.MAVLink_param_value_message(name.encode(), value, type_, len(self.table), index)
+
+
+def _error(name: str, error: int, sender: Sender, index: int = -1) -> Message:
+    """Return PARAM_ERROR; PX4 sends no reply, so clients wait seconds (mavlink.io, services/parameter)."""
+    return dialect.MAVLink_param_error_message(*sender[:2], name.encode("ascii", "replace"), index, error)

@@ -13,10 +13,10 @@ from typing import Any, Generic
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.messages import Message, parameter_name
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.commander import Right, Sender, Text, read_setpoint
 from bridge.mavlink.server.commands import Commands, Entry
-from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
+from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.telemetry import (
     Builder,
     Snapshot,
@@ -252,42 +252,19 @@ class Server(ABC, Generic[V]):
         return []
 
     def _on_parameter_read(self, message: Any, sender: Sender, _now_s: float) -> list[Message]:
-        name = self.parameters.find(parameter_name(message.param_id), message.param_index)
-        return [_no_parameter(message, sender)] if name is None else [self.parameters.message(name)]
+        return [self.parameters.read(message, sender)]
 
     def _on_parameter_set(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        name = self.parameters.find(parameter_name(message.param_id), -1)
-        if name is None:
-            return [_no_parameter(message, sender)]
         forbidden = self.vehicle.forbids(sender, Right.OWNER, now_s)
-        if forbidden is not None:
-            refused: Refused | None = Refused(NOT_NOW, f"{name} refused: {forbidden}")
-        else:
-            refused = self.parameters.set(
-                name, message.param_value, message.param_type, armed=self.vehicle.armed
-            )
-        in_force = self.parameters.message(name)
-        if refused is None:
-            return [in_force]
-        self.vehicle.texts.refuse(refused.reason, now_s)
-        # The error is sent first: MAVSDK treats a different value as a lost write and repeats it five times.
-        return [_parameter_error(name.encode(), -1, refused.error, sender), in_force]
+        replies, reason = self.parameters.write(message, sender, forbidden, armed=self.vehicle.armed)
+        if reason is not None:
+            self.vehicle.texts.refuse(reason, now_s)
+        return replies
 
     def _refuse_setpoint(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
         kind = _REFUSED_SETPOINTS[message.get_msgId()]
         self.vehicle.texts.refuse(f"Set-point dropped: {kind}, only local velocity", now_s)
         return []
-
-
-def _no_parameter(message: Any, sender: Sender) -> Message:
-    """Return an error; PX4 sends no reply, so clients wait seconds (mavlink.io, services/parameter)."""
-    index = getattr(message, "param_index", -1)
-    name = parameter_name(message.param_id).encode("ascii", "replace")
-    return _parameter_error(name, index, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST, sender)
-
-
-def _parameter_error(name: bytes, index: int, error: int, sender: Sender) -> Message:
-    return dialect.MAVLink_param_error_message(*sender[:2], name, index, error)
 
 
 def _ping(message: Any, sender: Sender, _now_s: float) -> list[Message]:

@@ -66,7 +66,7 @@ def test_reboot_unlocks_disarmed_and_is_denied_armed() -> None:
 def rig_with(**parameters: float) -> Rig:
     rig = Rig()
     for name, value in parameters.items():
-        if Parameters(px4_parameters(1)).entry(name).type == INT32:
+        if Parameters(px4_parameters(1)).table[name].type == INT32:
             assert set_int(rig, name, int(value)) == value
         else:
             assert set_real(rig, name, value) == pytest.approx(value)
