@@ -86,7 +86,7 @@ def _is_valid(data: bytes, pos: int, count: Counter[str]) -> bool:
     """Whether the checksum of the complete frame at ``pos`` is correct; count a wrong one."""
     crc_at = pos + _HEADERS[data[pos]] + data[pos + 1]
     crc = data[crc_at] | data[crc_at + 1] << 8
-    valid = checksum(data[pos + 1 : crc_at] + CRC_EXTRA[_id_at(data, pos)]) == crc
+    valid: bool = checksum(data[pos + 1 : crc_at] + CRC_EXTRA[_id_at(data, pos)]) == crc
     count["bad_crc"] += not valid and data[pos] != _MARKER_V1
     return valid
 
@@ -104,5 +104,5 @@ def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
     crc_at = end - _CHECKSUM
     changed = frame[:2] + bytes((flags,)) + frame[3:crc_at]
     difference = checksum(frame[1:crc_at] + b"\x00") ^ checksum(changed[1:] + b"\x00")
-    crc = int.from_bytes(frame[crc_at:end], "little") ^ difference
+    crc: int = int.from_bytes(frame[crc_at:end], "little") ^ difference
     return changed + crc.to_bytes(2, "little")

@@ -58,50 +58,46 @@ class ParameterReader:
     ) -> None:
         self.values: dict[str, float] = {}  # received values by name
         self.missing: dict[str, str] = {}  # reasons why parameters are missing, by name
-        self._open = list(dict.fromkeys(names))
-        self._target = (target_system, target_component)
-        self._encoding = encoding
-        self._tries = dict.fromkeys(self._open, 0)
-        self._asked_s = dict.fromkeys(self._open, -math.inf)
+        self._asked = dict.fromkeys(names, (0, -math.inf))  # tries and time of the last one, by open name
+        self._target, self._encoding = (target_system, target_component), encoding
         self._tries_max = _READ_TRIES
 
     @property
+    def left(self) -> list[str]:
+        """Names without a result."""
+        return list(self._asked)
+
+    @property
     def done(self) -> bool:
-        return not self._open
+        return not self._asked
 
     def take(self, message: Message) -> None:
         """Handle a message of the vehicle; ignore messages that answer no request."""
-        kind = message.get_msgId()
-        if kind == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
-            self._value(message)
-        elif kind == dialect.MAVLINK_MSG_ID_PARAM_ERROR:
-            name = parameter_name(message.param_id)
-            if name in self._open:
-                self._close(name, f"refused: {_ERRORS.get(message.error, f'error {message.error}')}")
+        kind, name = message.get_msgId(), parameter_name(getattr(message, "param_id", ""))
+        if name not in self._asked:
+            return
+        if kind == dialect.MAVLINK_MSG_ID_PARAM_ERROR:
+            self._close(name, f"refused: {_ERRORS.get(message.error, f'error {message.error}')}")
+        elif kind == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
+            value = self._decoded(message.param_value, message.param_type)
+            if value is None or not math.isfinite(value):
+                self._close(name, f"not a number: {message.param_value} of type {message.param_type}")
+                return
+            if self._asked.pop(name)[0] > 1:
+                self._tries_max = _READ_TRIES_LOSSY
+            self.values[name] = value
 
     def step(self, now_s: float) -> list[Message]:
         """Return the requests to send now; list parameters without a reply as missing."""
-        most, waited = self._tries_max, [n for n in self._open if now_s - self._asked_s[n] >= _READ_PERIOD_S]
-        for name in [name for name in waited if self._tries[name] >= most]:
-            self._close(name, f"no answer to {most} requests in {most * _READ_PERIOD_S:g} s")
-        due = [name for name in self._open[:_AT_ONCE] if name in waited]
-        for name in due:
-            self._tries[name] += 1
-            self._asked_s[name] = now_s
-        return [dialect.MAVLink_param_request_read_message(*self._target, name.encode(), -1) for name in due]
-
-    def _value(self, message: Message) -> None:
-        name = parameter_name(message.param_id)
-        if name not in self._open:
-            return
-        value = self._decoded(message.param_value, message.param_type)
-        if value is None or not math.isfinite(value):
-            self._close(name, f"not a number: {message.param_value} of type {message.param_type}")
-            return
-        if self._tries[name] > 1:
-            self._tries_max = _READ_TRIES_LOSSY
-        self.values[name] = value
-        self._open.remove(name)
+        most, requests = self._tries_max, []
+        waited = [name for name, (_, at_s) in self._asked.items() if now_s - at_s >= _READ_PERIOD_S]
+        for name in waited:
+            if self._asked[name][0] >= most:
+                self._close(name, f"no answer to {most} requests in {most * _READ_PERIOD_S:g} s")
+        for name in [name for name in self.left[:_AT_ONCE] if name in waited]:
+            self._asked[name] = (self._asked[name][0] + 1, now_s)
+            requests.append(dialect.MAVLink_param_request_read_message(*self._target, name.encode(), -1))
+        return requests
 
     def _decoded(self, wire: float, type_: int) -> float | None:
         if self._encoding is Encoding.C_CAST:
@@ -111,7 +107,7 @@ class ParameterReader:
 
     def _close(self, name: str, why: str) -> None:
         self.missing[name] = why
-        self._open.remove(name)
+        del self._asked[name]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,74 +131,33 @@ class Report:
         return self.problem is None and not self.blocking
 
 
-class Dialogue:
-    """Sends heartbeats and requests to one vehicle on the ground, and takes its messages."""
-
-    def __init__(self, endpoint: Endpoint, system_id: int, senders: Senders) -> None:
-        self.endpoint, self.target, self.senders = endpoint, (system_id, 1), senders
-        self.heard = self.armed = False  # whether a heartbeat of the vehicle arrived; whether it is armed
-        self.foreign = Counter[tuple[int, int]]()
-        self._beat_s = -math.inf
-
-    def take(self, message: Message) -> None:
-        """Handle a message of the vehicle's autopilot."""
-
-    def turn(self, requests: Sequence[Message] = ()) -> None:
-        """Send a due heartbeat and the requests, wait briefly, and handle the received messages."""
-        now_s, messages = time.monotonic(), [*requests]
-        if now_s - self._beat_s >= (_HEARTBEAT_S if self.heard else _HELLO_S):
-            self._beat_s = now_s
-            messages.insert(0, companion_heartbeat())
-        self.endpoint.send(messages, self.senders.known)
-        self.endpoint.wait(_SLICE_S)
-        for received in self.endpoint.receive():
-            message = received.message
-            if received.sender != self.target:
-                self.foreign[received.sender] += 1
-            elif self.senders.admits(message, received.peer, now_s, armed=self.armed):
-                if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
-                    self.heard = True
-                    self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-                self.take(message)
-
-    def until(
-        self, done: Callable[[], bool], within_s: float, requests: Callable[[], Sequence[Message]] = tuple
-    ) -> bool:
-        """Exchange messages until ``done`` or for a time; return whether it is done."""
-        until_s = time.monotonic() + within_s
-        while not done():
-            if time.monotonic() >= until_s:
-                return False
-            self.turn(requests())
-        return True
-
-
 class _EndedError(Exception):
     """The check ends without findings; the text is the reason."""
 
 
-class Examination(Dialogue):
-    """Check of one vehicle; it consumes the messages of its endpoint.
+class Examination:
+    """Check of one vehicle on the ground; it consumes the messages of its endpoint.
 
     ``chosen``: configured profile, None: the heartbeat selects it; ``senders``: stores the vehicle's address
     for the flight; ``stopped``: returns True to end the check early; ``say``: receives a text about the wait
     every two seconds.
     """
 
-    profile: Profile | None = None  # None before the first heartbeat
-    release: Release | None = None
-    refused: str | None = None
-    rest_v: float | None = None
-    asked: tuple[Asked, ...] = ()
-    reader: ParameterReader | None = None
-
     def __init__(
         self, endpoint: Endpoint, system_id: int, chosen: Profile | None = None,
         senders: Senders | None = None, stopped: Callable[[], bool] = lambda: False,
         say: Callable[[str], None] = lambda _: None,
     ) -> None:  # fmt: skip
-        super().__init__(endpoint, system_id, senders or Senders())
+        self.endpoint, self.target, self._senders = endpoint, (system_id, 1), senders or Senders()
         self._chosen, self._stopped, self._say = chosen, stopped, say
+        self._profile: Profile | None = None  # None before the first heartbeat
+        self._release: Release | None = None
+        self._reader: ParameterReader | None = None
+        self._refused: str | None = None  # reason why the vehicle is not supported, or None
+        self._rest_v: float | None = None
+        self._armed = False
+        self._foreign = Counter[tuple[int, int]]()
+        self._beat_s = -math.inf
         self._said_s = self._until_s = time.monotonic()
         self._counted: Counter[str] = Counter()
         self._grown: Counter[str] = Counter()  # last increase of the counters by received data
@@ -215,87 +170,104 @@ class Examination(Dialogue):
         ``accepted``: names of accepted parameters; ``wait_s``: time-out of the first heartbeat;
         ``accept_release``: allow an unknown release, with the nearest rules.
         """
+        findings, choice = list[Finding](), Choice(None, None, None)
         try:
-            choice, reader = self._read(wait_s, accept_release)
+            profile = self._recognised(wait_s)
+            table, asked = rules.table(profile.name), tuple[Asked, ...]()
+            if table is not None:
+                tried = f"{_VERSION_TRIES} requests within {_VERSION_TRIES * _VERSION_S:g} s"
+                silence = f"no AUTOPILOT_VERSION in reply to {tried}"
+                choice = rules.choose(table, self._release, silence, accept=accept_release)
+                if profile is OWN_SITL:  # the rules of this profile do not depend on the release
+                    choice = Choice(table.releases[-1], None, None)
+                asked = table.asked(profile.name, choice.release or "")
+            names = (each.name.name for each in asked)
+            reader = self._reader = ParameterReader(names, *self.target, profile.encoding)
+            self._exchange(
+                lambda: reader.done and not self._senders.suspects,
+                self._until_s,
+                lambda: reader.step(time.monotonic()),
+            )
+            findings = rules.judge(asked, reader.values, reader.missing, needs, accepted)
         except _EndedError as ended:
-            return Report(self.profile, self.version, (), str(ended))
-        findings = tuple(rules.judge(self.asked, reader.values, reader.missing, needs, accepted))
-        notes = (choice.note,) if choice.note is not None else ()
+            choice = Choice(None, str(ended), None)
+        version, notes = self._release and self._release.text, (choice.note,) if choice.note else ()
         return Report(
-            self.profile, self.version, findings, choice.problem, notes, choice.release, rest_v=self.rest_v
-        )
+            self._profile, version, tuple(findings), choice.problem, notes, choice.release,
+            rest_v=self._rest_v,
+        )  # fmt: skip
 
-    def _read(self, wait_s: float, accept_release: bool) -> tuple[Choice, ParameterReader]:
+    def _recognised(self, wait_s: float) -> Profile:
+        """Return the profile by heartbeat and, if it arrives, AUTOPILOT_VERSION."""
         self._until_s = time.monotonic() + wait_s
-        if not self.until(lambda: self.profile is not None, wait_s) or self.profile is None:
-            raise _EndedError(self.waits_for(f" within {wait_s:g} s"))
+        self._exchange(lambda: self._profile is not None, self._until_s)
+        if self._profile is None:
+            raise _EndedError(self._waits_for(f" within {wait_s:g} s"))
         self._until_s = time.monotonic() + _READ_MAX_S
         for _ in range(_VERSION_TRIES):
-            number, unset = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, self.profile.unset
-            self.turn([request_message(self.target, number, unset)])
-            if self.until(lambda: self.release is not None, _VERSION_S):
+            number, unset = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, self._profile.unset
+            self._turn([request_message(self.target, number, unset)])
+            self._exchange(lambda: self._release is not None, time.monotonic() + _VERSION_S)
+            if self._release is not None:
                 break
-        profile, table, choice = self.profile, rules.table(self.profile.name), Choice(None, None, None)
-        if table is not None:
-            tried = f"{_VERSION_TRIES} requests within {_VERSION_TRIES * _VERSION_S:g} s"
-            silence = f"no AUTOPILOT_VERSION in reply to {tried}"
-            choice = rules.choose(table, self.release, silence, accept=accept_release)
-            if profile is OWN_SITL:  # the rules of this profile do not depend on the release
-                choice = Choice(table.releases[-1], None, None)
-            self.asked = table.asked(profile.name, choice.release or "")
-        names = (each.name.name for each in self.asked)
-        reader = self.reader = ParameterReader(names, *self.target, profile.encoding)
-        self.until(
-            lambda: reader.done and not self.senders.suspects,
-            self._until_s - time.monotonic(),
-            lambda: reader.step(time.monotonic()),
-        )
-        return choice, reader
+        return self._profile
 
-    @property
-    def version(self) -> str | None:
-        return self.release.text if self.release is not None else None
+    def _exchange(
+        self, done: Callable[[], bool], until_s: float, requests: Callable[[], Sequence[Message]] = tuple
+    ) -> None:
+        """Exchange messages until ``done`` or a time."""
+        while not done() and time.monotonic() < until_s:
+            self._turn(requests())
 
-    def turn(self, requests: Sequence[Message] = ()) -> None:
+    def _turn(self, requests: Sequence[Message]) -> None:
+        """Send a due heartbeat and the requests, wait briefly, and handle the received messages."""
         if self._stopped():
             raise _EndedError("cancelled by the operator")
-        now_s = time.monotonic()
+        now_s, messages = time.monotonic(), [*requests]
         if now_s - self._said_s >= _SAY_S:
             self._said_s = now_s
-            self._say(f"waiting up to {self._until_s - now_s:.0f} s more: {self.waits_for()}")
-        super().turn(requests)
-        problem = self.refused or self.senders.doubled
+            self._say(f"waiting up to {self._until_s - now_s:.0f} s more: {self._waits_for()}")
+        if now_s - self._beat_s >= (_HELLO_S if self._profile is None else _HEARTBEAT_S):
+            self._beat_s = now_s
+            messages.insert(0, companion_heartbeat())
+        self.endpoint.send(messages, self._senders.known)
+        self.endpoint.wait(_SLICE_S)
+        for received in self.endpoint.receive():
+            if received.sender != self.target:
+                self._foreign[received.sender] += 1
+            elif self._senders.admits(received.message, received.peer, now_s, armed=self._armed):
+                self._take(received.message)
+        problem = self._refused or self._senders.doubled
         if problem is not None:
             raise _EndedError(problem)
 
-    def waits_for(self, time: str = "") -> str:
+    def _waits_for(self, time: str = "") -> str:
         """Return a text about the message that has not arrived yet; ``time``: see ``why_silent``."""
-        if not self.heard:
-            counted = self._counted
-            self._counted = self.endpoint.counters.copy()
+        if self._profile is None:
+            counted, self._counted = self._counted, self.endpoint.counters.copy()
             grown = self._counted - counted
             if grown.keys() - {"sent", "bytes_out", "send_errors"}:
                 self._grown = grown
-            return why_silent(self.target[0], self._grown, self.foreign, time=time)
-        if self.reader is None:
+            return why_silent(self.target[0], self._grown, self._foreign, time=time)
+        if self._reader is None:
             return "the vehicle does not send its version (AUTOPILOT_VERSION)"
-        names = [each.name.name for each in self.asked]
-        known = self.reader.values.keys() | self.reader.missing.keys()
-        left = [name for name in names if name not in known]
-        return f"{len(known)} of {len(names)} parameters received; missing are {', '.join(left[:4])}"
+        left, known = self._reader.left, len(self._reader.values) + len(self._reader.missing)
+        return f"{known} of {known + len(left)} parameters received; missing are {', '.join(left[:4])}"
 
-    def take(self, message: Message) -> None:
+    def _take(self, message: Message) -> None:
+        """Handle a message of the vehicle's autopilot."""
         kind = message.get_msgId()
         if kind == dialect.MAVLINK_MSG_ID_SYS_STATUS:
-            known = message.voltage_battery != _VOLTAGE_UNKNOWN and not self.armed
-            self.rest_v = message.voltage_battery * 1e-3 if known else None
-        elif kind == dialect.MAVLINK_MSG_ID_HEARTBEAT and self.profile is None and self.refused is None:
-            self.refused = refusal(message.autopilot, message.type, self._chosen)
-            if self.refused is None:
-                self.profile = self._chosen or found(message.autopilot)
-        elif self.reader is not None:
-            self.reader.take(message)
-        elif kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION and self.profile is not None:
-            self.release, own = rules.release_of(message), marked(message)
-            if own is not None and own.autopilot == self.profile.autopilot:
-                self.profile = own
+            known = message.voltage_battery != _VOLTAGE_UNKNOWN and not self._armed
+            self._rest_v = message.voltage_battery * 1e-3 if known else None
+        elif kind == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+            if self._profile is None:
+                self._refused = refusal(message.autopilot, message.type, self._chosen)
+                self._profile = self._chosen or found(message.autopilot)
+        elif self._reader is not None:
+            self._reader.take(message)
+        elif kind == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION and self._profile is not None:
+            self._release, own = rules.release_of(message), marked(message)
+            if own is not None and own.autopilot == self._profile.autopilot:
+                self._profile = own
