@@ -75,12 +75,11 @@ def outside_envelope(flight: Flight) -> str | None:
 
 def judged_apart(flight: Flight) -> str:
     """Return a text if the verdict uses another barrier than the filter; else an empty text."""
-    run = flight.metadata.get("run", {})
-    judge, flown = (
-        tuple(run.get(f"{whose}_{key}") for key in ("alpha_1_m", "beta_m")) for whose in ("judge", "barrier")
-    )
-    apart = two_barriers(judge, flown) if None not in judge + flown and judge != flown else ""
-    return "; ".join(filter(None, (apart, run.get("own_boundary"))))
+    apart = ""
+    if flight.barrier is not None and flight.config is not None:
+        judge, flown = ((shape.alpha_1_m, shape.beta_m) for shape in (flight.barrier, flight.config.barrier))
+        apart = two_barriers(judge, flown) if judge != flown else ""
+    return "; ".join(filter(None, (apart, flight.metadata.get("run", {}).get("own_boundary"))))
 
 
 def two_barriers(judge: Sequence[object], flown: Sequence[object]) -> str:

@@ -2,17 +2,20 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from flightstack.common.pacing import EPOCH_NS
+from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogError
 from logs.recorder.recording import McapFile
 from logs.replay.replay import ReplayError, replay
 from logs.schema import schemas
+from logs.verdict.verdict import judged_apart
 from tests.synthetic_flight import landing, write_log
 
 
@@ -101,6 +104,9 @@ def test_barrier_from_the_configuration_if_the_run_names_none(log):
     flight = load_flight(log)
     assert (flight.barrier.alpha_1_m, flight.barrier.beta_m) == (0.5, 1.5)
     assert flight.config.limits.velocity_max_m_s == (0.3, 0.3, 0.4)
+    assert judged_apart(flight) == ""
+    apart = judged_apart(replace(flight, barrier=Barrier(1.0, 1.5)))
+    assert apart == "judged by alpha 1.0 1/m, beta 1.5 m; flown with alpha 0.5 1/m, beta 1.5 m"
 
 
 def test_one_bad_odometry_sample_is_counted_not_fatal(log):
