@@ -56,23 +56,33 @@ class MessageDifference:
         return one_line(f"{where} {self.field}: {self.a} != {self.b}")
 
 
-def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> list[MessageDifference]:
-    """Return the differences between two logs, at most ``limit``; empty means equal."""
-    return list(islice(_all(_content(a), _content(b)), limit))
+class Compared(NamedTuple):
+    differences: list[MessageDifference]  # the first ``limit`` ones; empty: the logs are equal
+    first_tick: (
+        int | None
+    )  # number of the first tick with a difference in a message; None: no message differs
 
 
-def first_tick(a: Path | str, b: Path | str) -> int | None:
-    """Return the number of the first tick with a difference in a message; None: no message differs."""
-    first, second = _content(a).messages, _content(b).messages
+def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> Compared:
+    """Compare two logs."""
+    first, second = _content(a), _content(b)
+    return Compared(list(islice(_all(first, second), limit)), _first_tick(first.messages, second.messages))
+
+
+def _first_tick(a: dict[str, list[Message]], b: dict[str, list[Message]]) -> int | None:
     differ_ns = [
         min(message.log_time_ns for message in both if message is not None)
-        for topic in first.keys() | second.keys()
-        for both in zip_longest(first.get(topic, []), second.get(topic, []))
+        for topic in a.keys() | b.keys()
+        for both in zip_longest(a.get(topic, []), b.get(topic, []))
         if both[0] != both[1]
     ]
-    steps = [each for log in (first, second) for messages in log.values() for each in messages]
     from_ns = min(differ_ns, default=math.inf)
-    later = [each for each in steps if each.schema == CONTROLLER_STEP and each.log_time_ns >= from_ns]
+    later = [
+        each
+        for messages in (*a.values(), *b.values())
+        for each in messages
+        if each.schema == CONTROLLER_STEP and each.log_time_ns >= from_ns
+    ]
     return min(later, key=lambda each: each.log_time_ns).sequence if later else None
 
 

@@ -7,7 +7,6 @@ has the same meaning in every chart; true and estimated values also differ by da
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from flightstack.core.strategies.strategy import packaged_strategy_of
 from flightstack.core.types import FilterStatus
-from logs.reader.flight_data import Flight, Floats, Steps, Truth
+from logs.reader.flight_data import Bools, Flight, Floats, Steps, Truth
 from logs.verdict.types import VIOLATION_LIMIT_M
 
 TRUE = "#0072B2"  # blue: true values
@@ -91,38 +90,27 @@ def held_margin_m(flight: Flight) -> Floats | None:
     return margin_m if np.isfinite(margin_m).any() else None
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Estimated minus true values at the n controller steps; vectors are (n, 3), unknown values are NaN."""
+def estimate_errors(flight: Flight) -> dict[str, Floats] | None:
+    """Return estimates minus true states at the n controller steps, m, by name; ``None`` without true states.
 
-    t_s: Floats
-    own_m: Floats
-    target_m: Floats
-    h_m: Floats
-
-
-def estimate_errors(flight: Flight) -> Errors | None:
-    """Return the errors against linearly interpolated true states; ``None`` without true states."""
+    Values are (n, 3) for "vehicle" and "target", (n, 1) for "h"; unknown ones are NaN. True states are
+    interpolated linearly.
+    """
     steps, truth = flight.steps, flight.truth
     if steps is None or truth is None or len(truth.t_s) < 2:
         return None
     right = np.clip(np.searchsorted(truth.t_s, steps.t_s), 1, len(truth.t_s) - 1)
     gap_s = np.minimum(*(np.abs(truth.t_s[at] - steps.t_s) for at in (right - 1, right)))
-    known = (gap_s <= _NEAR_S)[:, None]
 
-    def at_steps(values: Floats) -> Floats:
-        columns = [np.interp(steps.t_s, truth.t_s, column) for column in values.T]
-        return np.where(known, np.column_stack(columns), np.nan)
+    def error(valid: Bools, estimate: Floats, true: Floats) -> Floats:
+        at_steps = np.column_stack([np.interp(steps.t_s, truth.t_s, column) for column in true.T])
+        return np.where((valid & (gap_s <= _NEAR_S))[:, None], estimate - at_steps, np.nan)
 
-    own = np.where(steps.own_valid[:, None], steps.own_position_enu_m, np.nan)
-    target = np.where(steps.target_valid[:, None], steps.target_position_enu_m, np.nan)
-    h_m = np.where(steps.both_valid, steps.h_m, np.nan)
-    return Errors(
-        steps.t_s,
-        own - at_steps(truth.position_enu_m),
-        target - at_steps(truth.pad_position_enu_m),
-        h_m - at_steps(truth.h_m[:, None])[:, 0],
-    )
+    return {
+        "vehicle": error(steps.own_valid, steps.own_position_enu_m, truth.position_enu_m),
+        "target": error(steps.target_valid, steps.target_position_enu_m, truth.pad_position_enu_m),
+        "h": error(steps.both_valid, steps.h_m[:, None], truth.h_m[:, None]),
+    }
 
 
 def sent_m_s(steps: Steps) -> Floats:
@@ -210,18 +198,20 @@ def _velocity(axis: int) -> Row:
     ))  # fmt: skip
 
 
-def _error(key: str, of: Callable[[Errors], Floats]) -> Row:
+def _error(key: str, *curves: tuple[str, str]) -> Row:
     def values(axis: int) -> Callable[[Flight], Values | None]:
-        return lambda f: None if (e := estimate_errors(f)) is None else (e.t_s, 1e3 * of(e)[:, axis])
+        def of(flight: Flight) -> Values | None:
+            steps, errors = flight.steps, estimate_errors(flight)
+            return None if steps is None or errors is None else (steps.t_s, 1e3 * errors[key][:, axis])
 
-    looks = (("east", NOMINAL), ("north", TRUE), ("up", COMMAND))
-    curves = (Curve(name, name, color, values(axis)) for axis, (name, color) in enumerate(looks))
-    return Row(key, f"{key} [mm]", tuple(curves))
+        return of
+
+    return Row(key, f"{key} [mm]", tuple(
+        Curve(name, name, color, values(axis)) for axis, (name, color) in enumerate(curves)
+    ))  # fmt: skip
 
 
-def _h_error(flight: Flight) -> Values | None:
-    errors = estimate_errors(flight)
-    return None if errors is None else (errors.t_s, 1e3 * errors.h_m)
+_ENU = (("east", NOMINAL), ("north", TRUE), ("up", COMMAND))
 
 
 def _age_limit(name: str) -> Callable[[Flight], Values | None]:
@@ -273,8 +263,7 @@ CHARTS = (
         )),
     )),
     Chart("error", "Error of the estimates", "State used by the controller minus true state.", 640, (
-        _error("vehicle", lambda e: e.own_m), _error("target", lambda e: e.target_m),
-        Row("h", "h [mm]", (Curve("h", "h", INK, _h_error),)),
+        _error("vehicle", *_ENU), _error("target", *_ENU), _error("h", ("h", INK)),
     )),
     Chart("vehicle", "The vehicle", "True tilt of the body and voltage of the battery; a bar at the bottom "
           "while the motors are off.", 420, (

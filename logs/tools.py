@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import csv
 import json
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
@@ -115,80 +116,64 @@ def recover(log: LogFile, out: Path) -> int:
     return messages
 
 
-@dataclass(slots=True)
-class Table:
-    """Messages of one topic as rows; nested fields have dotted names, and a list is one JSON text."""
+def rows(log: LogFile, topic: str, refused: Counter[str]) -> Iterator[dict[str, Any]]:
+    """Yield a row for each message of a topic; nested fields have dotted names, and a list is one JSON text.
 
-    log: LogFile
-    topic: str
-    refused: int = 0  # number of messages that could not be decoded
-    first_refused: str = ""  # reason for the first of them
+    Reasons why messages cannot be decoded are counted in ``refused``. Raises ValueError: there is no such
+    topic, or it is not CDR.
+    """
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    @property
-    def problem(self) -> str:
-        """Number of messages that could not be decoded, and the reason for the first; empty: none."""
-        more = f" and {self.refused - 1} more" if self.refused > 1 else ""
-        return f"{self.first_refused}{more}" if self.refused else ""
-
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield a row for each message. Raises ValueError: there is no such topic, or it is not CDR."""
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        store, kind = get_typestore(Stores.EMPTY), self._schema()
+    store, kind = get_typestore(Stores.EMPTY), _schema(log, topic)
+    try:
+        store.register(get_types_from_msg(kind.data.decode(), kind.name))
+    except Exception as error:  # a library may raise any exception for a damaged definition
+        what = f"{log.path}: the definition of {kind.name} cannot be read"
+        raise ValueError(f"{what} ({type(error).__name__}: {error})") from error
+    for message in log.messages([topic]):
+        times = {"log_time_ns": message.log_time_ns, "publish_time_ns": message.publish_time_ns}
         try:
-            store.register(get_types_from_msg(kind.data.decode(), kind.name))
-        except Exception as error:  # a library may raise any exception for a damaged definition
-            what = f"{self.log.path}: the definition of {kind.name} cannot be read"
-            raise ValueError(f"{what} ({type(error).__name__}: {error})") from error
-        for message in self.log.messages([self.topic]):
-            try:
-                decoded = dict(_flat("", store.deserialize_cdr(message.data, kind.name)))
-            except Exception as error:  # a library may raise any exception for a damaged message
-                self.refused += 1
-                text = f"sequence {message.sequence}, cannot be decoded ({type(error).__name__}: {error})"
-                self.first_refused = self.first_refused or f"{self.topic}, {text}"
-                continue
-            times = {"log_time_ns": message.log_time_ns, "publish_time_ns": message.publish_time_ns}
+            decoded = dict(_flat("", store.deserialize_cdr(message.data, kind.name)))
+        except Exception as error:  # a library may raise any exception for a damaged message
+            refused[f"{type(error).__name__}: {error}"] += 1
+        else:
             yield times | {"sequence": message.sequence} | decoded
 
-    def _schema(self) -> Schema:
-        channels = self.log.outline.channels.values()
-        found = [each for each in channels if each.topic == self.topic]
-        if not found:
-            topics = sorted({each.topic for each in channels})
-            close = meant(self.topic, topics)
-            more = f" and {len(topics) - TOPICS_SHOWN} more (`log info`)" if topics[TOPICS_SHOWN:] else ""
-            raise ValueError(
-                f"no topic {self.topic!r} in {self.log.path}; {close and f'{close} '}"
-                f"it contains {', '.join(topics[:TOPICS_SHOWN]) or 'none'}{more}"
-            )
-        schemas = self.log.outline.schemas
-        used = {kind.name: kind for each in found if (kind := schemas.get(each.schema_id)) is not None}
-        encodings = {each.message_encoding for each in found}
-        if len(used) != 1 or encodings != {"cdr"} or next(iter(used.values())).encoding != "ros2msg":
-            raise ValueError(
-                f"{self.topic} has the types {', '.join(sorted(used)) or 'none'} in the encodings "
-                f"{', '.join(sorted(encodings))}; one type in CDR with a ros2msg definition can be exported"
-            )
-        return next(iter(used.values()))
+
+def _schema(log: LogFile, topic: str) -> Schema:
+    found = [each for each in log.outline.channels.values() if each.topic == topic]
+    if not found:
+        topics = sorted({each.topic for each in log.outline.channels.values()})
+        close = meant(topic, topics)
+        more = f" and {len(topics) - TOPICS_SHOWN} more (`log info`)" if topics[TOPICS_SHOWN:] else ""
+        raise ValueError(
+            f"no topic {topic!r} in {log.path}; {close and f'{close} '}"
+            f"it contains {', '.join(topics[:TOPICS_SHOWN]) or 'none'}{more}"
+        )
+    used = {kind.name: kind for each in found if (kind := log.outline.schemas.get(each.schema_id))}
+    encodings = {each.message_encoding for each in found}
+    if len(used) != 1 or encodings != {"cdr"} or next(iter(used.values())).encoding != "ros2msg":
+        raise ValueError(
+            f"{topic} has the types {', '.join(sorted(used)) or 'none'} in the encodings "
+            f"{', '.join(sorted(encodings))}; one type in CDR with a ros2msg definition can be exported"
+        )
+    return next(iter(used.values()))
 
 
-def export_csv(table: Table, out: Path) -> int:
-    """Write a table as CSV with a header line; return the number of rows. Floats keep every bit."""
+def export_csv(table: Iterator[dict[str, Any]], out: Path) -> int:
+    """Write rows as CSV with a header line; return their number. Floats keep every bit."""
     number = 0
     with out.open("w", newline="", encoding="utf-8") as stream:
-        writer: csv.DictWriter[str] | None = None
-        for row in table.rows():
-            if writer is None:
+        for number, row in enumerate(table, 1):
+            if number == 1:
                 writer = csv.DictWriter(stream, list(row), lineterminator="\n")
                 writer.writeheader()
             writer.writerow(row)
-            number += 1
     return number
 
 
-def export_parquet(table: Table, out: Path) -> int:
-    """Write a table as Parquet, all rows at once; return the number of rows.
+def export_parquet(table: Iterator[dict[str, Any]], out: Path) -> int:
+    """Write rows as Parquet, all at once; return their number.
 
     Raises ModuleNotFoundError: pyarrow is not installed; the text names the extra.
     """
@@ -198,7 +183,7 @@ def export_parquet(table: Table, out: Path) -> int:
     except ModuleNotFoundError as error:
         text = f"Parquet needs pyarrow: {pip_install('export')}, or use --format csv"
         raise ModuleNotFoundError(text, name=error.name) from error
-    whole = pyarrow.Table.from_pylist(list(table.rows()))
+    whole = pyarrow.Table.from_pylist(list(table))
     parquet.write_table(whole, out)
     return len(whole)
 

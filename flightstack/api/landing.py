@@ -154,7 +154,7 @@ class Landing:
         """Return a figure of the path relative to the landing spot, over the barrier.
 
         Raises:
-            ReportError: plotly is not installed.
+            MissingExtraError: plotly is not installed.
             ValueError: no tick has the positions of both vehicle and target.
         """
         from logs.report.page import need_libraries

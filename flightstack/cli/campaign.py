@@ -75,6 +75,7 @@ def campaign(options: CampaignOptions) -> None:
 
 def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options: CampaignOptions) -> int:
     """Write the report page, and print the table or JSON; return the exit status."""
+    from flightstack.common.text import MissingExtraError
     from logs.report.page import ReportError
     from sim.campaign.rows import failed_rows
     from sim.campaign.run import PAGE, ROWS, write_page
@@ -92,7 +93,7 @@ def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options:
     try:
         if page is not None:
             write_page(page, wanted, flown)
-    except ReportError as error:  # the results stay valid
+    except (ReportError, MissingExtraError) as error:  # the results stay valid
         click.echo(f"flightstack: {error}", err=True)
         page = None
     if options.as_json:

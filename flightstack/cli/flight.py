@@ -235,18 +235,15 @@ def _once(options: WatchOptions, flight: Watch, endpoint: str, stop: Stop) -> in
 def _recording(options: WatchOptions, where: str) -> LiveRecording:
     """Open the 3-D view."""
     from flightstack.config import load
-    from logs.reader.flight_data import shape
     from logs.view.live import LiveRecording
 
-    run = {"namespace": options.namespace}
-    if options.config_file is not None:
-        run |= shape(load(options.config_file))
-    else:
+    config = None if options.config_file is None else load(options.config_file)
+    if config is None:
         click.echo(
             "flightstack: without --config there is no barrier, and the pad is drawn in a Crazyflie's size",
             err=True,
         )
     os.nice(NICER)  # the viewer that Rerun starts inherits this niceness
-    recording = LiveRecording(where, run, options.namespace)
+    recording = LiveRecording(where, options.namespace, config)
     click.echo(f"ready {recording.address}")
     return recording

@@ -1,18 +1,19 @@
-"""Commands that record, replay and show flight logs, write reports, and identify a vehicle."""
+"""Commands for flight logs: record, replay, report, view, identify, compare, and ``log ...``."""
 
 from __future__ import annotations
 
 import json
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from flightstack.cli.log import BROKEN, DONE, Force, JsonVerdict, Log, new_file, show_verdict
 from flightstack.common.options import Option, arguments, takes
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import labels, named, outline, plain
@@ -20,8 +21,149 @@ from flightstack.config import options as shared
 from flightstack.core.parameters.filters import FILTERS
 
 if TYPE_CHECKING:
-    from logs.compare import Tally
-    from logs.replay.replay import PhaseChange, Result
+    from logs.replay.replay import Result
+
+DONE, BROKEN = 0, 1
+LANDED, NOT_LANDED = 0, 1
+DIFFERENCES_MAX = 20  # maximum number of printed differences; the first ones are the most useful
+
+Log = Annotated[Path, Option("LOG")]
+Out = Annotated[Path, Option("--out", "File to write.", path="file")]
+Force = Annotated[bool, Option("--force", "Replace files that exist.")]
+JsonVerdict = Annotated[bool, Option("--json", "Print one JSON object, with the keys of `sitl --json`.")]
+
+
+@click.group()
+def log() -> None:
+    """Inspect, judge, compare, repair and export flight logs. The readable part of a broken LOG is used.
+
+    Exit status: 0 done, 1 the LOG is broken (its readable part was used) or differs, 2 wrong input.
+    """
+
+
+@log.command()
+@arguments
+def info(log_file: Log, member: shared.Member = None, as_json: shared.AsJson = False) -> None:
+    """Show duration, topics, metadata and attachments of a LOG, and whether it is complete."""
+    from logs.reader.reader import LogFile
+    from logs.tools import summary, summary_lines
+
+    found = summary(LogFile(log_file, member))
+    click.echo(json.dumps(found) if as_json else plain("\n".join(summary_lines(found))))
+    sys.exit(DONE if found["complete"] else BROKEN)
+
+
+@log.command()
+@arguments
+def recover(log_file: Log, out: Out, force: Force = False) -> None:
+    """Repair a broken LOG: write a complete file with an index and all readable records."""
+    from logs.reader.reader import LogFile
+    from logs.tools import recover as recovered
+
+    log = LogFile(log_file)
+    with new_file(out, force=force) as part:
+        messages = recovered(log, part)
+    click.echo(plain(f"{out}: {messages} messages; {log.problem or 'the log was complete'}"))
+
+
+@log.command()
+@arguments
+def export(
+    log_file: Log,
+    topic: Annotated[str, Option("--topic", "Topic to export; `log info` lists them.", "TOPIC")],
+    kind: Annotated[str, Option(
+        "--format", "Format of OUT; parquet needs the extra `export` and enough memory for the whole table.",
+        choices=("csv", "parquet"),
+    )],
+    out: Out,
+    force: Force = False,
+) -> None:  # fmt: skip
+    """Write one topic of a LOG as a table: one row for each message, with its times and sequence number.
+
+    Nested fields have dotted names; a list is one column with JSON text.
+    """
+    from logs.reader.reader import LogFile
+    from logs.tools import export_csv, export_parquet, rows
+
+    log, refused = LogFile(log_file), Counter[str]()
+    with new_file(out, force=force) as part:
+        number = (export_csv if kind == "csv" else export_parquet)(rows(log, topic, refused), part)
+    click.echo(plain(f"{out}: {number} rows"))
+    problems = [log.problem] if log.problem else []
+    if refused:
+        first = next(iter(refused))
+        problems.append(f"{refused.total()} messages of {topic} cannot be decoded; first: {first}")
+    if problems:
+        text = f"flightstack: the log is broken; what can be read was used: {'; '.join(problems)}"
+        click.echo(plain(text), err=True)
+    sys.exit(BROKEN if problems else DONE)
+
+
+@log.command()
+@arguments
+def verdict(log_file: Log, as_json: JsonVerdict = False) -> None:
+    """Judge the flight in a LOG from the true states, or a real flight from the vehicle's own estimate.
+
+    A fleet has landed when all its members have landed.
+
+    Exit status: 0 landed, 1 any other end of a flight, 2 the LOG cannot be read.
+    """
+    from logs.verdict.verdict import judged, result
+
+    values = result(*judged(log_file))
+    show_verdict(values, as_json=as_json)
+    sys.exit(LANDED if values["outcome"] == "landed" else NOT_LANDED)
+
+
+def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
+    """Print a verdict as a table, or as one line of JSON."""
+    if as_json:
+        click.echo(json.dumps(values))
+        return
+    from flightstack.common.terminal import Terminal
+    from flightstack.launch.result import result_table
+
+    Terminal().print(result_table(values))
+
+
+@click.command()
+@arguments
+def compare(log_a: Annotated[Path, Option("LOG_A")], log_b: Annotated[Path, Option("LOG_B")]) -> None:
+    """Compare two logs message by message; exit status 0 equal, 1 different.
+
+    The last line names the first tick with a difference. Wall-clock measurements (loop timing) are not
+    compared.
+    """
+    from logs.compare import compare as compared
+
+    differences, tick = compared(log_a, log_b)
+    for difference in differences[:DIFFERENCES_MAX]:
+        click.echo(plain(str(difference)))
+    if len(differences) > DIFFERENCES_MAX:
+        click.echo(f"... and {len(differences) - DIFFERENCES_MAX} more")
+    click.echo("equal" if not differences else f"{len(differences)} differences")
+    if tick is not None:
+        click.echo(f"the first tick that differs: {tick}")
+    sys.exit(1 if differences else 0)
+
+
+log.add_command(compare, "diff")
+
+
+@contextmanager
+def new_file(path: Path, *, force: bool) -> Iterator[Path]:
+    """Yield a temporary name next to ``path``; after success the file gets its final name."""
+    if path.exists() and not force:
+        raise FileExistsError(f"{path} exists and is not overwritten; give another name or --force")
+    part = path.with_name(f".{path.name}.part")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as error:
+        error.filename = error.filename or str(path)  # a full disk has no name of a file
+        raise
+    finally:
+        part.unlink(missing_ok=True)
 
 
 @click.command()
@@ -109,20 +251,25 @@ def view(
     The command needs the extra `view`. Exit status: 0 shown or written, 1 shown or written from a broken
     LOG, 2 wrong input or no window.
     """
-    from logs.view.view import Recording, open_viewer
+    from logs.view.view import open_viewer
+    from logs.view.view import save as saved
 
-    recording = Recording(log_file)
+    def written(recording: Path) -> str:
+        problem = saved(log_file, recording)
+        if problem:
+            text = f"flightstack: the log is broken; what can be read is shown: {problem}"
+            click.echo(plain(text), err=True)
+        return problem
+
     if save is not None:
         with new_file(save, force=force) as part:
-            recording.save(part)
+            problem = written(part)
         click.echo(plain(f"{save}: open it with `rerun {save}`"))
-    if problem := recording.problem:
-        click.echo(plain(f"flightstack: the log is broken; what can be read is shown: {problem}"), err=True)
-    if save is None:
+    else:
         with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / f"{log_file.stem}.rrd"
-            recording.save(file)
-            if open_viewer(file, web=web):
+            recording = Path(folder) / f"{log_file.stem}.rrd"
+            problem = written(recording)
+            if open_viewer(recording, web=web):
                 raise ValueError(
                     "Rerun did not open; without a display use --web, or --save and another machine"
                 )
@@ -216,45 +363,30 @@ def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], li
         result.notes += [f"settings refused before take-off: {text}" for text in problems(config)]
     word = "equal" if result.equal else "different"
     values = {"result": word, "set": list(settings), **asdict(result), "path": str(result.path)}
-    return values, _lines(result, settings)
+    return values, [*_lines(result, settings), word]
 
 
-def _lines(result: Result, settings: Sequence[str]) -> list[str]:
-    lines = [f"replayed {result.compared} ticks in {result.wall_s:.2f} s"]
+def _lines(result: Result, settings: Sequence[str]) -> Iterator[str]:
+    yield f"replayed {result.compared} ticks in {result.wall_s:.2f} s"
     if settings:
-        lines += _what_if(result, settings)
-    lines += _tally("decisions and events", result.outputs, shown=not settings)
+        yield f"with {', '.join(settings)}; vehicle and target move as recorded:"
+        if result.command_first is None:
+            yield "  every set-point is the same"
+        else:
+            yield (
+                f"  the set-point differs in {result.command_ticks} of {result.compared} ticks, first in "
+                f"tick {result.command_first}, at most by {result.command_most_m_s:.3g} m/s"
+            )
+        phases = {"recorded": result.phases_recorded, "replayed": result.phases_replayed}
+        for name, changes in phases.items():
+            yield f"  phases {name}: {', '.join(f'{each.phase} from {each.tick}' for each in changes)}"
+    compared = {"decisions and events": result.outputs}
     if not settings:
-        lines += _tally("state", result.states)
-        lines += _tally("wire", result.wire) if result.wire is not None else []
-    lines += [f"note: {note}" for note in result.notes]
-    return [*lines, "equal" if result.equal else "different"]
-
-
-def _tally(name: str, tally: Tally, *, shown: bool = True) -> list[str]:
-    if not tally.count:
-        return [f"{name}: equal"]
-    lines = [f"{name}: {tally.count} differences in {tally.ticks} ticks"]
-    if shown:
-        lines += [f"  {each}" for each in tally.first]
-        if tally.count > len(tally.first):
-            lines.append(f"  ... and {tally.count - len(tally.first)} more")
-    return lines
-
-
-def _what_if(result: Result, settings: Sequence[str]) -> list[str]:
-    lines = [f"with {', '.join(settings)}; vehicle and target move as recorded:"]
-    if result.command_first is None:
-        lines.append("  every set-point is the same")
-    else:
-        lines.append(
-            f"  the set-point differs in {result.command_ticks} of {result.compared} ticks, first in tick "
-            f"{result.command_first}, at most by {result.command_most_m_s:.3g} m/s"
-        )
-    lines.append(f"  phases recorded: {_phases(result.phases_recorded)}")
-    lines.append(f"  phases replayed: {_phases(result.phases_replayed)}")
-    return lines
-
-
-def _phases(changes: Sequence[PhaseChange]) -> str:
-    return ", ".join(f"{change.phase} from {change.tick}" for change in changes)
+        compared |= {"state": result.states} | ({"wire": result.wire} if result.wire is not None else {})
+    for name, tally in compared.items():
+        yield f"{name}: {tally.count} differences in {tally.ticks} ticks" if tally.count else f"{name}: equal"
+        if not settings:
+            yield from (f"  {each}" for each in tally.first)
+            if tally.count > len(tally.first):
+                yield f"  ... and {tally.count - len(tally.first)} more"
+    yield from (f"note: {note}" for note in result.notes)

@@ -53,9 +53,9 @@ GROUPS = {
     },
     "Logs": {
         "report": Verb("logs:report", "Write the report of a log."),
-        "compare": Verb("log:compare", "Compare two logs message by message."),
+        "compare": Verb("logs:compare", "Compare two logs message by message."),
         "view": Verb("logs:view", "Show a log in 3-D."),
-        "log": Verb("log:log", "Inspect, judge, repair, export logs."),
+        "log": Verb("logs:log", "Inspect, judge, repair, export logs."),
         "record": Verb("logs:record", "Run the recorder alone."),
     },
     "Real things": {

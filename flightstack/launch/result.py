@@ -14,7 +14,7 @@ from rich.console import Console, Group
 from rich.table import Column, Table
 from rich.text import Text
 
-from flightstack.common.text import failed_code, named, outline
+from flightstack.common.text import MissingExtraError, failed_code, named, outline
 from flightstack.launch.launcher import Followed
 from logs.reader.flight import load_fleet
 from logs.reader.reader import EmptyLogError, LogError
@@ -163,7 +163,7 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
     if with_report:
         try:
             pages = write_report(log, verdict, flown.folder / "report.html")
-        except ReportError as error:  # the flight is valid without a report
+        except (ReportError, MissingExtraError) as error:  # the flight is valid without a report
             print(f"flightstack: {error}", file=sys.stderr)
     times = [flight.steps.t_s for flight in log.flights.values() if flight.steps is not None]
     longest_s = max((float(t_s[-1] - t_s[0]) for t_s in times), default=None)

@@ -1,7 +1,7 @@
 """Sequence of one tick: wait, take the inputs, step the controller, send the outputs, write the log.
 
-Real time, lockstep, a landing in one process and replay all use this sequence. They differ in five parts: the
-clock, the vehicle, the source of target samples, the end of the flight, and the sink of the rows.
+Real time, lockstep and a landing in one process all use this sequence. They differ in five parts: the clock,
+the vehicle, the source of target samples, the end of the flight, and the sink of the rows.
 """
 
 from __future__ import annotations

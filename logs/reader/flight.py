@@ -6,8 +6,9 @@ its readable part is returned, with a description of the damage.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import partial
 from itertools import groupby
 from operator import itemgetter
@@ -18,13 +19,12 @@ import numpy as np
 
 from bridge.ros2.codec import Unpack
 from flightstack.common.strict_toml import ConfigError
-from flightstack.common.text import labels, named
+from flightstack.common.text import labels
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Intent
 from logs.reader.flight_data import (
     ATTACHMENT,
-    PAD_RADIUS_M,
     Event,
     Fleet,
     Flight,
@@ -35,10 +35,11 @@ from logs.reader.flight_data import (
     TargetOdometry,
     Timing,
     Truth,
+    number,
     read_config,
-    shape,
+    sizes_of,
 )
-from logs.reader.reader import EmptyLogError, LogError, LogFile, Members, Message
+from logs.reader.reader import ROSOUT, EmptyLogError, LogError, LogFile, Message
 from logs.schema import NO_PAD
 from logs.schema.rows import (
     ControllerStepRow,
@@ -60,6 +61,7 @@ from logs.schema.schemas import (
 )
 
 TARGET_TOPIC_END = "/target/odom"  # end of the topic in any namespace
+_OF_A_FLIGHT = (CONTROLLER_STEP, LOOP_TIMING, TRUE_STATE, MEMBER_STATUS)
 
 _DTYPES = {"Floats": np.float64, "Ints": np.int64, "Bools": np.bool_}
 _Columns = TypeVar("_Columns", Steps, Timing, Truth)
@@ -85,69 +87,60 @@ def load_fleet(path: Path | str) -> Fleet:
     return _read(LogFile(path))
 
 
-def _read(whole: LogFile) -> Fleet:
-    whole.need(CONTROLLER_STEP, TRUE_STATE, FLEET_PAIR)
-    path = whole.path
-    logs = {name: whole.part(name) for name in whole.members}
-    found: dict[str, dict[str, list[Message]]] = {name: {} for name in logs}
+def _read(log: LogFile) -> Fleet:
+    log.need(CONTROLLER_STEP, TRUE_STATE, FLEET_PAIR)
+    found: dict[str, dict[str, list[Message]]] = {name: defaultdict(list) for name in log.members}
     pairs: dict[tuple[int, int], FleetPairRow] = {}
     said: list[Message] = []  # events of all processes
-    for message in whole.messages():
-        if message.schema == FLEET_PAIR:
+    for message in log.messages():
+        topic, schema = message.topic, message.schema
+        if schema == FLEET_PAIR:
             try:
                 pair = FleetPairRow.unpack(message.data)
             except ValueError as error:
-                raise LogError(f"{path}: {message.topic}: {error}") from error
+                raise LogError(f"{log.path}: {topic}: {error}") from error
             pairs[pair.one, pair.other] = pair
-        kind = _kind(message)
-        for name, log in logs.items() if kind else ():
-            seen = log.part_of(message)
-            if seen is not None:
-                found[name].setdefault(kind, []).append(seen)
-        if kind == LOG:
-            said.append(message)
-    problem, parts = whole.problem, whole.parts
-    shown = dict(zip(logs, labels(whole.members), strict=True))
-    flights = {name: _flight(log, shown[name], found[name], problem) for name, log in logs.items()}
+        elif schema in _OF_A_FLIGHT or topic == ROSOUT or topic.endswith(TARGET_TOPIC_END):
+            for name in log.owners(message):
+                found[name][schema].append(message)
+            if topic == ROSOUT:
+                said.append(message)
+    flights = {
+        name: _flight(log.part(name), label, found[name])
+        for name, label in zip(log.members, labels(log.members), strict=True)
+    }
     origin_ns = min(flight.origin_ns for flight in flights.values())
-    said.sort(key=lambda message: message.log_time_ns)
+    shared = log if len(flights) > 1 else log.single()
     return Fleet(
-        path=whole.path,
+        path=log.path,
         flights=flights,
         pairs=pairs,
-        ids=parts.ids,
+        ids=log.ids,
         # the flights already report unreadable events as problems
-        events=tuple(_of_all(event, parts, shown) for event in _events(said, origin_ns, [])),
-        metadata={name: values for name, values in whole.metadata().items() if parts.split(name)[0] is None},
-        attachments={a.name: a.data for a in whole.attachments() if parts.split(a.name)[0] is None},
+        events=_events(said, origin_ns, [], shared),
+        metadata={key: values for key, values in shared.metadata().items() if not log.owner(key)},
+        attachments={each.name: each.data for each in shared.attachments() if not log.owner(each.name)},
     )
 
 
-def _of_all(event: Event, parts: Members, shown: Mapping[str, str]) -> Event:
-    """Return an event for the common list of a log; in a fleet its source starts with the member's name."""
-    owner, logger = parts.split(event.source, ".")
-    return replace(event, source=named(shown[owner] if owner is not None else "", logger, "."))
-
-
-def _flight(log: LogFile, label: str, by_kind: Mapping[str, list[Message]], problem: str) -> Flight:
-    for messages in by_kind.values():
+def _flight(log: LogFile, label: str, by_schema: Mapping[str, list[Message]]) -> Flight:
+    for messages in by_schema.values():
         messages.sort(key=lambda message: message.log_time_ns)
-    damage = [f"the log is cut short or damaged ({problem})"] if problem else []
-    spine = by_kind.get(CONTROLLER_STEP, []) + by_kind.get(TRUE_STATE, [])
-    origin_ns = min((m.log_time_ns for m in spine), default=0)
-    attachments = {a.name: a.data for a in log.attachments()}
+    damage = [f"the log is cut short or damaged ({log.problem})"] if log.problem else []
+    times_ns = [m.log_time_ns for kind in (CONTROLLER_STEP, TRUE_STATE) for m in by_schema.get(kind, ())]
+    origin_ns = min(times_ns, default=0)
+    metadata, attachments = log.metadata(), {a.name: a.data for a in log.attachments()}
     config, problems = _config(attachments)
-    run = log.metadata().get("run", {})
-    told = ({} if config is None else shape(config)) | run
+    run = metadata.get("run", {})
 
-    def read(kind: str, convert: Callable[[Sequence[Any], Floats], _Data], unpack: Unpack) -> _Data | None:
-        rows, t_s = _unpacked(by_kind.get(kind, []), unpack, origin_ns, damage)
+    def read(schema: str, convert: Callable[[Sequence[Any], Floats], _Data], unpack: Unpack) -> _Data | None:
+        rows, t_s = _unpacked(by_schema.get(schema, []), unpack, origin_ns, damage)
         return convert(rows, t_s) if rows else None
 
     steps = read(CONTROLLER_STEP, partial(columns, Steps), ControllerStepRow.unpack)
     truth = read(TRUE_STATE, partial(columns, Truth), TrueStateRow.unpack)
     if steps is None and truth is None:
-        found = ", ".join(sorted(by_kind)) or "nothing this stack writes"
+        found = ", ".join(sorted(by_schema)) or "nothing this stack writes"
         of = f", {label}" if label else ""
         raise (LogError if damage else EmptyLogError)(
             f"{log.path}{of}: found {found}; a flight needs controller steps ({CONTROLLER_STEP}) or true "
@@ -159,29 +152,22 @@ def _flight(log: LogFile, label: str, by_kind: Mapping[str, list[Message]], prob
         label=label,
         complete=log.complete,
         origin_ns=origin_ns,
-        duration_s=(max(m.log_time_ns for m in spine) - origin_ns) * 1e-9,
+        duration_s=(max(times_ns) - origin_ns) * 1e-9,
         steps=steps,
         timing=read(LOOP_TIMING, partial(columns, Timing), LoopTimingRow.unpack),
         truth=truth,
         target=read(ODOMETRY, _target, codec(ODOMETRY, frame_id=None)[1]),
-        spans=read(MEMBER_STATUS, partial(_spans, log.parts.ids), _status) or (),
-        events=_events(by_kind.get(LOG, []), origin_ns, damage),
-        metadata=log.metadata(),
+        spans=read(MEMBER_STATUS, partial(_spans, log.ids), _status) or (),
+        events=_events(by_schema.get(LOG, []), origin_ns, damage, log),
+        metadata=metadata,
         attachments=attachments,
         config=config,
-        barrier=_barrier(told),
-        pad_radius_m=PAD_RADIUS_M if (radius_m := _number(told, "pad_radius_m")) is None else radius_m,
+        barrier=_barrier(run, config),
+        pad_radius_m=sizes_of(config, run).pad_radius_m,
         pad_carries=run.get("pad") != NO_PAD,
         damage=tuple(damage),
         problems=(*damage, *problems),
     )
-
-
-def _kind(message: Message) -> str:
-    """Return the schema if this reader uses the message, else an empty text."""
-    if message.schema in (CONTROLLER_STEP, LOOP_TIMING, TRUE_STATE, MEMBER_STATUS, LOG):
-        return message.schema
-    return ODOMETRY if message.schema == ODOMETRY and message.topic.endswith(TARGET_TOPIC_END) else ""
 
 
 def _unpacked(
@@ -238,10 +224,15 @@ def _spans(names: Mapping[int, str], told: Sequence[tuple[Intent, bytes]], t_s: 
     )
 
 
-def _events(messages: Sequence[Message], origin_ns: int, damage: list[str]) -> tuple[Event, ...]:
-    rows, times_s = _unpacked(messages, LogRow.unpack, origin_ns, damage)
+def _events(
+    messages: Sequence[Message], origin_ns: int, damage: list[str], log: LogFile
+) -> tuple[Event, ...]:
+    """Return the events in order, from the loggers under their names in a log or a part of it."""
+    in_order = sorted(messages, key=lambda message: message.log_time_ns)
+    rows, times_s = _unpacked(in_order, LogRow.unpack, origin_ns, damage)
     return tuple(
-        Event(t_s, row.level, row.name, row.msg) for t_s, row in zip(times_s.tolist(), rows, strict=True)
+        Event(t_s, row.level, log.plain(row.name, "."), row.msg)
+        for t_s, row in zip(times_s.tolist(), rows, strict=True)
     )
 
 
@@ -256,17 +247,9 @@ def _config(attachments: dict[str, bytes]) -> tuple[FlightConfig | None, tuple[s
         return None, (f"{ATTACHMENT} in the log: {error}",)
 
 
-def _barrier(told: dict[str, str]) -> Barrier | None:
+def _barrier(run: Mapping[str, str], config: FlightConfig | None) -> Barrier | None:
     """Return the barrier for the verdict: that of the scenario's ``[judge]``, or else the controller's."""
-    for whose in ("judge", "barrier"):
-        alpha_1_m, beta_m = _number(told, f"{whose}_alpha_1_m"), _number(told, f"{whose}_beta_m")
-        if alpha_1_m is not None and beta_m is not None:
-            return Barrier(alpha_1_m, beta_m)
-    return None
-
-
-def _number(run: dict[str, str], key: str) -> float | None:
-    try:
-        return float(run[key])
-    except (KeyError, ValueError):
-        return None
+    alpha_1_m, beta_m = number(run, "judge_alpha_1_m"), number(run, "judge_beta_m")
+    if alpha_1_m is not None and beta_m is not None:
+        return Barrier(alpha_1_m, beta_m)
+    return config.barrier if config is not None else None

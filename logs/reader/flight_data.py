@@ -7,6 +7,7 @@ that is unknown at a tick is NaN; no value is ever replaced by zero.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -225,17 +226,28 @@ def read_config(data: bytes) -> FlightConfig:
     return from_table(FlightConfig, parse_toml(data))
 
 
-def shape(config: FlightConfig) -> dict[str, str]:
-    """Return the sizes of barrier and pad, m and 1/m, as texts by name.
+class Sizes(NamedTuple):
+    """Sizes of the shapes that viewers draw."""
 
-    For a fleet the result also has the semi-axes of the ellipsoid around a vehicle pair.
-    """
-    barrier, fleet = config.barrier, config.fleet
-    found = {
-        "barrier_alpha_1_m": repr(barrier.alpha_1_m),
-        "barrier_beta_m": repr(barrier.beta_m),
-        "pad_radius_m": repr(config.touchdown.pad_radius_m),
-    }
-    if fleet.others:
-        found |= {"ellipsoid_xy_m": repr(fleet.radius_xy_m), "ellipsoid_z_m": repr(fleet.radius_z_m)}
-    return found
+    barrier: Barrier | None  # None: unknown
+    pad_radius_m: float
+    # semi-axes of the ellipsoid around a vehicle pair, m: horizontal, vertical; None: no fleet
+    ellipsoid_m: tuple[float, float] | None
+
+
+def sizes_of(config: FlightConfig | None, run: Mapping[str, str]) -> Sizes:
+    """Return the sizes of a flight; the pad of a simulated robot is in the metadata of the run."""
+    radius_m = number(run, "pad_radius_m")
+    if config is None:
+        return Sizes(None, PAD_RADIUS_M if radius_m is None else radius_m, None)
+    ellipsoid_m = (config.fleet.radius_xy_m, config.fleet.radius_z_m) if config.fleet.others else None
+    radius_m = config.touchdown.pad_radius_m if radius_m is None else radius_m
+    return Sizes(config.barrier, radius_m, ellipsoid_m)
+
+
+def number(values: Mapping[str, str], key: str) -> float | None:
+    """Return a number of the metadata; None: it is missing or no number."""
+    try:
+        return float(values[key])
+    except (KeyError, ValueError):
+        return None

@@ -10,6 +10,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from io import BytesIO
 from typing import Any, BinaryIO
 
@@ -44,7 +45,6 @@ class Records:
         self._stream, self._messages = stream, messages
         self._size = os.fstat(stream.fileno()).st_size
         self._declared: dict[tuple[type, int], Any] = {}  # declarations by kind and id
-        self._repeated: dict[tuple[type, int], Any] | None = None  # declarations in the summary of the file
         self._first, self._places = "", 0  # first unreadable record; number of unreadable records
 
     @property
@@ -63,6 +63,7 @@ class Records:
         """Yield the readable records, including those in chunks, in the order in which they were written."""
         at, kind, size = len(MAGIC), -1, self._size
         crc = zlib.crc32(MAGIC)  # of all bytes so far
+        yield from self._repeated()
         self._stream.seek(at)
         try:
             while kind != Opcode.FOOTER:
@@ -113,7 +114,7 @@ class Records:
                 if kind == Opcode.MESSAGE and length >= _MESSAGE.size:
                     channel, sequence, logged_ns, published_ns = _MESSAGE.unpack_from(data, begin)
                     if (Channel, channel) not in self._declared:
-                        found += self._from_summary(channel)
+                        raise DamageError(f"channel {channel} was never declared")
                     if logged_ns > _TIME_MAX_NS or published_ns > _TIME_MAX_NS:
                         raise DamageError(f"a message of channel {channel} is behind the year 2262")
                     if self._messages:
@@ -127,24 +128,12 @@ class Records:
                 self._damaged(f"a record at {place} cannot be read", error)
         return found
 
-    def _from_summary(self, channel: int) -> list[Any]:
-        """Declare a channel from the summary of the file, because its first declaration is unreadable."""
-        if self._repeated is None:
-            here = self._stream.tell()
-            self._stream.seek(0)
-            try:
-                summary = make_reader(self._stream).get_summary()
-            except Exception:  # there is no summary, or it is damaged; the pass itself reports this
-                summary = None
-            self._stream.seek(here)
-            self._repeated = {}
-            if summary is not None:
-                self._repeated.update(((Schema, number), each) for number, each in summary.schemas.items())
-                self._repeated.update(((Channel, number), each) for number, each in summary.channels.items())
-        if (record := self._repeated.get((Channel, channel))) is None:
-            raise DamageError(f"channel {channel} was never declared")
-        schema = self._repeated.get((Schema, record.schema_id))
-        return [each for one in (schema, record) if one is not None for each in self._declare(one)]
+    def _repeated(self) -> Iterator[Any]:
+        """Yield the declarations that the summary repeats, because the first ones may be unreadable."""
+        with suppress(Exception):  # there is no summary, or it is damaged; the pass itself reports this
+            summary = make_reader(self._stream, validate_crcs=True).get_summary()
+            for record in (*summary.schemas.values(), *summary.channels.values()):
+                yield from self._declare(record)
 
     def _declare(self, record: Any) -> list[Any]:
         """Store and return a schema or channel; reject a changed one, and a channel without its schema."""

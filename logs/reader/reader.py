@@ -13,7 +13,7 @@ topics of no member belong to none.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,59 +25,14 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.records import Message as MessageRecord
 
 from logs.reader.mcap_records import MAGIC, Records, named
-from logs.schema import FLEET, LOSSES, member_name, split
+from logs.schema import FLEET, LOSSES, Names, member_name, split
 from logs.schema.rows import LogRow
-from logs.schema.schemas import LOG, same_fields
+from logs.schema.schemas import same_fields
 
 ROSOUT = "/rosout"
 _NAME = re.compile(r"(?=.{1,64}$)[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*")
-_SYSTEM = "uas"  # first part of the topics of MAVLink frames; the system id follows
-_FRAMES = "/uas1"  # first part of these topics in a member's view of the log, for any system id
+_SYSTEM = re.compile(r"/uas(\d{1,3})/")  # begin of the topics of MAVLink frames, with the system id
 _OWNED = ("run", "onboard")  # metadata records that belong to one vehicle
-
-
-class Members:
-    """Names and system ids of the vehicles in a log."""
-
-    def __init__(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
-        told = metadata.get(FLEET, {}).get("members", "")
-        owners = [owner for name in metadata for owner, own in (split(name),) if owner and own in _OWNED]
-        # namespaces of the members, in the order of the log
-        self.names = tuple(name for part in told.split(",") if (name := part.strip()))
-        self.names = self.names or tuple(dict.fromkeys(owners)) or (member_name(1),)
-        for name in self.names:  # the names are used for files and entities
-            if not _NAME.fullmatch(name):
-                raise ValueError(
-                    f"metadata {FLEET!r}: found a member {name!r}; allowed are A-Z a-z 0-9 _ - in parts "
-                    "that / separates"
-                )
-        # namespaces by MAVLink system id, which is the vehicle's id
-        self.ids = {_system_id(metadata, n, name): name for n, name in enumerate(self.names, 1)}
-        self._firsts = {f"/{name}/": name for name in self.names}
-        self._firsts |= {f"/{_SYSTEM}{system_id}/": name for system_id, name in self.ids.items()}
-        self._known: dict[str, str | None] = {}  # members by topic
-
-    def owner(self, topic: str) -> str | None:
-        """Return the member that owns a topic; None: no member."""
-        if topic not in self._known:
-            first = next((each for each in self._firsts if topic.startswith(each)), None)
-            self._known[topic] = self._firsts[first] if first else None
-        return self._known[topic]
-
-    def split(self, name: str, separator: str = "/") -> tuple[str | None, str]:
-        """Return the member (None: no member) and the name without its namespace."""
-        for member in self.names:
-            if name.startswith(f"{member}{separator}"):
-                return member, name[len(member) + 1 :]
-        return None, name
-
-
-def _system_id(metadata: Mapping[str, Mapping[str, str]], number: int, name: str) -> int:
-    """Return the system id from the onboard process's metadata; by default members are counted from 1."""
-    told = metadata.get(f"{name}/onboard", {}).get("system_id", "")
-    return int(told) if told.isdigit() else number
-
-
 _HEAD_BYTES = 32
 
 
@@ -113,16 +68,14 @@ class Outline:
 
 
 class LogFile:
-    """A flight log on disk, or the part of one member."""
+    """A flight log on disk, or the part of one member: its data, and those that belong to all members."""
 
     def __init__(self, path: Path | str, member: str | None = None) -> None:
-        """Check the first bytes of the file.
+        """Check the first bytes of the file; ``member``: member whose part is read, None: the whole log.
 
-        If ``member`` is given, only data of this member and of all members are read. Their names, except
-        topics, are returned without the namespace.
+        A part has metadata and attachments under their names without the namespace.
         """
-        self.path = Path(path)  # the log file
-        self.member = member  # member whose part is read; None: the whole log
+        self.path, self.member = Path(path), member
         try:
             if self.path.exists() and not self.path.is_file():
                 raise LogError(f"{self.path} is no file; an MCAP file is needed")
@@ -134,13 +87,32 @@ class LogFile:
             raise LogError(f"{self.path} is empty; expected an MCAP file")
         if not head.startswith(MAGIC):
             raise LogError(f"{self.path} is not an MCAP file: {named(head)}")
-        if member is not None and member not in (names := self.parts.names):
+        if member is not None and member not in (names := self.ids.values()):
             raise LogError(f"{self.path} has no member {member!r}; it holds {', '.join(names)}")
+
+    @cached_property
+    def ids(self) -> dict[int, str]:
+        """Names of all members of the log, in its order, by MAVLink system id, which is the vehicle's id."""
+        metadata = self.outline.metadata
+        names = [name.strip() for name in metadata.get(FLEET, {}).get("members", "").split(",")]
+        names = list(filter(None, names)) or [
+            owner for owner, own in map(split, metadata) if owner and own in _OWNED
+        ]
+        found = {}
+        for number, name in enumerate(dict.fromkeys(names or [member_name(1)]), 1):
+            if not _NAME.fullmatch(name):  # names are used for files and entities
+                raise ValueError(
+                    f"metadata {FLEET!r}: found a member {name!r}; allowed are A-Z a-z 0-9 _ - in parts "
+                    "that / separates"
+                )
+            system_id = metadata.get(f"{name}/onboard", {}).get("system_id", "")
+            found[int(system_id) if system_id.isdigit() else number] = name
+        return found
 
     @property
     def members(self) -> tuple[str, ...]:
-        """Namespaces of all vehicles in the log, or of the vehicle of this part."""
-        return self.parts.names if self.member is None else (self.member,)
+        """Names of all vehicles in the log, or of the vehicle of this part."""
+        return tuple(self.ids.values()) if self.member is None else (self.member,)
 
     def single(self) -> LogFile:
         """Return the part of the only vehicle. Raises LogError: there are several."""
@@ -157,6 +129,11 @@ class LogFile:
         found = copy(self)
         found.member = member
         return found
+
+    @property
+    def names(self) -> Names:
+        """Names of the records of this part's vehicle."""
+        return next(Names(name, number) for number, name in self.ids.items() if name == self.member)
 
     @property
     def problem(self) -> str:
@@ -192,58 +169,47 @@ class LogFile:
         wanted: dict[int, tuple[str, str]] = {}  # topic and schema by channel
         with self.path.open("rb") as stream:
             for record in Records(stream, messages=True):
-                if isinstance(record, MessageRecord):
-                    if record.channel_id not in wanted:
-                        continue
-                    topic, schema = wanted[record.channel_id]
-                    data = self._data(schema, record.data)
-                    if data is not None:
-                        yield Message(
-                            topic, schema, record.log_time, record.publish_time, record.sequence, data
-                        )
+                if isinstance(record, MessageRecord) and record.channel_id in wanted:
+                    message = Message(
+                        *wanted[record.channel_id], record.log_time, record.publish_time, record.sequence,
+                        record.data,
+                    )  # fmt: skip
+                    if self.member is None or self.member in self.owners(message):
+                        yield message
                 elif isinstance(record, Schema):
                     schemas[record.id] = record.name
-                elif isinstance(record, Channel):
-                    seen = self._topic(record.topic)
-                    if seen is not None and (topics is None or seen in topics):
-                        wanted[record.id] = seen, schemas.get(record.schema_id, "")
+                elif isinstance(record, Channel) and (topics is None or record.topic in topics):
+                    wanted[record.id] = record.topic, schemas.get(record.schema_id, "")
 
-    def part_of(self, message: Message) -> Message | None:
-        """Convert a message of the whole log to this member's names; None: another member sent it."""
-        topic, data = self._topic(message.topic), self._data(message.schema, message.data)
-        return None if topic is None or data is None else message._replace(topic=topic, data=data)
+    def owners(self, message: Message) -> Collection[str]:
+        """Return the members to whose parts a message belongs; an undecodable event belongs to all."""
+        topic = message.topic
+        if topic == ROSOUT:
+            try:
+                sender = self.owner(LogRow.unpack(message.data).name, ".")
+            except ValueError:
+                sender = None
+            return self.members if sender is None else (sender,)
+        system = _SYSTEM.match(topic)
+        owner = self.ids.get(int(system[1])) if system else self.owner(topic.removeprefix("/"))
+        return () if owner is None else (owner,)
 
-    def _topic(self, topic: str) -> str | None:
-        """Return the name of a topic; None if it belongs to another member. /rosout belongs to all."""
-        if self.member is None or topic == ROSOUT or topic.startswith(f"/{self.member}/"):
-            return topic
-        if self.parts.owner(topic) != self.member:
-            return None
-        return f"{_FRAMES}/{topic.removeprefix('/').partition('/')[2]}"
+    def owner(self, name: str, separator: str = "/") -> str | None:
+        """Return the member whose namespace is in front of a name; None: no member's."""
+        return next((each for each in self.ids.values() if name.startswith(f"{each}{separator}")), None)
 
-    def _data(self, schema: str, data: bytes) -> bytes | None:
-        """Return the data of a message of this part; an event gets the logger name without namespace.
-
-        The result is None for an event of another member. An event that cannot be decoded belongs to all
-        members and is returned unchanged.
-        """
-        if self.member is None or schema != LOG:
-            return data
-        try:
-            row = LogRow.unpack(data)
-        except ValueError:
-            return data
-        owner, logger = self.parts.split(row.name, ".")
-        if owner is None:
-            return data
-        return row._replace(name=logger).pack() if owner == self.member else None
+    def plain(self, name: str, separator: str = "/") -> str:
+        """Return a name of the file as this part names it."""
+        return name if self.member is None else name.removeprefix(f"{self.member}{separator}")
 
     def _names(self, names: Iterable[str], separator: str = "/") -> dict[str, str]:
-        """Return the names of this part without its namespace, by the names in the file."""
-        if self.member is None:
-            return {name: name for name in names}
-        split = {name: self.parts.split(name, separator) for name in names if name != FLEET}
-        return {name: rest for name, (owner, rest) in split.items() if owner in (None, self.member)}
+        """Return the names of this part by the names in the file."""
+        own = {None, self.member}
+        return {
+            name: self.plain(name, separator)
+            for name in names
+            if self.member is None or (name != FLEET and self.owner(name, separator) in own)
+        }
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Return the metadata records by name; of records with one name the last value of a key counts."""
@@ -259,14 +225,6 @@ class LogFile:
         found = self.outline.attachments
         names = self._names(each.name for each in found)
         return [replace(each, name=names[each.name]) for each in found if each.name in names]
-
-    def attachment(self, name: str) -> bytes | None:
-        """Return the last file with this name; ``None`` if there is none."""
-        return next((each.data for each in reversed(self.attachments()) if each.name == name), None)
-
-    @cached_property
-    def parts(self) -> Members:
-        return Members(self.outline.metadata)
 
     @cached_property
     def outline(self) -> Outline:

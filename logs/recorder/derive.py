@@ -17,8 +17,9 @@ from types import MappingProxyType
 
 from bridge.ros2.cdr import NO_COVARIANCE
 from flightstack.common.strict_toml import ConfigError
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import ZERO, Vec3
-from logs.reader.flight_data import ATTACHMENT, read_config, shape
+from logs.reader.flight_data import ATTACHMENT, read_config, sizes_of
 from logs.recorder.markers import Scene
 from logs.schema import Names, split
 from logs.schema.events import pack_string
@@ -64,9 +65,9 @@ class Deriver:
         self._scene = Scene(self._base, self._target)
         self._slots: dict[int, int] = {}
 
-    def configure(self, run: Mapping[str, str], shape: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Set the displayed text from the metadata of the run; ``shape``: sizes of barrier and pad."""
-        self._scene.configure({**shape, **run})
+    def configure(self, run: Mapping[str, str], config: FlightConfig | None) -> None:
+        """Set the displayed text from the metadata of the run, and the sizes of barrier and pad."""
+        self._scene.configure(sizes_of(config, run))
         self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in run.items()))
 
     def step(self, log_time_ns: int, row: ControllerStepRow) -> list[Derived]:
@@ -99,10 +100,11 @@ class Deriver:
             add(f"{space}/odom", ODOMETRY, odometry)
         if row.target_valid:
             add(f"{space}/target/pose", POSE_STAMPED, (stamp_ns, target))
-        add(f"{space}/cmd/velocity_nominal", TWIST_STAMPED, (stamp_ns, (row.nominal_enu_m_s, ZERO)))
-        add(f"{space}/cmd/velocity_filtered", TWIST_STAMPED, (stamp_ns, (row.filtered_enu_m_s, ZERO)))
-        if row.setpoint_sent:
-            add(f"{space}/cmd/velocity", TWIST_STAMPED, (stamp_ns, (row.command_enu_m_s, ZERO)))
+        sent = (("velocity", row.command_enu_m_s),) if row.setpoint_sent else ()
+        for name, velocity_m_s in (
+            ("velocity_nominal", row.nominal_enu_m_s), ("velocity_filtered", row.filtered_enu_m_s), *sent,
+        ):  # fmt: skip
+            add(f"{space}/cmd/{name}", TWIST_STAMPED, (stamp_ns, (velocity_m_s, ZERO)))
         self._scene.add(log_time_ns, row)
         if self._due(MARKER_PERIOD_NS, log_time_ns):
             made.append((f"{space}/cbf/markers", MARKER_ARRAY, self._scene.pack(row)))
@@ -140,31 +142,30 @@ class FrameDecoder:
         del log_time_ns
         record = unpack_mavlink(payload)
         key = (*record.sender, record.message_id)
-        known = self._known[key] if key in self._known else self._meet(*key)
+        if key not in self._known and len(self._known) < TOPICS_MAX:
+            self._known[key] = self._decoder(*key)
+        known = self._known.get(key)
         if known is None:
             return []
         topic, schema, decode = known
         return [(topic, schema, decode(record))]
 
-    def _meet(self, system: int, component: int, message_id: int) -> _Decoder | None:
-        """Return the decoder of a new sender or message type; None: the dialect does not have the type."""
+    def _decoder(self, system: int, component: int, message_id: int) -> _Decoder | None:
+        """Return the decoder of a sender's message type; None: the dialect does not have the type."""
         known = decoder(message_id)
-        found = None
-        if len(self._known) < TOPICS_MAX:
-            if known is not None:
-                name, schema, decode = known
-                space = self._spaces.get(self._first, self._first)
-                found = f"/{space}/mavlink/sys{system}/comp{component}/{name}", schema, decode
-            self._known[system, component, message_id] = found
-        return found
+        if known is None:
+            return None
+        name, schema, decode = known
+        space = self._spaces.get(self._first, self._first)
+        return f"/{space}/mavlink/sys{system}/comp{component}/{name}", schema, decode
 
 
 class Derivers:
     """Functions that derive messages, for all clients of one recorder; a client that reconnects continues."""
 
     def __init__(self) -> None:
-        # values of each member's run, with barrier and pad of its configuration as ``shape``
-        self._runs: dict[str, dict[str, dict[str, str]]] = defaultdict(lambda: {"run": {}, "shape": {}})
+        self._runs: dict[str, dict[str, str]] = defaultdict(dict)  # metadata of each member's run
+        self._configs: dict[str, FlightConfig] = {}  # configuration of each member
         self._spaces: dict[str, str] = {}  # name spaces by the first part of the topics of frames
         self._steps: dict[str, Deriver] = {}
         self._frames: dict[str, FrameDecoder] = {}
@@ -173,7 +174,7 @@ class Derivers:
         """Pass the metadata of a run or of an onboard process to these functions."""
         member, name = split(name)
         if name == "run":
-            self._runs[member][name].update(values)
+            self._runs[member].update(values)
             self._configure(member)
         elif name == "onboard":  # it is sent before the first frame
             first = Names(member, int(values.get("system_id", "1"))).frames("").strip("/")
@@ -183,7 +184,7 @@ class Derivers:
         member, name = split(name)
         if name == ATTACHMENT:
             with contextlib.suppress(ConfigError):  # an incompatible version: no barrier and pad
-                self._runs[member]["shape"] = shape(read_config(data))
+                self._configs[member] = read_config(data)
             self._configure(member)
 
     def declare(self, topic: str, schema: str) -> Derive | None:
@@ -199,4 +200,4 @@ class Derivers:
 
     def _configure(self, member: str) -> None:
         if member in self._steps:
-            self._steps[member].configure(**self._runs[member])
+            self._steps[member].configure(self._runs[member], self._configs.get(member))

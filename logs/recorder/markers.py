@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
 from typing import NamedTuple
 
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
-from logs.reader.flight_data import PAD_RADIUS_M
+from logs.reader.flight_data import Sizes, sizes_of
 from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import MARKER_ARRAY, packer
 
@@ -88,41 +87,39 @@ class Path:
         return Marker("map", "path", number, LINE_STRIP, (0.008, 0.0, 0.0), color, points)
 
 
+def shapes(own_frame: str, target_frame: str, sizes: Sizes) -> list[Marker]:
+    """Return barrier and pad in frames of the target, body and ellipsoid in that of the vehicle."""
+    radius_m, thickness_m = sizes.pad_radius_m, 0.01
+    pad = Marker(
+        target_frame, "pad", 0, CYLINDER, (2.0 * radius_m, 2.0 * radius_m, thickness_m), PAD_COLOR,
+        position=(0.0, 0.0, -0.5 * thickness_m),  # the top is at the origin of the frame
+    )  # fmt: skip
+    found = [pad, Marker(own_frame, "vehicle", 0, CUBE, BODY_SIZE_M, OWN_COLOR)]
+    if sizes.barrier is not None:
+        mesh = surface(sizes.barrier, REACH if sizes.ellipsoid_m is None else REACH_BESIDE)
+        scale = (1.0, 1.0, 1.0)
+        frame = f"{target_frame}_pad"
+        found.insert(0, Marker(frame, "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh))
+    if sizes.ellipsoid_m is not None:  # half of a pair's ellipsoid for each vehicle
+        beside_m, above_m = sizes.ellipsoid_m
+        scale = (beside_m, beside_m, above_m)
+        found.append(Marker(own_frame, "ellipsoid", 0, SPHERE, scale, ELLIPSOID_COLOR))
+    return found
+
+
 class Scene:
+    """Markers of a flight: shapes, both paths, and velocities."""
+
     def __init__(self, own_frame: str, target_frame: str) -> None:
         """Draw the vehicle in its own frame, for example ``cf1/base_link``, and the pad in the target's."""
         self._own_frame, self._target_frame = own_frame, target_frame
-        self._ellipsoid: Marker | None = None
-        self._body = Marker(own_frame, "vehicle", 0, CUBE, BODY_SIZE_M, OWN_COLOR)
-        self._own_path = Path()
-        self._target_path = Path()
-        self._surface: Marker | None = None
-        self._pad = _pad(target_frame, PAD_RADIUS_M)
+        self._own_path, self._target_path = Path(), Path()
         self._pack = packer(MARKER_ARRAY, frame_id=None)
+        self.configure(sizes_of(None, {}))
 
-    def configure(self, run: Mapping[str, str]) -> None:
-        """Set barrier, pad and ellipsoid from their sizes (``shape``); missing ones are not drawn."""
-        frame = self._target_frame
-        self._pad = _pad(frame, float(run.get("pad_radius_m", PAD_RADIUS_M)))
-        if "barrier_alpha_1_m" in run and "barrier_beta_m" in run:
-            barrier = Barrier(float(run["barrier_alpha_1_m"]), float(run["barrier_beta_m"]))
-            if barrier.alpha_1_m > 0.0:
-                mesh = surface(barrier, REACH_BESIDE if "ellipsoid_xy_m" in run else REACH)
-                scale = (1.0, 1.0, 1.0)
-                self._surface = Marker(
-                    f"{frame}_pad", "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh
-                )
-
-        if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # half of a pair's ellipsoid for each vehicle
-            beside_m, above_m = float(run["ellipsoid_xy_m"]), float(run["ellipsoid_z_m"])
-            scale = (beside_m, beside_m, above_m)
-            self._ellipsoid = Marker(self._own_frame, "ellipsoid", 0, SPHERE, scale, ELLIPSOID_COLOR)
-
-    @property
-    def shapes(self) -> list[Marker]:
-        """Body, ellipsoid, pad and barrier, in frames of the vehicle and the target."""
-        shapes = (self._body, self._ellipsoid, self._pad, self._surface)
-        return [shape for shape in shapes if shape is not None]
+    def configure(self, sizes: Sizes) -> None:
+        """Set barrier, pad and ellipsoid; an unknown barrier is not drawn."""
+        self._shapes = shapes(self._own_frame, self._target_frame, sizes)
 
     def add(self, log_time_ns: int, row: ControllerStepRow) -> None:
         if row.own_valid:
@@ -132,11 +129,12 @@ class Scene:
 
     def pack(self, row: ControllerStepRow) -> bytes:
         """Return the markers of one step as a MarkerArray in CDR."""
-        markers = [self._own_path.marker(0, OWN_COLOR), self._target_path.marker(1, TARGET_COLOR)]
-        if row.target_valid:
-            markers += (self._surface, self._pad)
+        paths = (self._own_path.marker(0, OWN_COLOR), self._target_path.marker(1, TARGET_COLOR))
+        markers = [path for path in paths if path is not None]
+        for shape in self._shapes:
+            if row.own_valid if shape.frame_id == self._own_frame else row.target_valid:
+                markers.append(shape)
         if row.own_valid:
-            markers += (self._body, self._ellipsoid)
             arrows = (
                 (row.nominal_enu_m_s, NOMINAL_COLOR),
                 (row.filtered_enu_m_s, FILTERED_COLOR),
@@ -145,7 +143,7 @@ class Scene:
             for number, (velocity_m_s, color) in enumerate(arrows):
                 if math.isfinite(sum(velocity_m_s)):  # NaN: the filter did not run, or no set-point was sent
                     markers.append(_arrow(number, row.own_position_enu_m, velocity_m_s, color))
-        return self._pack(([_values(row.stamp_ns, marker) for marker in markers if marker is not None],))
+        return self._pack(([_values(row.stamp_ns, marker) for marker in markers],))
 
 
 def surface(barrier: Barrier, reach: float = REACH) -> bytes:
@@ -183,12 +181,6 @@ def _values(stamp_ns: int, marker: Marker) -> tuple[object, ...]:
         True,  # frame_locked: between two messages the viewer moves the marker with its frame
         marker.points, *_NO_COLORS_TEXTURE_AND_MESH,
     )  # fmt: skip
-
-
-def _pad(frame: str, radius_m: float) -> Marker:
-    thickness_m = 0.01  # drawn thickness; the top is at the origin of the target frame
-    scale = (2.0 * radius_m, 2.0 * radius_m, thickness_m)
-    return Marker(frame, "pad", 0, CYLINDER, scale, PAD_COLOR, position=(0.0, 0.0, -0.5 * thickness_m))
 
 
 def _arrow(number: int, start_m: Vec3, velocity_m_s: Vec3, color: Color) -> Marker:

@@ -8,9 +8,8 @@ continues to read meanwhile.
 
 from __future__ import annotations
 
-import contextlib
+import math
 import os
-import select
 import selectors
 import signal
 import socket
@@ -21,8 +20,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from flightstack.common.hangup import ASK, begun, handle
-from logs.recorder.feed import SOCKET_PATH_MAX, Splitter, WireError
-from logs.recorder.recording import McapFile, Recorder, RecorderError, Statistics
+from logs.recorder.feed import SOCKET_PATH_MAX, WireError
+from logs.recorder.recording import Client, DiskError, McapFile, Recorder, RecorderError, Statistics
 from logs.schema.schemas import typestore
 
 # Wall time, s; `recording` flushes by log time. A killed recorder loses at most 0.5 s: this period, the
@@ -39,131 +38,116 @@ class RecorderProcess:
     def __init__(self, socket_path: Path, out: Path) -> None:
         """Open the socket and create the file."""
         self._selector = selectors.DefaultSelector()
-        self._wake_in, self._wake_out = socket.socketpair()
-        self._wake_in.setblocking(False)
-        self._wake_out.setblocking(False)
         self._socket_path = socket_path
         self._listener = _listen(socket_path)
         try:
             file = McapFile(out)
-            self._syncer = Syncer(file.descriptor(), out)
-            if file.failure:  # the disk cannot even store the start of the file
-                out.unlink()
-                raise OSError(0, file.failure)
+            self._syncer = Syncer(file.output.fileno(), out)
         except OSError as error:
             self._stop_listening()
+            if isinstance(error, DiskError):  # the disk cannot even store the start of the file
+                out.unlink()
             taken = isinstance(error, FileExistsError)
             what = "exists already; choose another name" if taken else error.strerror
             raise RecorderError(f"cannot write the log {out}: {what}") from error
         self._recorder = Recorder(file)
         self._selector.register(self._listener, selectors.EVENT_READ)
-        self._selector.register(self._wake_in, selectors.EVENT_READ)
-        self._splitters: dict[socket.socket, Splitter] = {}
+        self._clients: dict[socket.socket, Client] = {}
         self._stops = 0
         self._gone = 0
 
     def stop(self) -> None:
         """Request the end after the last client; a second call ends immediately. For signal handlers."""
-        with contextlib.suppress(OSError):
-            self._wake_out.send(b"\x00")
+        self._stops += 1
 
     def run(self, until_clients: int | None = None) -> Statistics:
-        """Record until a stop, a full disk, or the end of this many clients; return the counts.
+        """Record until a stop, a failure of the disk, or the end of this many clients; return the counts.
 
         The file is closed at the end.
         """
-        flushed_s = time.monotonic()
-        deadline_s = float("inf")
-        while True:
-            self._pass(max(0.0, flushed_s + FLUSH_PERIOD_S - time.monotonic()))
-            now_s = time.monotonic()
-            if now_s - flushed_s >= FLUSH_PERIOD_S:
+        counts = self._recorder.statistics
+        try:
+            self._record(until_clients)
+            self._finish()
+        except DiskError as error:  # the clients detect the closed sockets and continue their flight
+            counts.failure = error.strerror or str(error)
+        for client in self._clients:
+            client.close()
+        self._stop_listening()
+        self._selector.close()
+        return counts
+
+    def _record(self, until_clients: int | None) -> None:
+        flush_s, end_s = time.monotonic() + FLUSH_PERIOD_S, math.inf
+        while self._stops < 2 and time.monotonic() < end_s:
+            self._pass(max(0.0, flush_s - time.monotonic()))
+            if time.monotonic() >= flush_s:
                 self._recorder.flush()
                 self._syncer.ask()
-                flushed_s = now_s
-            if self._syncer.failure:
-                self._recorder.fail(self._syncer.failure)
-            if self._recorder.failure:
-                break  # the clients detect the closed sockets and continue their flight
-            if self._stops and deadline_s == float("inf"):
-                deadline_s = now_s + GRACE_S
+                flush_s = time.monotonic() + FLUSH_PERIOD_S
+            if self._stops:
+                end_s = min(end_s, time.monotonic() + GRACE_S)
             enough = until_clients is not None and self._gone >= until_clients
-            if not self._splitters and (self._stops or enough):
-                break
-            if self._stops > 1 or now_s >= deadline_s:
-                break
-        return self._finish()
+            if not self._clients and (self._stops or enough):
+                return
 
     def _pass(self, patience_s: float) -> None:
         """Wait for data of the clients, then read all of them."""
         ready = [key.fileobj for key, _ in self._selector.select(patience_s)]
         for fileobj in ready:
-            if fileobj is self._wake_in:
-                self._stops += len(self._wake_in.recv(16))
-            elif fileobj is self._listener:
+            if fileobj is self._listener:
                 self._accept()
             elif isinstance(fileobj, socket.socket):
                 self._receive(fileobj)
         if ready and not self._stops:
-            select.select([self._wake_in], [], [], READ_PERIOD_S)  # data collect; a stop ends the wait
+            time.sleep(READ_PERIOD_S)  # data collect
 
     def _accept(self) -> None:
         while True:
             try:
-                client, _ = self._listener.accept()
+                sock, _ = self._listener.accept()
             except OSError:
                 return
-            client.setblocking(False)
-            self._splitters[client] = Splitter()
-            self._selector.register(client, selectors.EVENT_READ)
+            sock.setblocking(False)
+            self._clients[sock] = self._recorder.client()
+            self._selector.register(sock, selectors.EVENT_READ)
 
-    def _receive(self, client: socket.socket) -> bool:
+    def _receive(self, sock: socket.socket) -> bool:
         """Read the data that one client has sent; return False if there are none."""
-        splitter = self._splitters[client]
         try:
-            data = client.recv(_RECEIVE_BYTES)
+            data = sock.recv(_RECEIVE_BYTES)
         except (BlockingIOError, InterruptedError):
             return False
         except OSError:
             data = b""
-        if not data:
-            self._drop(client)
-            return False
-        number = client.fileno()
         try:
-            for record in splitter.feed(data):
-                self._recorder.handle(number, record)
+            self._recorder.take(self._clients[sock], data)
         except WireError:
             self._recorder.statistics.invalid += 1
-            self._drop(client)
-            return False
-        return True
+            data = b""
+        if not data:
+            self._drop(sock)
+        return bool(data)
 
-    def _drop(self, client: socket.socket) -> None:
-        self._recorder.gone(client.fileno(), self._splitters.pop(client).pending)
+    def _drop(self, sock: socket.socket) -> None:
         self._gone += 1
-        self._selector.unregister(client)
-        client.close()
+        self._selector.unregister(sock)
+        sock.close()
+        self._recorder.gone(self._clients.pop(sock))
 
-    def _finish(self) -> Statistics:
-        """Read the sockets to their end, in bounded time, and close everything."""
+    def _finish(self) -> None:
+        """Read the sockets to their end, in bounded time, and close the file."""
         self._accept()
         deadline_s = time.monotonic() + GRACE_S
-        for client in list(self._splitters):
-            while time.monotonic() < deadline_s and self._receive(client):
+        for sock in list(self._clients):
+            while time.monotonic() < deadline_s and self._receive(sock):
                 pass
-        for client in list(self._splitters):
-            self._drop(client)
-        self._stop_listening()
-        self._selector.close()
-        self._wake_in.close()
-        self._wake_out.close()
+        for sock in list(self._clients):
+            self._drop(sock)
         counts = self._recorder.statistics
         counts.syncs, counts.sync_worst_s = self._syncer.count, self._syncer.worst_s
         self._recorder.finish()
         self._syncer.close()
-        counts.failure = counts.failure or self._syncer.failure
-        return counts
 
     def _stop_listening(self) -> None:
         self._listener.close()
@@ -212,25 +196,30 @@ class Syncer:
         self._call: Future[None] | None = None  # newest call
         self.count = 0  # number of syncs so far
         self.worst_s = 0.0  # wall time of the longest call, s
-        self.failure = ""  # error of the disk; empty without one
 
     def ask(self) -> None:
-        """Start to sync the data written so far, unless a call is still running; never waits."""
+        """Start to sync the data written so far, unless a call is still running; never waits.
+
+        Raises DiskError: the previous call failed.
+        """
         if self._call is None or self._call.done():
+            if self._call is not None:
+                self._call.result()
             self._call = self._thread.submit(self._sync)
 
     def close(self) -> None:
-        """Sync all data written so far for the last time, and end the thread."""
-        self._thread.submit(self._sync)
+        """Sync all data written so far for the last time, and end the thread. Raises DiskError as ``ask``."""
+        last = self._thread.submit(self._sync)
         self._thread.shutdown()
         os.close(self._descriptor)
+        last.result()
 
     def _sync(self) -> None:
         begun_s = time.monotonic()
         try:
             os.fdatasync(self._descriptor)
         except OSError as error:
-            self.failure = error.strerror or str(error)
+            raise DiskError(error.errno, error.strerror or str(error)) from error
         self.count += 1
         self.worst_s = max(self.worst_s, time.monotonic() - begun_s)
 
@@ -270,7 +259,7 @@ def problems(counts: Statistics) -> list[str]:
     """Return one line for each reason why the file is incomplete."""
     found: list[str] = []
     if counts.failure:
-        found.append(f"writing failed ({counts.failure}); at least {counts.refused} messages are missing")
+        found.append(f"writing failed ({counts.failure}); the later messages are missing")
     for client, dropped in sorted(counts.dropped.items()):
         if dropped:
             found.append(f"{client} dropped {dropped} records, the recorder did not keep up")

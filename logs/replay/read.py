@@ -6,16 +6,18 @@ time; so the file is read once, to its end or its first damage, with one tick in
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from flightstack.common.strict_toml import ConfigError, from_table, parse_toml
+from flightstack.common.strict_toml import ConfigError, from_table, over, parse_toml
 from flightstack.core.parameters.flight import FlightConfig
 from logs.reader.flight_data import ATTACHMENT
-from logs.reader.reader import LogError, LogFile
+from logs.reader.reader import ROSOUT, LogError, LogFile
 from logs.schema.controller_rows import TickInputs, unpack_controller_input, unpack_neighbours, unpack_power
 from logs.schema.events import CONTROLLER, ONBOARD
 from logs.schema.mavlink import unpack_mavlink
@@ -28,7 +30,11 @@ from logs.schema.schemas import (
     CONTROLLER_STEP,
 )
 
-SOURCE, SINK, ROSOUT = "/uas1/mavlink_source", "/uas1/mavlink_sink", "/rosout"
+# topics of a tick, without MAVLink frames and events
+_TOPICS = (
+    "controller/input", "controller/step", "controller/power", "controller/neighbours", "controller/state",
+    "target/odom",
+)  # fmt: skip
 
 
 class ReplayError(ValueError):
@@ -66,22 +72,23 @@ class FlightInputs:
             )
         except LogError as error:
             raise ReplayError(str(error)) from error
-        # metadata of the onboard process; empty if the log has none
-        self.onboard = self.log.metadata().get("onboard", {})
-        # metadata of the preflight check; empty if the log has none
-        self.preflight = self.log.metadata().get("preflight", {})
+        metadata = self.log.metadata()
+        # metadata of the onboard process and of the preflight check; empty if the log has none
+        self.onboard, self.preflight = metadata.get("onboard", {}), metadata.get("preflight", {})
         if "namespace" not in self.onboard:
             raise ReplayError(
                 f"{path}: no metadata of an onboard process, which records the inputs of the controller: "
                 "`flightstack onboard --recorder SOCKET`"
             )
-        data = self.log.attachment(ATTACHMENT)
-        if data is None:
+        self.names = self.log.names
+        self.source, self.sink = map(self.names.frames, ("mavlink_source", "mavlink_sink"))
+        files = {each.name: each.data for each in self.log.attachments()}
+        if ATTACHMENT not in files:
             raise ReplayError(
                 f"{path}: no attachment {ATTACHMENT}: without its configuration nothing can be replayed"
             )
         try:
-            self.table = parse_toml(data)  # the configuration as plain TOML data
+            self.table = parse_toml(files[ATTACHMENT])  # the configuration as plain TOML data
         except ConfigError as error:
             raise ReplayError(f"{path}: the attachment {ATTACHMENT} is {error}") from error
 
@@ -96,77 +103,76 @@ class FlightInputs:
             ) from error
 
     def topic(self, name: str) -> str:
-        return f"/{self.onboard['namespace']}/{name}"
+        return f"/{self.names.member}/{name}"
 
     def ticks(self) -> Iterator[TickRecord]:
         """Yield the ticks in order; the last one may be incomplete."""
-        given, step = self.topic("controller/input"), self.topic("controller/step")
-        state, odometry = self.topic("controller/state"), self.topic("target/odom")
-        power, neighbours = self.topic("controller/power"), self.topic("controller/neighbours")
-        topics = {given, step, state, power, neighbours, odometry, SOURCE, SINK, ROSOUT}
-        tick: TickRecord | None = None
-        for message in self.log.messages(topics):
-            topic, data = message.topic, message.data
-            try:
-                said = LogRow.unpack(data) if topic == ROSOUT else None
-                if said is not None and said.name not in (ONBOARD, CONTROLLER):
-                    continue
-                if tick is None or message.log_time_ns != tick.unix_ns:
-                    if tick is not None:
-                        if message.log_time_ns < tick.unix_ns:
-                            raise ValueError("it is older than the previous one; was the log merged?")
-                        yield tick
-                    tick = TickRecord(message.log_time_ns)
-                if said is not None:
-                    (tick.events if said.name == CONTROLLER else tick.said).append(said)
-                elif topic == given:
-                    tick.given = unpack_controller_input(data)
-                elif topic == step:
-                    tick.step = data
-                elif topic in (power, neighbours) and tick.given is None:
-                    pass  # power and neighbours follow the inputs; a tick without inputs is incomplete
-                elif topic == power and tick.given is not None:
-                    inputs = tick.given.inputs._replace(power=unpack_power(data))
-                    tick.given, tick.power = tick.given._replace(inputs=inputs), data
-                elif topic == neighbours and tick.given is not None:
-                    inputs = tick.given.inputs._replace(neighbours=unpack_neighbours(data))
-                    tick.given, tick.told = tick.given._replace(inputs=inputs), True
-                elif topic == state:
-                    snapshot = ControllerStateRow.unpack(data)
-                    if snapshot.stamp_ns == tick.unix_ns:  # an older snapshot shows a gap in the log
-                        tick.state = snapshot
-                elif topic == odometry:
-                    tick.odometry.append(data)
-                else:
-                    record = unpack_mavlink(data)
-                    if topic == SOURCE:
-                        tick.frames_in.append((record.frame, record.peer))
-                    else:
-                        tick.frames_out.append(record.frame)
-            except ValueError as error:
-                raise ReplayError(
-                    f"{self.log.path}: {topic} at log time {message.log_time_ns}: {error}"
-                ) from error
-        if tick is not None:
+        given, step, power, neighbours, state, odometry = map(self.topic, _TOPICS)
+        for unix_ns, records in groupby(self._records(), itemgetter(0)):
+            found: dict[str, list[Any]] = defaultdict(list)
+            for _, topic, content in records:
+                found[topic].append(content)
+            said: list[LogRow] = found[ROSOUT]
+            tick = TickRecord(
+                unix_ns,
+                given=found[given][-1] if found[given] else None,
+                step=found[step][-1] if found[step] else None,
+                told=bool(found[neighbours]),
+                # an older snapshot shows a gap in the log
+                state=next((each for each in found[state] if each.stamp_ns == unix_ns), None),
+                events=[row for row in said if row.name == self.names.logger(CONTROLLER)],
+                said=[row for row in said if row.name == self.names.logger(ONBOARD)],
+                frames_in=[(each.frame, each.peer) for each in found[self.source]],
+                frames_out=[each.frame for each in found[self.sink]],
+                odometry=found[odometry],
+            )
+            if tick.given is not None:
+                inputs = tick.given.inputs
+                if found[power]:
+                    tick.power, received = found[power][-1]
+                    inputs = inputs._replace(power=received)
+                if tick.told:
+                    inputs = inputs._replace(neighbours=found[neighbours][-1])
+                tick.given = tick.given._replace(inputs=inputs)
             yield tick
+
+    def _records(self) -> Iterator[tuple[int, str, Any]]:
+        """Yield log time, topic and content of each record of the onboard process."""
+        readers: tuple[Callable[[bytes], Any], ...] = (
+            unpack_controller_input, bytes, lambda data: (data, unpack_power(data)), unpack_neighbours,
+            ControllerStateRow.unpack, bytes,
+        )  # fmt: skip
+        unpack = dict(zip(map(self.topic, _TOPICS), readers, strict=True))
+        unpack |= {self.source: unpack_mavlink, self.sink: unpack_mavlink, ROSOUT: LogRow.unpack}
+        loggers = self.names.logger(ONBOARD), self.names.logger(CONTROLLER)
+        newest_ns = 0
+        for message in self.log.messages(unpack):
+            topic, now_ns = message.topic, message.log_time_ns
+            try:
+                content = unpack[topic](message.data)
+                if topic == ROSOUT and content.name not in loggers:
+                    continue
+                if now_ns < newest_ns:
+                    raise ValueError("it is older than the previous one; was the log merged?")
+            except ValueError as error:
+                raise ReplayError(f"{self.log.path}: {topic} at log time {now_ns}: {error}") from error
+            newest_ns = now_ns
+            yield now_ns, topic, content
 
 
 def changed(table: dict[str, Any], settings: Sequence[str]) -> FlightConfig:
     """Return the configuration with each ``section.key=value`` set; a value that is not TOML is a string."""
-    table = copy.deepcopy(table)
     for setting in settings:
         key, equals, text = setting.partition("=")
-        *sections, name = key.strip().split(".")
-        if not equals or not name or not all(sections):
+        steps = key.strip().split(".")
+        if not equals or not all(steps):
             raise ConfigError(
                 f"--set {setting}: KEY=VALUE is needed, for example barrier.alpha_1_m=1.2 or filter=paper"
             )
-        inner = table
-        for section in sections:
-            inner = inner.setdefault(section, {})
-            if not isinstance(inner, dict):
-                raise ConfigError(f"--set {setting}: {section} is a value and has no keys of its own")
-        inner[name] = _value(text.strip())
+        part = _value(text.strip())
+        for step in reversed(steps):
+            part = {step: part}
+        table = over(table, part)
     return from_table(FlightConfig, table)
 
 

@@ -17,14 +17,13 @@ from bridge.mavlink.line_budget import plan
 from bridge.mavlink.profiles import AUTO, PROFILES, PX4
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller, Outputs
-from flightstack.core.memory import Memory
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.types import MemberStatus, Operator, Phase, VehicleStatus
-from flightstack.onboard.runner import Arrived, Runner, Taken, VehicleInputs
+from flightstack.core.types import Phase
 from flightstack.onboard.state_text import state_text
 from logs.compare import Tally, TickDifference, messages_of, values_of
 from logs.reader.flight_data import phase_name
-from logs.replay.read import ROSOUT, FlightInputs, ReplayError, TickRecord
+from logs.reader.reader import ROSOUT
+from logs.replay.read import FlightInputs, ReplayError, TickRecord
 from logs.replay.wire import WireReplay
 from logs.schema.controller_rows import TickInputs, power_row, step_row
 from logs.schema.events import CONTROLLER
@@ -73,15 +72,20 @@ def replay(path: Path | str, config: FlightConfig | None = None, member: str | N
     run = _Run(flight, config)
     for record in run.whole(flight.ticks()):
         run.tick(record)
+    result = run.result
     if flight.log.problem:
-        run.result.notes.append(f"the log breaks off ({flight.log.problem}); compared up to there")
-    run.finish()
-    run.result.wall_s = time.perf_counter() - began_s
-    return run.result
+        result.notes.append(f"the log breaks off ({flight.log.problem}); compared up to there")
+    if not run.acted:
+        raise ReplayError(
+            f"{flight.log.path}: the controller never sent a set-point in APPROACH or LAND in "
+            f"{result.compared} ticks: equal outputs would prove nothing"
+        )
+    result.wall_s = time.perf_counter() - began_s
+    return result
 
 
 class _Run:
-    """A replay: recorded ticks replace clock, vehicle and target; outputs are compared with the record."""
+    """A replay: the recorded inputs of each tick run through the controller, the outputs are compared."""
 
     def __init__(self, flight: FlightInputs, config: FlightConfig | None) -> None:
         self.flight, self.changed = flight, config is not None
@@ -89,14 +93,8 @@ class _Run:
         self.controller = Controller(self.config)
         self.result = Result(flight.log.path)
         self.text = state_text(self.config)
-        self.runner = Runner(self.controller, self, self, self)
-        self.record: TickRecord
-        self.given: TickInputs
-        self.wire: WireReplay | None = None
-        self.in_fleet = bool(self.config.fleet.others)
-        self.acted = False
-        if not self.changed:
-            self._begin_wire()
+        self.wire = None if self.changed else self._recorded_wire()
+        self.acted = False  # whether a set-point was sent in a phase of the landing
 
     def whole(self, ticks: Iterator[TickRecord]) -> Iterator[TickRecord]:
         """Yield the complete ticks of the log, up to the first gap or damage."""
@@ -124,49 +122,24 @@ class _Run:
     def tick(self, record: TickRecord) -> None:
         given = record.given
         assert given is not None
-        if self.in_fleet and not record.told:
+        if self.config.fleet.others and not record.told:
             raise ReplayError(
                 f"{self.flight.log.path}: the messages of the other members at tick {given.tick} are missing "
                 f"({self.flight.topic('controller/neighbours')}); without them the replay proves nothing"
             )
-        self.record, self.given = record, given
-        self.runner.tick()
-
-    def wait(self) -> Tick:
-        return Tick(self.given.tick, self.given.now_s, self.given.stamp_ns, 0.0, 0.0)
-
-    def samples(self, now_s: float) -> Arrived:
-        del now_s
-        return Arrived(self.given.inputs.target_samples)
-
-    def statuses(self) -> tuple[MemberStatus, ...]:
-        return self.given.inputs.neighbours
-
-    def landing_began(self, tick: int) -> None: ...
-
-    def read(self) -> VehicleInputs:
-        """Return the recorded state; the replayed bridge does not affect it."""
-        inputs = self.given.inputs
         if self.wire is not None:
-            self.wire.take(self.record, self.given)
-        return VehicleInputs(inputs.own, inputs.status, self.given.command_failed, inputs.power)
-
-    def answer(self, out: Outputs, now_s: float) -> None:
-        del now_s
+            self.wire.take(record, given)
+        out = self.controller.step(given.inputs, given.now_s, command_failed=given.command_failed)
         if self.wire is not None:
-            self.wire.answer(self.record, self.given, out)
+            self.wire.answer(record, given, out)
+        self._compare(record, given, out)
 
-    def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
-        del status, now_s
-        return self.given.inputs.operator
-
-    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> None: ...
-
-    def _begin_wire(self) -> None:
+    def _recorded_wire(self) -> WireReplay | None:
+        """Return the vehicle's connection; None: the log does not describe it."""
         onboard = self.flight.onboard
         if "system_id" not in onboard or "lockstep" not in onboard:
             self.result.notes.append("the log does not contain the vehicle's connection: wire not replayed")
-            return
+            return None
         autopilot = onboard.get("autopilot", PX4.name)
         recognised = self.flight.preflight.get("profile", AUTO)
         if autopilot == AUTO and recognised in PROFILES:
@@ -176,20 +149,21 @@ class _Run:
         if "baud" in onboard:
             signed, age_max_s = onboard.get("signed") == "true", self.config.checks.own_age_max_s
             every = plan(int(onboard["baud"]), self.config.loop.rate_hz, age_max_s, signed=signed).every
-        found = self.result.wire = Tally()
-        self.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot, every, found)
+        self.result.wire = Tally()
+        return WireReplay(self.flight, self.config, lockstep, autopilot, every, self.result.wire)
 
-    def write(self, at: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
-        del taken, exec_s
-        result, tick, record, given = self.result, at.number, self.record, self.given
+    def _compare(self, record: TickRecord, given: TickInputs, out: Outputs) -> None:
         assert record.step is not None
+        result, tick, topic, outputs = self.result, given.tick, self.flight.topic, self.result.outputs
+        at = Tick(tick, given.now_s, given.stamp_ns, 0.0, 0.0)
         row = step_row(at, out)
-        replayed, outputs, topic = row.pack(), result.outputs, self.flight.topic
+        replayed = row.pack()
         outputs.add(topic("controller/step"), tick, messages_of(CONTROLLER_STEP, record.step, replayed))
         if record.power is not None and not self.changed:
             power = power_row(at, given.inputs.power, out.reserve).pack()
             outputs.add(topic("controller/power"), tick, messages_of(CONTROLLER_POWER, record.power, power))
-        events = [LogRow(given.stamp_ns, e.level, CONTROLLER, e.text, "", "", 0) for e in out.events]
+        logger = self.flight.names.logger(CONTROLLER)
+        events = [LogRow(given.stamp_ns, e.level, logger, e.text, "", "", 0) for e in out.events]
         outputs.add(ROSOUT, tick, values_of(record.events, events, "events"))
         if record.state is not None and not self.changed:
             self._compare_state(record.state)
@@ -231,13 +205,6 @@ class _Run:
         change = math.dist(recorded, replayed)
         if not change <= result.command_most_m_s:  # NaN counts as the largest change
             result.command_most_m_s = change
-
-    def finish(self) -> None:
-        if not self.acted:
-            raise ReplayError(
-                f"{self.flight.log.path}: the controller never sent a set-point in APPROACH or LAND in "
-                f"{self.result.compared} ticks: equal outputs would prove nothing"
-            )
 
 
 def _note_phase(changes: list[PhaseChange], tick: int, number: int) -> None:

@@ -25,7 +25,8 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Inputs
 from flightstack.onboard.runner import LinkedVehicle, Refusals, decoded
 from logs.compare import Tally, values_of
-from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
+from logs.reader.reader import ROSOUT
+from logs.replay.read import FlightInputs, TickRecord
 from logs.schema.controller_rows import TickInputs
 
 _SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # prefixes of the compared texts
@@ -67,17 +68,12 @@ class WireReplay:
     """MAVLink link of one recorded flight; for each tick call ``take``, then ``answer``."""
 
     def __init__(
-        self,
-        config: FlightConfig,
-        system_id: int,
-        lockstep: bool,
-        autopilot: str,
-        every: int,
+        self, flight: FlightInputs, config: FlightConfig, lockstep: bool, autopilot: str, every: int,
         found: Tally,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Create the replayed link at tick 0; differences between it and the log are added to ``found``."""
-        self._found = found
-        origin = config.vehicle.origin_wgs84
+        self._flight, self._found = flight, found
+        system_id, origin = flight.names.system_id, config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)
         self._heard, self._refusals = False, Refusals()
         self._link = VehicleLink(
@@ -101,7 +97,7 @@ class WireReplay:
             self._link.poll(given.now_s)
         except Exception as error:  # a frame that today's dialect cannot decode is a difference, not an error
             self._endpoint.incoming.clear()
-            self._found.add(SOURCE, tick, [("frame", "a decodable frame", repr(error))])
+            self._found.add(self._flight.source, tick, [("frame", "a decodable frame", repr(error))])
             return
         arrived = decoded([RawSample(payload) for payload in record.odometry], given.now_s)
         own, status, command_failed, power = self._vehicle.read()
@@ -120,4 +116,4 @@ class WireReplay:
         if self._heard:  # before the vehicle's first message, heartbeats are sent by wall time
             recorded = [frame[_ID_AND_PAYLOAD].hex() for frame in record.frames_out]
             replayed = [frame[_ID_AND_PAYLOAD].hex() for frame in self._endpoint.sent]
-            self._found.add(SINK, given.tick, values_of(recorded, replayed, "frames"))
+            self._found.add(self._flight.sink, given.tick, values_of(recorded, replayed, "frames"))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.reader.flight_data import Flight, Steps
+from logs.reader.flight_data import Flight
 from logs.schema.events import ContactBit
 from logs.verdict.types import Verdict
 
@@ -60,9 +60,3 @@ def touch_index(flight: Flight) -> int | None:
         return None
     found = np.flatnonzero((truth.contacts & ContactBit.PAD > 0) & (truth.t_s > start_s))
     return int(found[0]) if len(found) else None
-
-
-def share_active(steps: Steps) -> float | None:
-    """Return the fraction of filtered ticks in which the barrier changed the velocity; ``None``: no ticks."""
-    ran = np.isfinite(steps.slack_m_s)
-    return float(steps.barrier_active[ran].mean()) if ran.any() else None

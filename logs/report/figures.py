@@ -1,32 +1,39 @@
-"""All figures of the report in order, each with its description and source, and the timeline.
+"""All figures of the report in order, each with its description and source: charts, timeline, pairs.
 
 The lanes of the timeline are phases, faults, valid and sent data, right of way, and events.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
 
 from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import Intent
-from logs.curves import BOUNDARY, CHARTS, COMMAND, INK, LIMIT, NOMINAL
-from logs.reader.flight_data import Bools, Event, Fleet, Floats, phase_name
-from logs.report import series, space
+from logs.curves import BOUNDARY, CHARTS, COMMAND, INK, LIMIT, NOMINAL, Chart, Curve
+from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, Steps, phase_name
+from logs.recorder.markers import PAIR_COLORS
+from logs.report import space
 from logs.report.derived import Side, fault_spans
 from logs.report.page import Panel
 from logs.report.style import (
     FAULT,
+    UNSAFE,
     Axis,
     axis_of,
+    chart,
     fleet_axis,
-    layout,
     light,
+    line,
+    low_envelope,
     phase_color,
-    time_axis,
+    thin,
+    value_range,
     words,
 )
 from logs.schema.events import Severity
@@ -35,7 +42,6 @@ from logs.verdict.verdict import PairSeries
 
 _EVENTS_MAX = 500
 _ROW_PX = 26
-_LETTER_SHARE = 0.009  # fraction of the axis per letter of a label; a shorter bar has no label
 _INTENT_COLORS = {
     Intent.STANDING: "#d5d9de",
     Intent.WAITING: "#f5e3b3",
@@ -46,122 +52,152 @@ _INTENT_COLORS = {
 }
 
 
-class _Lanes:
-    """Builds a figure of lanes; lanes are from top to bottom in the order of their first bar."""
-
-    def __init__(self, axis: Axis) -> None:
-        self._figure, self._axis, self._names = go.Figure(), axis, dict[str, None]()
-
-    def _line(self, lane: str, x: Any, color: str, width: int, text: str) -> None:
-        """Add a line to a lane; the pointer shows ``text``."""
-        self._names[lane] = None
-        self._figure.add_trace(
-            go.Scatter(
-                x=x, y=[lane] * max(len(x), 1), mode="lines", line={"color": color, "width": width},
-                name=text, hovertemplate=f"{text}<br>%{{x:.2f}} s<extra></extra>",
-            )
-        )  # fmt: skip
-
-    def bar(self, lane: str, ends: Sequence[float], color: str, text: str, label: str = "") -> None:
-        """Add a bar; the pointer shows ``text``, the bar shows ``label`` if there is space."""
-        self._line(lane, list(ends), color, 13, words(text))
-        low, high = self._axis.whole
-        if label and ends[1] - ends[0] > _LETTER_SHARE * len(label) * (high - low):
-            self._figure.add_annotation(
-                x=sum(ends) / 2, y=lane, text=label, showarrow=False, font={"size": 10, "color": INK}
-            )
-
-    def phases(self, lane: str, side: Side) -> None:
-        for phase, begin_s, end_s in side.flight.phase_spans():
-            name, color = phase_name(phase), phase_color(phase, bar=True)
-            self.bar(lane, (begin_s + side.offset_s, end_s + side.offset_s), color, f"{side.of}{name}", name)
-
-    def mask(self, lane: str, t: Floats, mask: Bools, color: str) -> None:
-        """Add bars where the mask is true, as one line with breaks."""
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-        begins, ends = edges[::2], np.minimum(edges[1::2], len(t) - 1)
-        x = np.full(3 * len(begins), np.nan)
-        x[0::3], x[1::3] = t[begins], t[ends]
-        self._line(lane, light(x), color, 9, lane)
-
-    def events(self, events: Sequence[Event], offset_s: float) -> None:
-        if not events:
-            return
-        self._names["event"] = None
-        shown = events[:_EVENTS_MAX]
-        colors = [
-            BOUNDARY if e.level >= Severity.ERROR else NOMINAL if e.level >= Severity.WARN else LIMIT
-            for e in shown
-        ]
-        self._figure.add_trace(
-            go.Scatter(
-                x=[e.t_s + offset_s for e in shown], y=["event"] * len(shown), mode="markers", name="event",
-                text=[words(f"{e.source}: {e.text}") for e in shown],
-                marker={"symbol": "line-ns", "size": 14, "line": {"color": colors, "width": 2}},
-                hovertemplate="%{x:.2f} s<br>%{text}<extra></extra>",
-            )
-        )  # fmt: skip
-
-    def figure(self) -> go.Figure | None:
-        """Return the figure, which at first shows the whole time axis; None if it has no lane."""
-        figure, names = self._figure, list(self._names)
-        if not names:
-            return None
-        layout(figure, 116 + _ROW_PX * len(names))
-        time_axis(figure, self._axis)
-        figure.update_layout(hovermode="closest", showlegend=False, margin={"t": 32, "b": 50, "l": 150})
-        figure.update_xaxes(range=self._axis.whole)
-        figure.update_yaxes(categoryorder="array", categoryarray=names[::-1], showgrid=True, automargin=True)
-        return figure
+# ellipsoid norm at which the distance axis ends at the earliest, unless all values are smaller
+_MEASURE_SHOWN = 6.0
+PAIRS_SHOWN = len(PAIR_COLORS)  # number of drawn pairs: the nearest ones
 
 
-def timeline(
-    sides: Sequence[Side], axis: Axis, events: Sequence[Event] = (), zero_s: float = 0.0
-) -> go.Figure | None:
-    """Draw phases, faults, right of way and events; for one flight also sent and missing data.
+class Bar(NamedTuple):
+    """A bar of the timeline."""
 
-    ``zero_s``: zero of the page in the times of the events. The result is ``None`` if there is no lane.
+    lane: str
+    begin_s: float
+    end_s: float
+    color: str
+    text: str  # shown by the pointer
+    label: str = ""  # shown on the bar if there is space
+
+
+def timeline(axis: Axis, bars: Iterable[Bar], events: Sequence[Event], zero_s: float) -> go.Figure | None:
+    """Draw bars in lanes, in the order of their first bars, and events below; ``None``: there are none.
+
+    ``zero_s``: zero of the axis in the times of the events.
     """
-    lanes = _Lanes(axis)
-    for side in sides:
-        lanes.phases(f"{side.of}phase", side)
-        if axis.flight is not None:
-            _ticks(lanes, side)
-        for fault in fault_spans(side.flight):
-            ends = (fault.begin_s + side.offset_s, fault.end_s + side.offset_s)
-            lanes.bar(f"{side.of}fault injected", ends, FAULT, fault.text)
-        for span in side.flight.spans:
-            name, others = span.intent.name.lower(), ", ".join(span.gives_way_to)
-            color = NOMINAL if span.waits else _INTENT_COLORS[span.intent]
-            text = f"{side.of}{name}" + (f", gives way to {others}" if others else "")
-            label = f"waits for {others}" if span.waits else name
-            ends = (span.begin_s + side.offset_s, span.end_s + side.offset_s)
-            lanes.bar(f"{side.of}right of way", ends, color, text, label)
-    lanes.events(events, -zero_s)
-    return lanes.figure()
+    found = list(bars)
+    lanes = [*dict.fromkeys(bar.lane for bar in found), *["event"][: len(events)]]
+    if not lanes:
+        return None
+    drawn = go.Bar(
+        orientation="h", y=[bar.lane for bar in found], width=0.8, marker_color=[bar.color for bar in found],
+        base=[bar.begin_s for bar in found], x=[bar.end_s - bar.begin_s for bar in found],
+        text=[words(bar.label) for bar in found], textposition="inside", insidetextanchor="middle",
+        textfont_color=INK, textangle=0, hovertemplate="%{hovertext}<extra></extra>",
+        hovertext=[f"{words(bar.text)}<br>{bar.begin_s:.2f} to {bar.end_s:.2f} s" for bar in found],
+    )  # fmt: skip
+    shown = events[:_EVENTS_MAX]
+    colors = [
+        BOUNDARY if e.level >= Severity.ERROR else NOMINAL if e.level >= Severity.WARN else LIMIT
+        for e in shown
+    ]
+    said = go.Scatter(
+        x=[e.t_s - zero_s for e in shown], y=["event"] * len(shown), mode="markers", name="event",
+        text=[words(f"{e.source}: {e.text}") for e in shown],
+        marker={"symbol": "line-ns", "size": 14, "line": {"color": colors, "width": 2}},
+        hovertemplate="%{x:.2f} s<br>%{text}<extra></extra>",
+    )  # fmt: skip
+    rows = {"categoryorder": "array", "categoryarray": lanes[::-1], "showgrid": False, "automargin": True}
+    shown_first = axis._replace(first=axis.whole, flight=None)
+    height_px = 116 + _ROW_PX * len(lanes)
+    figure = chart(shown_first, height_px, [(1, drawn), (1, said)], rows, hovermode="closest")
+    labels = {"minsize": 10, "mode": "hide"}
+    return figure.update_layout(showlegend=False, uniformtext=labels, margin={"t": 32, "b": 50, "l": 150})
 
 
-def _lost(valid: Bools) -> Bools:
-    """Return a mask of the ticks in which data are missing that were present before."""
-    return np.maximum.accumulate(valid) & ~valid
+def _bars(side: Side) -> Iterator[Bar]:
+    """Yield phases, faults and right of way of a flight; for a single one also sent and missing data."""
+    flight, of, zero_s = side.flight, side.of, side.offset_s
+    for phase, begin_s, end_s in flight.phase_spans():
+        name, color = phase_name(phase), phase_color(phase, bar=True)
+        yield Bar(f"{of}phase", begin_s + zero_s, end_s + zero_s, color, f"{of}{name}", name)
+    if not side.name and flight.steps is not None:
+        yield from _ticks(flight.steps, zero_s)
+    for fault in fault_spans(flight):
+        yield Bar(f"{of}fault injected", fault.begin_s + zero_s, fault.end_s + zero_s, FAULT, fault.text)
+    for span in flight.spans:
+        name, others = span.intent.name.lower(), ", ".join(span.gives_way_to)
+        color = NOMINAL if span.waits else _INTENT_COLORS[span.intent]
+        text = f"{of}{name}" + (f", gives way to {others}" if others else "")
+        label = f"waits for {others}" if span.waits else name
+        yield Bar(f"{of}right of way", span.begin_s + zero_s, span.end_s + zero_s, color, text, label)
 
 
-def _ticks(lanes: _Lanes, side: Side) -> None:
-    """Add a lane for each state of a tick: set-point sent, barrier active, set-point refused, no data."""
-    steps = side.flight.steps
-    if steps is None:
-        return
+def _ticks(steps: Steps, zero_s: float) -> Iterator[Bar]:
+    """Yield a lane for each state of a tick: set-point sent, barrier active, set-point refused, no data."""
+
+    def lost(valid: Bools) -> Bools:
+        return np.maximum.accumulate(valid) & ~valid  # missing, and present before
+
     refused = (steps.gate != GateVerdict.APPROVED) & (steps.gate != GateVerdict.NOT_IN_CONTROL)
-    for name, mask, color in (
+    for lane, mask, color in (
         ("set-points sent", steps.setpoint_sent, COMMAND),
         ("barrier active", steps.barrier_active, BOUNDARY),
         ("refused by the gate", refused, FAULT),
-        ("target missing or old", _lost(steps.target_valid), FAULT),
-        ("own state missing or old", _lost(steps.own_valid), FAULT),
-        ("link silent", _lost(steps.link_valid), FAULT),
+        ("target missing or old", lost(steps.target_valid), FAULT),
+        ("own state missing or old", lost(steps.own_valid), FAULT),
+        ("link silent", lost(steps.link_valid), FAULT),
     ):
-        if mask.any():
-            lanes.mask(name, steps.t_s + side.offset_s, mask, color)
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+        times_s = steps.t_s[np.minimum(edges, len(mask) - 1)] + zero_s
+        for begin_s, end_s in times_s.reshape(-1, 2).tolist():
+            yield Bar(lane, begin_s, end_s, color, lane)
+
+
+def _chart(what: Chart, flight: Flight) -> go.Figure | None:
+    """Draw a chart of a flight; ``None`` if the log has no data for it."""
+    axis = axis_of(flight)
+    traces, axes, named = [], [], set[str]()
+    for number, row in enumerate(what.rows, 1):
+        shown: list[tuple[Floats, Floats]] = []
+        for curve in row.curves:
+            found = curve.values(flight)
+            if found is None or not np.isfinite(found[1]).any():
+                continue
+            t_s, values = found[0] - axis.zero_s, found[1]
+            if row.lowest:
+                t_s, values = low_envelope(t_s, values)
+            traces.append((number, _trace(curve, t_s, values, first=curve.key not in named)))
+            named.add(curve.key)
+            if not curve.hidden:
+                shown.append((t_s, values))
+        axes.append({"title_text": row.title, **(row.axis or {"range": value_range(axis, shown)})})
+    return chart(axis, what.height_px, traces, *axes, spacing=0.05) if traces else None
+
+
+def _trace(curve: Curve, t_s: Floats, values: Floats, *, first: bool) -> go.Scatter:
+    look = {"legendgroup": curve.key, "showlegend": first, "visible": "legendonly" if curve.hidden else True}
+    if not curve.symbol:
+        return line(t_s, values, curve.name, curve.color, dash=curve.dash, width=curve.width, **look)
+    at = np.flatnonzero(np.isfinite(values))
+    at = at[thin(len(at))]
+    marker = {"symbol": curve.symbol, "size": 8, "color": curve.color}
+    x, y = light(t_s[at]), light(values[at])
+    return go.Scatter(x=x, y=y, mode="markers", name=curve.name, marker=marker, **look)
+
+
+def distances(pairs: Sequence[PairSeries], axis: Axis) -> go.Figure | None:
+    """Draw the distance of the nearest pairs, as ellipsoid norm and in m; ``None`` without pairs."""
+    if not pairs:
+        return None
+    traces = []
+    for color, pair in zip(PAIR_COLORS, sorted(pairs, key=_nearest), strict=False):
+        for row, values in ((1, pair.measure), (2, pair.distance_m)):
+            for both, width, opacity in ((pair.flying, 2.2, 1.0), (~pair.flying, 1.2, 0.35)):
+                t_s, shown = low_envelope(pair.t_s, np.where(both, values, np.nan))
+                look = {"width": width, "opacity": opacity, "legendgroup": pair.name, "connectgaps": False}
+                first = row == 1 and opacity == 1.0
+                traces.append((row, line(t_s, shown, pair.name, color, showlegend=first, **look)))
+    measures = np.concatenate([pair.measure for pair in pairs])
+    top = min(max(_MEASURE_SHOWN, 2.0 * float(measures.min())), float(measures.max()))
+    measure = {"title_text": "in the ellipsoid's measure [1]", "range": [0.0, 1.05 * top]}
+    distance = {"title_text": "distance [m]", "rangemode": "tozero"}
+    figure = chart(axis, 620, traces, measure, distance, spacing=0.06, hovermode="closest")
+    figure.add_hrect(y0=0.0, y1=1.0, fillcolor=UNSAFE, line={"width": 0}, layer="below", row=1, col=1)
+    figure.add_hline(1.0, line={"color": BOUNDARY, "width": 1.5}, row=1, col=1)
+    return figure
+
+
+def _nearest(pair: PairSeries) -> float:
+    return float(pair.measure[pair.flying].min()) if pair.flying.any() else math.inf
 
 
 def panels(side: Side) -> list[Panel]:
@@ -177,7 +213,7 @@ def panels(side: Side) -> list[Panel]:
         ),
         Panel(
             "timeline", "The flight at a glance", _TIMELINE,
-            timeline([side], axis, flight.events, -side.offset_s),
+            timeline(axis, _bars(side), flight.events, axis.zero_s),
         ),
         Panel(
             "altitude", "Relative altitude over horizontal distance",
@@ -185,7 +221,7 @@ def panels(side: Side) -> list[Panel]:
             space.altitude_over_distance(flight), "Fig. 8, 11",
         ),
         Panel("plan", "Paths from above", f"{source} {_PLAN}", space.plan(flight), "Fig. 12"),
-        *(Panel(of.key, of.title, of.note, series.draw(of, flight), of.paper) for of in CHARTS),
+        *(Panel(of.key, of.title, of.note, _chart(of, flight), of.paper) for of in CHARTS),
     ]  # fmt: skip
 
 
@@ -196,9 +232,9 @@ def fleet_panels(fleet: Fleet, sides: Sequence[Side], pairs: Sequence[PairSeries
         Panel("room", "All paths in the room", _ROOM, space.room_3d(sides)),
         Panel(
             "timeline", "Who did what, and who waited for whom", _LANES,
-            timeline(sides, axis, fleet.events),
+            timeline(axis, chain.from_iterable(map(_bars, sides)), fleet.events, 0.0),
         ),
-        Panel("pairs", "Distance of the nearest pairs", _NEAR, series.distances(pairs, axis)),
+        Panel("pairs", "Distance of the nearest pairs", _NEAR, distances(pairs, axis)),
     ]  # fmt: skip
 
 
@@ -213,7 +249,7 @@ _ROOM = (
 _NEAR = (
     f"By true states. The ellipsoid of two vehicles has the semi-axes {2 * RADIUS_BESIDE_M:g} m sideways and "
     f"{2 * RADIUS_ABOVE_M:g} m up and down; its measure is 1 on the surface, below is too near. It counts "
-    f"while both fly; thin: one of them rests. Of many pairs, the {series.PAIRS_SHOWN} nearest are drawn."
+    f"while both fly; thin: one of them rests. Of many pairs, the {PAIRS_SHOWN} nearest are drawn."
 )
 _TIMELINE = (
     "The whole log. Touch or point at a bar or an event to read it; bands in the figures below have the same "

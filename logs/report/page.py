@@ -14,13 +14,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from flightstack.common.text import pip_install
+from flightstack.common.text import needed_by
 
 _LEVEL = 9  # gzip level; the library is compressed once per process
 
 
 class ReportError(ValueError):
-    """The page cannot be made or written."""
+    """The page cannot be written."""
 
 
 class Panel(NamedTuple):
@@ -47,7 +47,7 @@ class Page(NamedTuple):
 
 
 def render(page: Page) -> str:
-    """Return a page as text. Raises ReportError: a library is not installed."""
+    """Return a page as text. Raises as ``need_libraries``."""
     need_libraries()
     template = _templates().get_template("report_template.html")
     body = html("".join(map(_drawn, page.panels)))
@@ -56,7 +56,7 @@ def render(page: Page) -> str:
 
 
 def write(path: Path, page: Page) -> Path:
-    """Write a page. Raises ReportError: it cannot be written, or a library is not installed."""
+    """Write a page. Raises ReportError: it cannot be written, or as ``need_libraries``."""
     text = render(page)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -115,17 +115,10 @@ def paragraph(text: str) -> str:
 
 
 def need_libraries() -> None:
-    """Check that the libraries for pages are installed."""
-    try:
+    """Raise MissingExtraError if a library for pages is not installed."""
+    with needed_by("the page"):
         import jinja2  # noqa: F401
         import plotly.graph_objects  # noqa: F401
-    except ModuleNotFoundError as error:
-        missing = (error.name or "").partition(".")[0]
-        if missing not in ("plotly", "jinja2"):
-            raise
-        raise ReportError(
-            f"the page needs {missing}, which is not installed: {pip_install('report')}"
-        ) from error
 
 
 @cache

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from flightstack.common.text import named
 from flightstack.config.options import repeated
-from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
+from logs.reader.flight_data import ATTACHMENT, Fleet
 from logs.report import tables
 from logs.report.derived import Side
 from logs.report.page import (
@@ -43,7 +43,7 @@ _WAITS = "Times in which a member flew and gave way to neighbours, by its own me
 def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -> dict[str, Path]:
     """Write the pages of a log with its verdict, by default beside it; return their paths by member.
 
-    The key "" is the main page. Raises ReportError: the plotting library is not installed.
+    The key "" is the main page. Raises as ``logs.report.page.write``.
     """
     need_libraries()
     target = _beside(fleet.path) if out is None else out
@@ -54,12 +54,16 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
         for name in fleet.flights
     }
     for name, place in pages.items():
-        own = verdict.members[name]
+        own, flight = verdict.members[name], fleet.flights[name]
         alone = replace(
             verdict, outcome=own.outcome, reason=own.reason, violation=own.violation, members={name: own},
             ellipsoid_violations=None,
         )  # fmt: skip
-        write(place, page(replace(fleet, flights={name: fleet.flights[name]}), alone, of=target.name))
+        part_of = replace(
+            fleet, flights={name: flight}, events=flight.events, metadata=flight.metadata,
+            attachments=flight.attachments,
+        )  # fmt: skip
+        write(place, page(part_of, alone, of=target.name))
     return {"": write(target, page(fleet, verdict, pages)), **pages}
 
 
@@ -78,7 +82,7 @@ def page(
     from logs.report.figures import fleet_panels, panels
 
     first, *others = fleet.flights.values()
-    several, whole = bool(others), fleet if others else first
+    several = bool(others)
     sides = [
         Side(
             name if several else "", flight, verdict.members[name],
@@ -86,7 +90,7 @@ def page(
         )
         for name, flight in fleet.flights.items()
     ]  # fmt: skip
-    label, run = "" if several else first.label, whole.metadata.get("run", whole.metadata.get(FLEET, {}))
+    run = fleet.metadata.get("run", fleet.metadata.get(FLEET, {}))
     picture, timeline, *figures = (
         fleet_panels(fleet, sides, pair_series(fleet)) if several else panels(sides[0])
     )
@@ -94,12 +98,13 @@ def page(
         Panel("near", "How near they came", _NEAR, tables.pairs_table(fleet)),
         Panel("waits", "Who waited for whom", _WAITS, tables.waits_table(sides)),
     ]
-    title = run.get("scenario", fleet.path.stem)
-    about = [f"{len(sides)} vehicles"] * several
+    title, label = run.get("scenario", fleet.path.stem), "" if several else first.label
+    about = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
+    about += [run["mode"]] if "mode" in run else []
     return Page(
         title if label in title else f"{title}, {label}",
         tables.headline(verdict),
-        " · ".join([*about, *_flown(run), verdict.reason]),
+        " · ".join([*[f"{len(sides)} vehicles"] * several, *about, verdict.reason]),
         tables.key_numbers(verdict, sides),
         [
             html('<p><a href="{}">The whole fleet</a></p>').format(of) if of is not None else "",
@@ -112,20 +117,14 @@ def page(
             Panel(
                 "events", "Events",
                 f"Times since the {'log' if several else 'landing'} began; each is a link.",
-                tables.events_table(whole.events, None if several else -sides[0].offset_s), style=_EVENTS,
+                tables.events_table(fleet.events, None if several else -sides[0].offset_s), style=_EVENTS,
             ),
-            repeat_section(whole, label),
-            Panel("run", "Run", "", tables.run_table(whole.metadata)),
+            repeat_section(fleet, label),
+            Panel("run", "Run", "", tables.run_table(fleet.metadata)),
             *_configuration(fleet),
         ],
         _warnings(fleet, verdict),
     )  # fmt: skip
-
-
-def _flown(run: Mapping[str, str]) -> list[str]:
-    """Return seed, filter and mode of a run, if the log contains them."""
-    named = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
-    return named + ([run["mode"]] if "mode" in run else [])
 
 
 def _configuration(fleet: Fleet) -> tuple[Panel, str]:
@@ -195,13 +194,13 @@ def command(run: Mapping[str, str], scenario: str) -> str:
     return shlex.join(parts + repeated(run))
 
 
-def repeat_section(of: Flight | Fleet, member: str = "") -> str:
+def repeat_section(fleet: Fleet, member: str = "") -> str:
     """Return the section with the commands that repeat a flight, or the reason why there are none.
 
     ``member``: name of the vehicle if it flew with others: then only the whole fleet can fly again.
     """
-    run, whole = of.metadata.get("run", of.metadata.get(FLEET, {})), of.attachments.get(SCENARIO)
-    again = ["flightstack", "replay", of.path.name, "--check"]
+    run, whole = fleet.metadata.get("run", fleet.metadata.get(FLEET, {})), fleet.attachments.get(SCENARIO)
+    again = ["flightstack", "replay", fleet.path.name, "--check"]
     if member:
         return part("repeat", replay=shlex.join([*again, "--member", member]), alone=False)
     if whole is None or "seed" not in run:
@@ -211,7 +210,7 @@ def repeat_section(of: Flight | Fleet, member: str = "") -> str:
         "repeat",
         replay=shlex.join(again),
         command=command(run, SCENARIO),
-        revision=of.metadata.get("made", {}).get("git_revision", ""),
+        revision=fleet.metadata.get("made", {}).get("git_revision", ""),
         lockstep=run.get("mode") == "lockstep",
         scenario=details("The scenario as it was flown", whole.decode(errors="replace"), SCENARIO),
         by_name=command(run, run["scenario"]) if by_name else "",

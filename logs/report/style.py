@@ -36,9 +36,10 @@ _PHASES: dict[Phase | int, tuple[int, int, int, float]] = {
 _SPACE_PX = 640  # height of a spatial figure, pixels
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and distance of the legend below the axis, pixels
 POINTS_MAX = 4000  # maximum number of points per line; more points are not visible and make the page large
-_FAULT_STRIP = 0.965  # lower edge of the strip that marks a fault, as a fraction of the row's height
+_FAULT_STRIP = 0.965  # lower edge of the strip that marks a fault, as a fraction of the figure's height
 LABEL_SHARE = 0.05  # smallest fraction of the axis for a band with a name
 BEFORE_S, AFTER_S = 1.0, 3.0  # time shown initially before and after the landing, s
+_LAST = (Phase.LANDED, Phase.ABORT)
 
 
 def layout(figure: go.Figure, height_px: int) -> go.Figure:
@@ -78,60 +79,10 @@ def layout_3d(figure: go.Figure, titles: tuple[str, str, str], **scene: Any) -> 
     )
 
 
-def zero_s(flight: Flight) -> float:
-    """Return time zero of the figures: the start of the landing, or of the log without a landing."""
-    return flight.landing_start_s or 0.0
-
-
-def shown_range(flight: Flight) -> list[float]:
-    """Return the initial range of the time axis: the landing with some seconds around it."""
-    start = flight.landing_start_s
-    spans = flight.phase_spans()
-    last = flight.duration_s
-    ends = [begin for phase, begin, _ in spans if phase in (Phase.LANDED, Phase.ABORT)]
-    if start is None:
-        return [0.0, last]
-    end = min(ends[0] + AFTER_S, last) if ends else last
-    return [max(-BEFORE_S, -start), end - start]
-
-
 def phase_color(phase: Phase | int, *, bar: bool = False) -> str:
     """Return the colour of a phase for the band behind curves, or a stronger one for a bar."""
     red, green, blue, opacity = _PHASES.get(phase, (102, 102, 102, 0.05))
     return f"rgba({red}, {green}, {blue}, {0.2 + 1.5 * opacity if bar else opacity:.3g})"
-
-
-def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
-    """Shade the phases over the whole height of each row, name them on top, mark faults by a strip."""
-    low, high = shown_range(flight)
-    zero = zero_s(flight)
-    shapes: list[dict[str, Any]] = []  # collected first, because plotly checks all shapes at each addition
-    names: list[dict[str, Any]] = []
-    for phase, begin_s, end_s in flight.phase_spans():
-        begin, end = begin_s - zero, end_s - zero
-        shapes += _bands(rows, begin, end, 0.0, phase_color(phase))
-        left, right = max(begin, low), min(end, high)
-        if right - left >= LABEL_SHARE * (high - low):
-            names.append({
-                "x": (left + right) / 2, "y": 1.0, "xref": "x", "yref": "y domain", "yanchor": "bottom",
-                "showarrow": False, "text": phase_name(phase), "font": {"size": 10, "color": "#616e7c"},
-            })  # fmt: skip
-    for fault in fault_spans(flight):
-        shapes += _bands(rows, fault.begin_s - zero, fault.end_s - zero, _FAULT_STRIP, FAULT)
-    figure.layout.shapes += tuple(map(go.layout.Shape, shapes))
-    figure.layout.annotations += tuple(map(go.layout.Annotation, names))
-
-
-def _bands(rows: int, begin_s: float, end_s: float, bottom: float, color: str) -> list[dict[str, Any]]:
-    """Return a band in each row, from a fraction of its height to the top."""
-    axes = ["" if row == 1 else str(row) for row in range(1, rows + 1)]
-    return [
-        {
-            "type": "rect", "xref": f"x{axis}", "yref": f"y{axis} domain", "x0": begin_s, "x1": end_s,
-            "y0": bottom, "y1": 1, "fillcolor": color, "line": {"width": 0}, "layer": "below",
-        }
-        for axis in axes
-    ]  # fmt: skip
 
 
 class Axis(NamedTuple):
@@ -143,11 +94,21 @@ class Axis(NamedTuple):
     first: list[float]  # initial range of the axis
     flight: Flight | None = None  # flight whose phases and faults the charts show; None: those of none
 
+    @property
+    def zero_s(self) -> float:
+        """Zero of the axis in the times of the flight, s."""
+        return -self.whole[0]
+
 
 def axis_of(flight: Flight) -> Axis:
-    """Return the axis of a flight whose times count from the start of its landing."""
-    began, zero = flight.landing_start_s is not None, zero_s(flight)
-    landing, whole = shown_range(flight), [-zero, flight.duration_s - zero]
+    """Return the axis of a flight whose times count from the start of its landing, or else of the log."""
+    began, zero_s = flight.landing_start_s is not None, flight.landing_start_s or 0.0
+    whole = [-zero_s, flight.duration_s - zero_s]
+    landing = whole
+    if began:  # the landing with some seconds around it
+        ends_s = [begin_s for phase, begin_s, _ in flight.phase_spans() if phase in _LAST]
+        end_s = min(ends_s[0] + AFTER_S, flight.duration_s) if ends_s else flight.duration_s
+        landing = [max(-BEFORE_S, -zero_s), end_s - zero_s]
     return Axis(f"time since the {'landing' if began else 'log'} began [s]", landing, whole, landing, flight)
 
 
@@ -160,14 +121,31 @@ def fleet_axis(fleet: Fleet) -> Axis:
     return Axis("time since the log began [s]", landing, [0.0, end_s], [0.0, end_s])
 
 
-def time_axis(figure: go.Figure, axis: Axis, rows: int = 1, hovermode: str = "x unified") -> None:
-    figure.update_layout(
-        hovermode=hovermode,
-        meta={"time": True, "rows": rows, "landing": axis.landing, "whole": axis.whole},
-    )
-    figure.update_xaxes(range=axis.first)
-    lowest = {"row": rows, "col": 1} if rows > 1 else {}
-    figure.update_xaxes(title_text=axis.title, **lowest)
+def _add_phases(figure: go.Figure, axis: Axis, flight: Flight) -> None:
+    """Shade the phases over the whole height of a figure, name them on top, mark faults by a strip."""
+    low, high = axis.first
+    shapes: list[dict[str, Any]] = []  # collected first, because plotly checks all shapes at each addition
+    names: list[dict[str, Any]] = []
+
+    def band(begin: float, end: float, bottom: float, color: str) -> None:
+        shapes.append({
+            "type": "rect", "xref": "x", "yref": "paper", "x0": begin, "x1": end, "y0": bottom, "y1": 1,
+            "fillcolor": color, "line": {"width": 0}, "layer": "below",
+        })  # fmt: skip
+
+    for phase, begin_s, end_s in flight.phase_spans():
+        begin, end = begin_s - axis.zero_s, end_s - axis.zero_s
+        band(begin, end, 0.0, phase_color(phase))
+        left, right = max(begin, low), min(end, high)
+        if right - left >= LABEL_SHARE * (high - low):
+            names.append({
+                "x": (left + right) / 2, "y": 1.0, "xref": "x", "yref": "paper", "yanchor": "bottom",
+                "showarrow": False, "text": phase_name(phase), "font": {"size": 10, "color": "#616e7c"},
+            })  # fmt: skip
+    for fault in fault_spans(flight):
+        band(fault.begin_s - axis.zero_s, fault.end_s - axis.zero_s, _FAULT_STRIP, FAULT)
+    figure.layout.shapes += tuple(map(go.layout.Shape, shapes))
+    figure.layout.annotations += tuple(map(go.layout.Annotation, names))
 
 
 def chart(
@@ -181,8 +159,11 @@ def chart(
         figure.add_trace(trace, row=row, col=1)
     layout(figure, height_px)
     if axis.flight is not None:
-        add_phases(figure, axis.flight, rows=rows)
-    time_axis(figure, axis, rows, hovermode)
+        _add_phases(figure, axis, axis.flight)
+    time = {"time": True, "rows": rows, "landing": axis.landing, "whole": axis.whole}
+    figure.update_layout(hovermode=hovermode, meta=time)
+    figure.update_xaxes(range=axis.first)
+    figure.update_xaxes(title_text=axis.title, row=rows, col=1)
     for row, y_axis in enumerate(axes, 1):
         figure.update_yaxes(**y_axis, row=row, col=1)
     return figure

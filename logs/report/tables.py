@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from logs.reader.flight_data import Event, Fleet, Floats, Span, Steps, Timing
-from logs.report.derived import Side, fault_spans, share_active
+from logs.reader.flight_data import Event, Fleet, Floats, Span, Steps
+from logs.report.derived import Side, fault_spans
 from logs.report.page import html, paragraph, part, table, time_link
 from logs.schema import FLEET, LOSSES
 from logs.schema.events import Severity
@@ -81,12 +82,19 @@ def _p99(values: Floats) -> float | None:
     return float(np.percentile(known, 99)) if len(known) else None
 
 
-def _of_steps(side: Side, value: Callable[[Steps], float | None]) -> float | None:
-    return None if side.flight.steps is None else value(side.flight.steps)
+def _of(part: str, value: Callable[[Any], float | None]) -> Callable[[Side], float | None]:
+    """Return the source of a number: a value of the steps or the timing of a flight."""
+
+    def found(side: Side) -> float | None:
+        data = getattr(side.flight, part)
+        return None if data is None else value(data)
+
+    return found
 
 
-def _of_timing(side: Side, value: Callable[[Timing], float | None]) -> float | None:
-    return None if side.flight.timing is None else value(side.flight.timing)
+def _active_share(steps: Steps) -> float | None:
+    ran = np.isfinite(steps.slack_m_s)
+    return float(steps.barrier_active[ran].mean()) if ran.any() else None
 
 
 _RELATIVE, _VERTICAL = "relative to the pad", "touchdown speed, vertical"
@@ -106,15 +114,15 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
      lambda s: sum(e.end_s - e.begin_s for _, e in _waits([s])) if s.flight.spans else None,
      "flew and gave way to neighbours"),
     ("length of the log", "s", 2, 1.0, lambda s: s.flight.duration_s, ""),
-    ("barrier active", "%", 0, 100.0, lambda s: _of_steps(s, share_active), "of the ticks with a filter"),
-    ("age of the target state, 99 %", "ms", 1, 1e3, lambda s: _of_steps(s, lambda v: _p99(v.target_age_s)),
+    ("barrier active", "%", 0, 100.0, _of("steps", _active_share), "of the ticks with a filter"),
+    ("age of the target state, 99 %", "ms", 1, 1e3, _of("steps", lambda v: _p99(v.target_age_s)),
      "at the ticks"),
-    ("age of the own state, 99 %", "ms", 1, 1e3, lambda s: _of_steps(s, lambda v: _p99(v.own_age_s)),
+    ("age of the own state, 99 %", "ms", 1, 1e3, _of("steps", lambda v: _p99(v.own_age_s)),
      "at the ticks"),
-    ("target samples refused", "", 0, 1.0, lambda s: _of_steps(s, lambda v: float(v.target_rejected[-1])),
+    ("target samples refused", "", 0, 1.0, _of("steps", lambda v: float(v.target_rejected[-1])),
      "by the controller"),
-    ("whole tick, 99 %", "µs", 0, 1e6, lambda s: _of_timing(s, lambda v: _p99(v.exec_s)), "wall time"),
-    ("overruns", "", 0, 1.0, lambda s: _of_timing(s, lambda v: float(v.overruns[-1])), "deadlines missed"),
+    ("whole tick, 99 %", "µs", 0, 1e6, _of("timing", lambda v: _p99(v.exec_s)), "wall time"),
+    ("overruns", "", 0, 1.0, _of("timing", lambda v: float(v.overruns[-1])), "deadlines missed"),
     ("faults injected", "", 0, 1.0, lambda s: float(len(fault_spans(s.flight))), ""),
 )  # fmt: skip
 

@@ -6,7 +6,7 @@ import contextlib
 import socket
 import subprocess
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
@@ -15,13 +15,13 @@ import numpy as np
 import rerun as rr
 
 from flightstack.common.processes import Port, ended, tied
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
 from logs.reader.flight import columns, since
 from logs.reader.flight_data import Event, Flight, Floats, Steps, Timing, phase_name
 from logs.schema.events import CONTROLLER, Severity
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
-from logs.view.canvas import Canvas, blueprint
-from logs.view.view import draw, events, viewer_program
+from logs.view.view import Canvas, blueprint, draw, events, viewer_program
 
 NATIVE, WEB = "native", "web"
 ENDING = ".rrd"
@@ -33,8 +33,9 @@ MEMORY_LIMIT = "512MB"  # memory limit of the viewer, and of the server; the old
 class LiveRecording:
     """Rerun recording of a running flight; each call adds newer data."""
 
-    def __init__(self, where: str, run: Mapping[str, str], name: str) -> None:
-        self._run = dict(run)
+    def __init__(self, where: str, name: str, config: FlightConfig | None = None) -> None:
+        """Open the view; ``name``: namespace of the vehicle; without ``config`` there is no barrier."""
+        self._name, self._config = name, config
         self._stream = rr.RecordingStream("flightstack")
         self._stream.send_recording_name(name)
         self._canvas: Canvas | None = None
@@ -74,7 +75,8 @@ class LiveRecording:
             steps=columns(Steps, steps, _since(origin_ns, steps)),
             timing=columns(Timing, timings, _since(origin_ns, timings)) if timings else None,
             events=tuple(self._entered(origin_ns, steps, reason)),
-            metadata={"run": self._run},
+            metadata={"run": {"namespace": self._name}},
+            config=self._config,
         )
         draw(self._canvas, piece)
         events(self._canvas, origin_ns, piece.events)

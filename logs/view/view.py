@@ -6,22 +6,26 @@ Rerun can open the MCAP file directly, too, but draws neither markers nor odomet
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from flightstack.common.text import one_line
 from logs import curves
 from logs.reader.flight import load_fleet
-from logs.reader.flight_data import Event, Flight, Floats, Ints, Steps, phase_name
+from logs.reader.flight_data import Event, Flight, Floats, Ints, Steps, phase_name, sizes_of
 from logs.recorder import markers
 from logs.schema import FLEET
 from logs.schema.events import Severity
-from logs.view.canvas import EVENTS, PHASE, RUN, WORLD, Canvas, blueprint, rgba, run_of, times
 
+FLIGHT = "flight"  # timeline of seconds since the first step
+LOG_TIME = "log_time"  # timeline of date and time in the log
+EVENTS, RUN, WORLD, PHASE = "/events", "/run", "/world", "/phase"
 BODY_HALF_M = tuple(0.5 * size for size in markers.BODY_SIZE_M)
 ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
 SPOT = f"{WORLD}/target_pad"
@@ -42,25 +46,128 @@ _LEVELS: dict[int, str] = {
 }
 
 
-class Recording:
-    def __init__(self, log: Path) -> None:
-        self._fleet = load_fleet(log)
-        first = next(iter(self._fleet.flights.values()))
-        self.problem = "; ".join(first.damage)
-        told = self._fleet.metadata.get(FLEET, run_of(first))
-        self._stream = rr.RecordingStream("flightstack")
-        self._stream.send_recording_name(f"{told.get('scenario', 'flight')}: {log.name}")
+def blueprint(members: Sequence[str] = ()) -> Any:
+    """Return the layout of the viewer, which places the camera by itself."""
+    scene = rrb.Spatial3DView(origin=WORLD, name="Scene: ENU, metres", line_grid=rrb.LineGrid3D(spacing=0.25))
+    if members:
+        tabs = [_fleet(members), *(rrb.Tabs(*_tabs(m), name=m, active_tab=0) for m in members)]
+    else:
+        tabs = list(_tabs(""))
+    runs = [(of_member(RUN, m), f"Run of {m}") for m in members] or [(RUN, "Run")]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                scene,
+                rrb.Tabs(
+                    rrb.TextLogView(
+                        origin=EVENTS,
+                        name="Events",
+                        columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),
+                    ),
+                    *(rrb.TextDocumentView(origin=origin, name=name) for origin, name in runs),
+                ),
+                row_shares=[3, 1],
+            ),
+            rrb.Tabs(*tabs, active_tab=0),
+            column_shares=[3, 2],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=FLIGHT),
+        auto_views=False,
+        auto_layout=False,
+    )
 
-    def save(self, out: Path) -> None:
-        fleet, flights = self._fleet, self._fleet.flights.values()
-        members = [flight.label for flight in flights if flight.label]
-        self._stream.save(out, default_blueprint=blueprint(members))
-        for number, flight in enumerate(flights):
-            color = markers.COLORS[number % len(markers.COLORS)]
-            draw(Canvas(self._stream, fleet.origin_ns, flight.label, color), flight)
-        events(Canvas(self._stream, fleet.origin_ns), fleet.origin_ns, fleet.events)
-        self._stream.flush()
-        self._stream.disconnect()
+
+def _tabs(member: str) -> Iterator[Any]:
+    """Yield a tab for each chart with the curves of a flight; the first one also shows the phases."""
+    for number, chart in enumerate(curves.CHARTS):
+        origins = {of_member(f"/{chart.key}/{row.key}", member): row.title for row in chart.rows}
+        views: list[Any] = [rrb.TimeSeriesView(origin=origin, name=name) for origin, name in origins.items()]
+        if not number:
+            views.append(rrb.StateTimelineView(origin=of_member(PHASE, member), name="Phase"))
+        yield rrb.Vertical(*views, name=chart.key.capitalize())
+
+
+def _fleet(members: Sequence[str]) -> Any:
+    """Return the view with the phases of all members."""
+    phases = [of_member(PHASE, member) for member in members]
+    return rrb.StateTimelineView(origin="/", contents=[f"+ {each}" for each in phases], name="Fleet")
+
+
+def of_member(entity: str, member: str) -> str:
+    """Return the name of a member's entity: below the common world, or else below the member's name."""
+    if not member or entity == WORLD:
+        return entity
+    return (
+        f"{WORLD}/{member}{entity[len(WORLD) :]}" if entity.startswith(f"{WORLD}/") else f"/{member}{entity}"
+    )
+
+
+class Canvas:
+    """A Rerun recording stream, with the state that is needed between two parts of a flight."""
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        origin_ns: int,
+        member: str = "",
+        own_color: markers.Color | str = markers.OWN_COLOR,
+    ) -> None:
+        self.stream, self.member, self.own_color = stream, member, own_color
+        self.paths: dict[str, markers.Path] = {}  # past positions of vehicle and target, by entity
+        self.phase: int | None = None  # newest phase in the viewer
+        self._origin_ns = origin_ns
+        self._styled: set[str] = set()
+
+    def style(self, entity: str, archetype: rr.AsComponents, *, again: bool = False) -> None:
+        """Send data that do not change with time; only the first call sends them, or one with ``again``."""
+        if again or entity not in self._styled:
+            self._styled.add(entity)
+            self.stream.log(of_member(entity, self.member), archetype, static=True)
+
+    def columns(self, entity: str, at_ns: Ints, columns: Iterable[Any]) -> None:
+        """Send values of an entity at log times in ns."""
+        self.stream.send_columns(
+            of_member(entity, self.member),
+            (
+                rr.TimeColumn(FLIGHT, duration=(at_ns - self._origin_ns).astype("timedelta64[ns]")),
+                rr.TimeColumn(LOG_TIME, timestamp=at_ns.astype("datetime64[ns]")),
+            ),
+            columns,
+        )
+
+
+def times(origin_ns: int, t_s: Floats) -> Ints:
+    """Convert times since the origin into log times in ns, (n,)."""
+    return origin_ns + np.round(t_s * 1e9).astype(np.int64)
+
+
+def rgba(color: markers.Color | str) -> tuple[int, int, int, int]:
+    """Return a colour as four numbers from 0 to 255 for Rerun, from fractions or from hexadecimal."""
+    if isinstance(color, str):
+        red, green, blue = bytes.fromhex(color.removeprefix("#"))
+        return red, green, blue, 255
+    r, g, b, opacity = (round(255 * part) for part in color)
+    return r, g, b, opacity
+
+
+def save(log: Path, out: Path) -> str:
+    """Write a log as a recording; return the damage of the log, as text."""
+    fleet = load_fleet(log)
+    flights = fleet.flights.values()
+    first, members = next(iter(flights)), [flight.label for flight in flights if flight.label]
+    told = fleet.metadata.get(FLEET, first.metadata.get("run", {}))
+    stream = rr.RecordingStream("flightstack")
+    stream.send_recording_name(f"{told.get('scenario', 'flight')}: {log.name}")
+    stream.save(out, default_blueprint=blueprint(members))
+    for number, flight in enumerate(flights):
+        color = markers.COLORS[number % len(markers.COLORS)]
+        draw(Canvas(stream, fleet.origin_ns, flight.label, color), flight)
+    events(Canvas(stream, fleet.origin_ns), fleet.origin_ns, fleet.events)
+    stream.flush()
+    stream.disconnect()
+    return "; ".join(first.damage)
 
 
 def open_viewer(recording: Path, *, web: bool) -> int:
@@ -89,7 +196,7 @@ def draw(canvas: Canvas, flight: Flight) -> None:
 def _scene(canvas: Canvas, flight: Flight) -> None:
     """Send the controller's data: vehicle, target with its pad and barrier, both paths."""
     canvas.style(WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-    steps, run = flight.steps, run_of(flight)
+    steps = flight.steps
     if steps is None:
         return
     at_ns = times(flight.origin_ns, steps.t_s)
@@ -104,9 +211,8 @@ def _scene(canvas: Canvas, flight: Flight) -> None:
         canvas.columns(f"{WORLD}/{name}", at_ns[valid], moved)
         if name == "target":  # the barrier moves with the target but does not rotate with it
             canvas.columns(SPOT, at_ns[valid], rr.Transform3D.columns(translation=place_m))
-    scene = markers.Scene("vehicle", "target")
-    scene.configure(run)
-    for shape in scene.shapes:
+    sizes = sizes_of(flight.config, flight.metadata.get("run", {}))
+    for shape in markers.shapes("vehicle", "target", sizes):
         own = shape.frame_id == "vehicle"
         drawn = _shape(shape, canvas.own_color if own else shape.color, canvas.member if own else "")
         canvas.style(f"{WORLD}/{shape.frame_id}/{shape.ns}", drawn)
@@ -223,5 +329,5 @@ def events(canvas: Canvas, origin_ns: int, said: Sequence[Event]) -> None:
 
 def _run_text(flight: Flight) -> str:
     lines = [f"the log is broken: {'; '.join(flight.damage)}"] if flight.damage else []
-    lines += [f"{key} = {value}" for key, value in run_of(flight).items()]
+    lines += [f"{key} = {value}" for key, value in flight.metadata.get("run", {}).items()]
     return "\n".join(map(one_line, lines)) or "no metadata"

@@ -262,7 +262,7 @@ _HISTOGRAMS = (
 
 
 def write_page(path: Path, wanted: Plan, flown: Flown) -> None:
-    """Write the page; ``flown`` has a summary. Raises ReportError: the plotting library is not installed."""
+    """Write the page; ``flown`` has a summary. Raises as ``logs.report.page.write``."""
     need_libraries()
     write(path, campaign_page(wanted, flown))
 

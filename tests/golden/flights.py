@@ -10,7 +10,7 @@ from mcap.writer import CompressionType, Writer
 
 from flightstack.common.strict_toml import dumps, parse_toml
 from logs.reader.reader import ROSOUT, LogFile
-from logs.schema import FLEET, Names
+from logs.schema import FLEET
 from logs.schema.schemas import schema_text
 from sim.scenarios.scenario import load, text
 
@@ -36,10 +36,9 @@ def write_kept(
         when: condition for keeping a message; None: all.
         change: returns a message's new data; None: unchanged.
     """
-    whole, log = LogFile(source), LogFile(source, member).single()
-    onboard = log.metadata()["onboard"]
-    space = onboard["namespace"]
-    names = Names(space, int(onboard.get("system_id", "1")))
+    log = LogFile(source, member).single()
+    names = log.names
+    space = names.member
     topics = {f"/{space}/{name}" for name in TOPICS if wire or name != "target/odom"}
     topics |= {ROSOUT, *(map(names.frames, WIRE) if wire else ())}
     with target.open("wb") as stream:
@@ -55,8 +54,8 @@ def write_kept(
                 values.pop("lockstep", None)  # without frames the wire cannot be replayed
             writer.add_metadata(names.record(name), values)
         channels: dict[str, int] = {}
-        for message in whole.messages(topics):
-            if log.part_of(message) is None or (when is not None and not when(message)):
+        for message in log.messages(topics):
+            if when is not None and not when(message):
                 continue
             if message.topic not in channels:
                 schema = writer.register_schema(

@@ -42,7 +42,7 @@ def entities(path):
 
 def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
     whole = tmp_path / "pieces.rrd"
-    recording = LiveRecording(str(whole), {"pad_radius_m": "0.1"}, "test")
+    recording = LiveRecording(str(whole), "test")
     for begin in range(0, len(ROWS), 3):
         piece = ROWS[begin : begin + 3]
         timings = [t for t in landing().timing if piece[0].tick <= t.tick <= piece[-1].tick]

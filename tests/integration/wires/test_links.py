@@ -88,7 +88,7 @@ def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, 
     assert signed.json["outcome"] == plain.json["outcome"] == "landed"
     states = sorted(p.name for p in key_file.parent.glob("*.state"))
     assert states == ["fleet.key.1-1-0.state", "fleet.key.1-191-0.state"]
-    different = compare(tmp_path / "signed/flight.mcap", plain.log)
+    different = compare(tmp_path / "signed/flight.mcap", plain.log).differences
     told = {(d.topic, d.field): (d.a, d.b) for d in different if d.topic.startswith("metadata")}
     assert told == {
         ("metadata cf1/onboard", "signed"): (repr("true"), repr("false")),

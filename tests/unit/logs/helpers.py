@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from flightstack.common.pacing import EPOCH_NS
-from logs.recorder.feed import Kind, Record, encode_json
+from logs.recorder.feed import Attachment, Declare, Goodbye, Metadata, control, encode
 from logs.recorder.recording import McapFile, Recorder
 from logs.schema import schemas
 from logs.schema.events import Severity, pack_log
@@ -50,22 +50,20 @@ def payloads(tick, now_ns):
 
 def record(path, ticks=300, close=True):
     """Write a flight as the recorder does, in small chunks; without ``close`` it ends as after a kill."""
-    file = McapFile(path)
-    recorder = Recorder(file)
-    run = {"name": "run", "values": {"barrier_alpha_1_m": "1.0", "barrier_beta_m": "1.5", "seed": "1"}}
-    recorder.handle(0, Record(Kind.METADATA, 0, 0, 0, 0, encode_json(Kind.METADATA, 0, 0, run)[28:]))
-    recorder.handle(0, Record(Kind.ATTACHMENT, 0, 0, 0, 0, b'{"name": "s.toml", "media_type": "t"}\nx = 1'))
+    recorder = Recorder(McapFile(path))
+    client = recorder.client()
+    recorder.take(client, control(Metadata("run", {"seed": "1"})))
+    recorder.take(client, control(Attachment("s.toml", "t", b"x = 1")))
     for number, (topic, schema) in CHANNELS.items():
-        declared = encode_json(Kind.DECLARE, number, 0, {"topic": topic, "schema": schema})[28:]
-        recorder.handle(0, Record(Kind.DECLARE, number, 0, 0, 0, declared))
+        recorder.take(client, control(Declare(number, topic, schema)))
     for tick in range(ticks):
         now_ns = EPOCH_NS + tick * 10_000_000
         for number, payload in payloads(tick, now_ns):
-            recorder.handle(0, Record(Kind.MESSAGE, number, now_ns, now_ns, tick, payload))
+            recorder.take(client, encode(number, now_ns, now_ns, tick, payload))
         if tick % 20 == 19:
             recorder.flush()
     if close:
-        recorder.handle(0, Record(Kind.GOODBYE, 0, 0, 0, 0, b""))
-        recorder.gone(0, 0)
+        recorder.take(client, control(Goodbye()))
+        recorder.gone(client)
         recorder.finish()
     return path

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from bridge.mavlink.transport.address import parse_peer, parse_url
 from bridge.zenoh import zenoh_link
-from flightstack.cli.log import new_file
+from flightstack.cli.logs import new_file
 from flightstack.cli.main import main
 from flightstack.common.processes import socket_folder
 from flightstack.common.strict_toml import ConfigError, decoded, parse_toml, read_toml

@@ -27,13 +27,13 @@ def test_a_member_is_read_as_a_single_flight(fleet):
     assert one.single().member == "cf2"
     topics = {m.topic for m in one.messages()}
     assert "/cf2/controller/step" in topics
-    assert {topic.split("/")[1] for topic in topics} <= {"cf2", "uas1", "rosout"}
+    assert {topic.split("/")[1] for topic in topics} <= {"cf2", "uas2", "rosout"}
     assert {"run", "onboard", "made"} <= one.metadata().keys()
     assert "fleet" not in one.metadata()
     assert one.metadata()["onboard"]["namespace"] == "cf2"
     assert {a.name for a in one.attachments()} == {"onboard.toml", "scenario.toml", "scenario_source.toml"}
     assert {LogRow.unpack(m.data).name for m in one.messages({"/rosout"})} == {
-        "controller", "onboard", "vehicle",
+        "cf2.controller", "cf2.onboard", "cf2.vehicle",
     }  # fmt: skip
     flight = load_flight(fleet.log, "cf2")
     assert flight.member == "cf2"
@@ -146,5 +146,9 @@ def test_what_has_no_members_name_in_front_belongs_to_all(tmp_path):
     assert big.metadata() == {"onboard": {"system_id": "9"}, "run": {"seed": "1"}, "made": {"version": "1"}}
     heard = [m.data for m in big.messages({"/rosout"})]
     assert heard.pop() == b"broken"
-    assert [LogRow.unpack(data).name for data in heard] == ["onboard", "flight_recorder", "bigger.onboard"]
-    assert {m.topic for m in big.messages()} == {"/rosout", "/uas1/mavlink_source"}  # as in a single flight
+    assert [LogRow.unpack(data).name for data in heard] == [
+        "big.onboard",
+        "flight_recorder",
+        "bigger.onboard",
+    ]
+    assert {m.topic for m in big.messages()} == {"/rosout", "/uas9/mavlink_source"}

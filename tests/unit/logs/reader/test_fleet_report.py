@@ -105,10 +105,10 @@ def test_the_verdict_is_printed_with_a_line_of_each_member(fleet):
 def saved(fleet, tmp_path_factory):
     """Return the path of the fleet's recording."""
     pytest.importorskip("rerun", reason="needs the extra [view]")  # loading takes a second
-    from logs.view.view import Recording
+    from logs.view.view import save
 
     out = tmp_path_factory.mktemp("view") / "fleet.rrd"
-    Recording(fleet.log).save(out)
+    save(fleet.log, out)
     return out
 
 

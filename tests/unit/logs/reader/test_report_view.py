@@ -16,7 +16,7 @@ from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus, Phase
 from flightstack.launch.run_options import RunOptions
 from logs.curves import estimate_errors, held_margin_m
-from logs.reader.flight import load_flight
+from logs.reader.flight import load_fleet, load_flight
 from logs.report.derived import fault_spans
 from logs.report.report import command, repeat_section
 from tests.synthetic_flight import BARRIER, BOX, landing, write_log
@@ -80,10 +80,10 @@ def test_errors_are_what_was_put_into_the_estimate(written):
         if row.tick in truth
     ]  # fmt: skip
     errors = estimate_errors(written(rows))
-    known = np.isfinite(errors.own_m[:, 0])
+    known = np.isfinite(errors["vehicle"][:, 0])
     assert known.mean() > 0.9
-    np.testing.assert_allclose(errors.own_m[known], np.tile(shift, (known.sum(), 1)), atol=1e-9)
-    np.testing.assert_allclose(errors.target_m[known], 0.0, atol=1e-9)
+    np.testing.assert_allclose(errors["vehicle"][known], np.tile(shift, (known.sum(), 1)), atol=1e-9)
+    np.testing.assert_allclose(errors["target"][known], 0.0, atol=1e-9)
 
 
 def test_faults_have_begin_and_end_and_count_once(written):
@@ -103,17 +103,17 @@ def test_faults_have_begin_and_end_and_count_once(written):
     assert spans[1].end_s == flight.duration_s
 
 
-def test_the_command_repeats_the_run(written):
+def test_the_command_repeats_the_run(written, tmp_path):
     run = {"scenario": "my odd name", "seed": "7", "filter": "robust", "mode": "lockstep"}
     told = "flightstack sitl --scenario 'a b.toml' --seed 7 --filter robust --lockstep"
     assert command(run, "a b.toml") == told
-    flight = dataclasses.replace(
-        written(landing()), metadata={"run": run}, attachments={"scenario.toml": b"name = 'x'"}
-    )
-    text = repeat_section(flight)
+    written(landing())
+    fleet = load_fleet(tmp_path / "flight.mcap")
+    fleet = dataclasses.replace(fleet, metadata={"run": run}, attachments={"scenario.toml": b"name = 'x'"})
+    text = repeat_section(fleet)
     assert "--scenario scenario.toml --seed 7 --filter robust --lockstep" in text
     assert "--scenario &#39;my odd name&#39;" in text
-    assert "not the log of a simulated run" in repeat_section(dataclasses.replace(flight, attachments={}))
+    assert "not the log of a simulated run" in repeat_section(dataclasses.replace(fleet, attachments={}))
 
 
 # options that do not change the flight, or that the flown scenario contains

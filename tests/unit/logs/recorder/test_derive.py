@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from flightstack.common.strict_toml import dumps, from_table
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from logs.recorder.derive import Deriver, Derivers
 from logs.recorder.markers import PATH_POINTS, surface
@@ -19,7 +22,7 @@ from logs.schema.schemas import codec
 
 STORE = schemas.typestore()
 EPOCH_NS = 1_577_836_800_000_000_000
-RUN = {"barrier_alpha_1_m": "1.0", "barrier_beta_m": "1.5", "pad_radius_m": "0.1"}
+CONFIG = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}})
 
 
 def step(t_ns=0, own=(1.0, 2.0, 3.0), velocity=(0.3, 0.0, -0.1), yaw=0.0, **changes):
@@ -41,7 +44,7 @@ def derive(row, deriver=None):
 
 def test_every_message_is_what_the_generic_codec_writes():
     deriver = Deriver("/cf1/controller/step")
-    deriver.configure(RUN)
+    deriver.configure({"seed": "1"}, CONFIG)
     topics = set()
     for t_ns in range(0, 2_000_000_000, 10_000_000):
         row = step(t_ns, own=(t_ns * 1e-9, 0.0, 1.0), own_valid=t_ns % 70_000_000 != 0)
@@ -120,7 +123,7 @@ def markers_of(deriver, row):
 
 def test_markers():
     deriver = Deriver("/cf1/controller/step")
-    deriver.configure(RUN)
+    deriver.configure({"seed": "1"}, CONFIG)
     for t_ns in range(0, 1_000_000_000, 20_000_000):
         derive(step(t_ns, own=(t_ns * 1e-9, 0.0, 1.0)), deriver)
     shown = markers_of(deriver, step(1_000_000_000))
@@ -172,13 +175,9 @@ def frame(sequence, system=1):
 def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart():
     derivers, radii_m = Derivers(), {"cf1": 0.1, "cf2": 0.3}
     for n, (name, radius_m) in enumerate(radii_m.items(), 1):
-        told = {
-            "pad_radius_m": str(radius_m),
-            "seed": str(n),
-            "ellipsoid_xy_m": "0.25",
-            "ellipsoid_z_m": "0.75",
-        }
-        derivers.metadata(f"{name}/run", RUN | told)
+        fleet = replace(CONFIG.fleet, id=n, members=(1, 2), radius_xy_m=0.25, radius_z_m=0.75)
+        derivers.metadata(f"{name}/run", {"pad_radius_m": str(radius_m), "seed": str(n)})
+        derivers.attachment(f"{name}/onboard.toml", dumps(replace(CONFIG, fleet=fleet)).encode())
         derivers.metadata(f"{name}/onboard", {"namespace": name, "system_id": str(n)})
     for n, (name, radius_m) in enumerate(radii_m.items(), 1):
         made = derivers.declare(f"/{name}/controller/step", schemas.CONTROLLER_STEP)(EPOCH_NS, step(0).pack())

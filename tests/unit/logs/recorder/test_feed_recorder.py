@@ -5,12 +5,25 @@ from __future__ import annotations
 import socket
 import threading
 
+import msgspec
 import pytest
 from mcap.reader import make_reader
 
 from logs.reader.reader import LogFile
 from logs.recorder import feed
-from logs.recorder.feed import HEADER, Feed, FeedError, Kind, Splitter, encode, encode_json
+from logs.recorder.feed import (
+    CONTROL,
+    HEADER,
+    Attachment,
+    Declare,
+    Feed,
+    FeedError,
+    Goodbye,
+    Losses,
+    control,
+    encode,
+    split,
+)
 from logs.recorder.recorder import RecorderError, RecorderProcess, problems
 from logs.recorder.recording import McapFile, Recorder
 from logs.schema import schemas
@@ -93,10 +106,8 @@ def test_two_clients_one_channel_every_byte(tmp_path):
 def test_crash_in_the_middle_of_a_record(tmp_path):
     with InThread(tmp_path, until=1) as recorder, socket.socket(socket.AF_UNIX) as raw:
         raw.connect(str(recorder.socket))
-        declared = {"topic": "/t", "schema": schemas.LOOP_TIMING}
-        whole = encode_json(Kind.LOSSES, 0, 0, {"client": "onboard", "dropped": 0})
-        whole += encode_json(Kind.DECLARE, 1, 0, declared) + encode(Kind.MESSAGE, 1, 9, 9, 0, timing(0))
-        raw.sendall(whole + encode(Kind.MESSAGE, 1, 10, 10, 1, timing(1))[:40])
+        whole = control(Losses("onboard", 0)) + control(Declare(1, "/t", schemas.LOOP_TIMING))
+        raw.sendall(whole + encode(1, 9, 9, 0, timing(0)) + encode(1, 10, 10, 1, timing(1))[:40])
     log = LogFile(recorder.out)
     assert log.complete
     message, event = log.messages()
@@ -115,30 +126,31 @@ def test_nonsense_is_counted_and_harms_nobody_else(tmp_path):
         channel = good.channel("/t", schemas.LOOP_TIMING)
         with socket.socket(socket.AF_UNIX) as raw:
             raw.connect(str(recorder.socket))
-            raw.sendall(HEADER.pack(2**32 - 1, 1, 1, 0, 0, 0) + b"x" * 100)  # no record has this length
+            raw.sendall(HEADER.pack(2**32 - 1, 1, 0, 0, 0) + b"x" * 100)  # no record has this length
         with socket.socket(socket.AF_UNIX) as raw:
             raw.connect(str(recorder.socket))
+            bad_topic = control(Declare(3, "/~~~", schemas.LOG)).replace(b"~~~", b"\xed\xa0\x80")
+            bad_values = msgspec.msgpack.encode({"type": "Metadata", "name": "run", "values": 3})
             raw.sendall(
-                encode(Kind.MESSAGE, 5, 0, 0, 0, b"never declared")
-                + encode(Kind.DECLARE, 1, 0, 0, 0, b"{not json")
-                + encode_json(Kind.DECLARE, 1, 0, {"topic": "/x", "schema": "no_msgs/msg/Nothing"})
-                + encode_json(Kind.METADATA, 0, 0, {"name": "run", "values": 3})
-                + encode(Kind.ATTACHMENT, 0, 0, 0, 0, b"no head line")
-                + encode(99, 0, 0, 0, 0, b"no such kind")
-                + encode_json(Kind.DECLARE, 2, 0, {"topic": "/step", "schema": schemas.CONTROLLER_STEP})
-                + encode(Kind.MESSAGE, 2, 0, 0, 0, b"no controller step")
-                + encode(Kind.MESSAGE, 2, -1, 0, 0, b"before 1970")
-                + encode_json(Kind.DECLARE, 3, 0, {"topic": "/\ud800", "schema": schemas.LOG})
-                + encode(Kind.ATTACHMENT, 0, -1, 0, 0, b'{"name": "a", "media_type": "b"}\n')
+                encode(5, 0, 0, 0, b"never declared")
+                + encode(CONTROL, 0, 0, 0, b"no MessagePack")
+                + control(Declare(1, "/x", "no_msgs/msg/Nothing"))
+                + encode(CONTROL, 0, 0, 0, bad_values)
+                + encode(CONTROL, 0, 0, 0, msgspec.msgpack.encode({"type": "Unknown"}))
+                + control(Declare(2, "/step", schemas.CONTROLLER_STEP))
+                + encode(2, 0, 0, 0, b"no controller step")
+                + encode(2, -1, 0, 0, b"before 1970")
+                + bad_topic
+                + control(Attachment("a", "b", b""), -1)
             )  # fmt: skip
         good.write(channel, 1, 1, 1, timing(1))
         good.close()
     log = LogFile(recorder.out)
     assert log.complete
-    assert recorder.statistics.invalid == 11
+    assert recorder.statistics.invalid == 10
     assert [m.data for m in log.messages({"/t"})] == [timing(1)]
     texts = "\n".join(LogRow.unpack(m.data).msg for m in log.messages({"/rosout"}))
-    assert "channel 5, which was never declared" in texts
+    assert "record of channel 5: it was never declared" in texts
     assert "unknown message type 'no_msgs/msg/Nothing'" in texts
 
 
@@ -163,18 +175,19 @@ def test_slow_recorder_never_blocks_real_time_and_drops_are_counted(tmp_path, ve
         assert len(client._buffer) <= vehicles * feed.BUFFER_LIMIT
     assert client.alive
     assert 0 < client.dropped <= total - vehicles * feed.BUFFER_LIMIT // 10_100
-    splitter, records = Splitter(), []
+    received, records = bytearray(), []
     peer.setblocking(False)
-    while not records or records[-1].kind != Kind.LOSSES or client._buffer:
+    while not records or records[-1].channel != CONTROL or client._buffer:
         client.flush()
         try:
-            records += splitter.feed(peer.recv(2**20))
+            received += peer.recv(2**20)
         except BlockingIOError:
             continue
-    messages = [r for r in records if r.kind == Kind.MESSAGE]
+        records += split(received)
+    messages = [r for r in records if r.channel != CONTROL]
     assert [m.sequence for m in messages] == list(range(len(messages)))  # the oldest records are complete
     assert len(messages) + client.dropped == total
-    assert f'"dropped": {client.dropped}'.encode() in records[-1].payload
+    assert msgspec.msgpack.decode(records[-1].payload, type=Losses).dropped == client.dropped
     client.close()
     peer.close()
     server.close()
@@ -187,9 +200,10 @@ def test_lossless_waits_for_a_slow_recorder(tmp_path):
     sequences = []
 
     def read_slowly():
-        splitter = Splitter()
+        received = bytearray()
         while data := peer.recv(4096):
-            sequences.extend(r.sequence for r in splitter.feed(data) if r.kind == Kind.MESSAGE)
+            received.extend(data)
+            sequences.extend(r.sequence for r in split(received) if r.channel != CONTROL)
 
     reader = threading.Thread(target=read_slowly)
     reader.start()
@@ -259,20 +273,19 @@ def test_paths_that_are_taken(tmp_path):
 
 def test_drops_reported_by_a_client_are_in_the_log(tmp_path):
     recorder = Recorder(McapFile(tmp_path / "x.mcap"))
-    splitter = Splitter()
+    client = recorder.client()
     for dropped in (0, 3, 3, 8):
-        data = encode_json(Kind.LOSSES, 0, 0, {"client": "onboard", "dropped": dropped})
+        data = control(Losses("onboard", dropped))
         for i in range(0, len(data), 5):  # the data may be split at any byte
-            for record in splitter.feed(data[i : i + 5]):
-                recorder.handle(1, record)
-    recorder.handle(1, *splitter.feed(encode(Kind.GOODBYE, 0, 0, 0, 0, b"")))
-    recorder.gone(1, 0)
-    counts = recorder.finish()
+            recorder.take(client, data[i : i + 5])
+    recorder.take(client, control(Goodbye()))
+    recorder.gone(client)
+    recorder.finish()
     log = LogFile(tmp_path / "x.mcap")
     texts = [LogRow.unpack(m.data).msg for m in log.messages({"/rosout"})]
     assert texts == [f"onboard dropped {n} records so far: the recorder did not keep up" for n in (3, 8)]
     assert log.metadata()["losses"] == {"onboard": "8"}
-    assert problems(counts) == ["onboard dropped 8 records, the recorder did not keep up"]
+    assert problems(recorder.statistics) == ["onboard dropped 8 records, the recorder did not keep up"]
 
 
 def test_no_recorder_is_a_clear_error(tmp_path):

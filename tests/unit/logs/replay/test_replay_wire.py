@@ -12,7 +12,7 @@ from bridge.target.odometry import RawSample, sample_of
 from flightstack.core.types import Inputs
 from logs.compare import Tally
 from logs.reader.reader import LogFile
-from logs.replay.read import SINK, SOURCE, FlightInputs, TickRecord
+from logs.replay.read import FlightInputs, TickRecord
 from logs.replay.replay import replay
 from logs.replay.wire import WireReplay
 from logs.schema.controller_rows import TickInputs
@@ -27,6 +27,7 @@ from tests.unit.mavlink.codec.frames_of_messages import packed
 pytestmark = pytest.mark.slow
 
 GOLDEN = path_of("contact")
+SOURCE, SINK = "/uas1/mavlink_source", "/uas1/mavlink_sink"
 
 POSITION, ANSWER = dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, dialect.MAVLINK_MSG_ID_TIMESYNC
 SKIPPED = 200  # messages of this kind before the changed one, so that the flight is in progress
@@ -60,7 +61,7 @@ def frame_changed(target, topic, message_id, byte):
 def misread(path):
     """Return the names of the inputs that differ if they are computed from the recorded data."""
     flight = FlightInputs(path)
-    wire = WireReplay(flight.config(), 1, True, flight.onboard["autopilot"], 1, found := Tally())
+    wire = WireReplay(flight, flight.config(), True, flight.onboard["autopilot"], 1, found := Tally())
     for tick in flight.ticks():
         wire.take(tick, tick.given)
     return found.first
@@ -164,7 +165,8 @@ def test_samples_that_never_decoded_do_not_disturb_and_their_refusal_is_compared
         ([refusal, "no heartbeat of system 1, component 1 for 4 s: no data arrives"], 0),
     ):
         record = tick_of([b"\x00\x01\x02", payload], said)
-        WireReplay(CONFIG, 1, False, PX4.name, 1, found := Tally()).take(record, record.given)
+        wire = WireReplay(FlightInputs(GOLDEN), CONFIG, False, PX4.name, 1, found := Tally())
+        wire.take(record, record.given)
         assert sum(d.topic == "/rosout" for d in found.first) == count, found
         assert [d.field for d in found.first if d.topic == "wire, inputs"] == ["target_samples.length"]
 
