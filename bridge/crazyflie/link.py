@@ -114,28 +114,30 @@ class LogBlocks:
         return next((name for name, heard_s in self._heard_s.items() if heard_s == -math.inf), None)
 
 
+class _LostError(Exception):
+    """The connection has ended; the text is the reason."""
+
+
 class CrazyflieLink:
     """Link to one Crazyflie by URI; opens the connection again after each loss until closed."""
 
     def __init__(self, uri: str, cache: Path | None = None) -> None:
         """Start connecting; a ``cache`` folder for tables of contents makes a second connection fast."""
-        self.events_lost = 0  # number of events dropped from a full queue, oldest first
         self._uri, self._cache = uri, cache
         self._temporary = tempfile.TemporaryDirectory()  # tables of contents without a given folder
         self._events: deque[tuple[float, Event]] = deque(maxlen=EVENTS_MAX)
-        self._lock = threading.Lock()
         self._outbox = Outbox()
         self._closing = threading.Event()
         self._read_fd, self._write_fd = os.pipe()
         os.set_blocking(self._read_fd, False)
         os.set_blocking(self._write_fd, False)
-        self._heard_s = 0.0
-        self._broken: str | None = None
+        self._heard_s = 0.0  # time of the newest answer
+        self._broken: str | None = None  # reason why the present connection is lost, or None
         self._protocol: int | None = None  # CRTP protocol of the last connection
         self._current: Any = None  # cflib's object of the present connection
         self._flown_s = -math.inf  # time of the last set-point sent
-        self._fully = threading.Event()
-        # cflib logs a trace for every packet that it cannot use; this class counts lost packets instead.
+        self._fully = False  # whether the start-up requests of cflib are answered
+        # cflib logs a trace for every packet that it cannot use
         logging.getLogger("cflib").setLevel(logging.CRITICAL)
         cflib.crtp.init_drivers()
         self._thread = threading.Thread(target=self._run, name="crazyflie-link", daemon=True)
@@ -150,10 +152,7 @@ class CrazyflieLink:
         with suppress(BlockingIOError):
             while os.read(self._read_fd, 4096):
                 pass
-        with self._lock:
-            events = list(self._events)
-            self._events.clear()
-        return events
+        return [self._events.popleft() for _ in range(len(self._events))]
 
     def send(self, packet: Packet) -> None:
         """Queue a packet; never blocks. A newer velocity or pose replaces one that is not sent yet."""
@@ -169,10 +168,7 @@ class CrazyflieLink:
         os.close(self._write_fd)
 
     def _put(self, event: Event) -> None:
-        arrived = time.monotonic(), event
-        with self._lock:
-            self.events_lost += len(self._events) == EVENTS_MAX
-            self._events.append(arrived)
+        self._events.append((time.monotonic(), event))
         with suppress(OSError):  # a full pipe is already readable; a closed pipe has no reader
             os.write(self._write_fd, b"\x00")
 
@@ -180,7 +176,9 @@ class CrazyflieLink:
         while not self._closing.is_set():
             crazyflie = Crazyflie(rw_cache=str(self._cache or self._temporary.name))
             try:
-                reason = self._connection(crazyflie)
+                self._connection(crazyflie)
+            except _LostError as error:
+                reason = str(error)
             except Exception as error:  # cflib raises plain Exception
                 reason = f"{type(error).__name__}: {error}"
             finally:
@@ -189,12 +187,12 @@ class CrazyflieLink:
                 self._put(Lost(reason))
                 self._closing.wait(REOPEN_S if self._flies else RETRY_S)
 
-    def _connection(self, crazyflie: Any) -> str:
+    def _connection(self, crazyflie: Any) -> None:
+        """Open the link and pass on packets and events; raise an exception when the connection ends."""
         if not self._flies:
             self._outbox.clear()  # drop packets that are older than this connection
-        self._broken, self._heard_s = None, time.monotonic()
-        self._fully.clear()
-        self._current = crazyflie
+        begin_s = self._heard_s = time.monotonic()
+        self._broken, self._fully, self._current = None, False, crazyflie
 
         def put(event: Event) -> None:
             if self._current is crazyflie:
@@ -204,52 +202,54 @@ class CrazyflieLink:
         crazyflie.open_link(self._uri)
         if self._flies and self._protocol is not None:  # set-points need a known packet format
             crazyflie.platform._protocolVersion = self._protocol
-        reason = self._wait_connected(crazyflie)
-        if reason is not None:
-            return reason
+        while not self._fully:
+            self._pass_on(crazyflie, 0.05)
+            unanswered = self._flies and self._heard_s <= begin_s
+            silent_max_s = UNANSWERED_S if unanswered else ANSWER_MAX_S
+            if time.monotonic() > min(self._heard_s + silent_max_s, begin_s + CONNECT_MAX_S):
+                raise _LostError(
+                    f"no answer from {self._uri}: is it switched on, and are channel and address right?"
+                )
         protocol = self._protocol = crazyflie.platform.get_protocol_version()
         try:
             logs = LogBlocks(crazyflie, put)
         except ValueError as error:
-            return too_old(protocol) or str(error)
+            raise _LostError(too_old(protocol) or str(error)) from error
         deadline_s = time.monotonic() + LOGS_MAX_S
         while (name := logs.waits_for) is not None:
-            if self._ended or time.monotonic() > deadline_s:
-                return self._broken or f"the Crazyflie sends no {name} log"
+            if time.monotonic() > deadline_s:
+                raise _LostError(f"the Crazyflie sends no {name} log")
             logs.step()
             self._pass_on(crazyflie, 0.02)
         crazyflie.param.add_update_callback(cb=lambda name, value: put(ParamValue(name, str(value))))
         groups = crazyflie.param.values
         found = {name: groups.get(name.partition(".")[0], {}).get(name.partition(".")[2]) for name in PARAMS}
         self._put(Connected(protocol, {name: str(n) for name, n in found.items() if n is not None}))
-        while not self._ended:
+        while True:
             logs.step()
             packet = self._pass_on(crazyflie, 0.1)
             if packet is Order.RECONNECT:
-                return "silent"
+                raise _LostError("silent")
             find = crazyflie.param.toc.get_element_by_complete_name
             if isinstance(packet, SetParam) and find(packet.name) is None:
                 put(ParamValue(packet.name, None))
-            elif isinstance(packet, SetParam | Pose):
+            elif packet is not None:
                 _transmit(crazyflie, packet)
-        return self._broken or "closed"
 
     @property
     def _flies(self) -> bool:
         """Whether the vehicle flies, so that set-points continue while the connection is opened again."""
         return not self._closing.is_set() and time.monotonic() - self._flown_s < FLOWN_S
 
-    @property
-    def _ended(self) -> bool:
-        return self._closing.is_set() or self._broken is not None
-
     def _pass_on(self, crazyflie: Any, wait_s: float) -> Packet | None:
         """Wait for a packet and send it; set-points and orders are sent as soon as the link is open.
 
         They do not wait for the set-up of the connection, so that a blind landing continues; without a link
-        they are dropped.
+        they are dropped. Other packets are returned. Raises _LostError: the connection has ended.
         """
         packet = self._outbox.get(wait_s, time.monotonic)
+        if self._closing.is_set() or self._broken is not None:
+            raise _LostError(self._broken or "closed")
         if not isinstance(packet, Velocity | Order) or packet is Order.RECONNECT:
             return packet
         if isinstance(packet, Velocity):
@@ -259,21 +259,6 @@ class CrazyflieLink:
         # before the protocol version is known, cflib would send an outdated packet format
         if crazyflie.link is not None and crazyflie.platform.get_protocol_version() >= 0:
             _transmit(crazyflie, packet)
-        return None
-
-    def _wait_connected(self, crazyflie: Any) -> str | None:
-        begin_s = time.monotonic()
-        deadline_s = begin_s + CONNECT_MAX_S
-        while not self._fully.is_set():
-            self._pass_on(crazyflie, 0.05)
-            now_s = time.monotonic()
-            if self._broken is not None:
-                return self._broken
-            if self._closing.is_set():
-                return "closed"
-            unanswered = self._flies and self._heard_s < begin_s
-            if now_s - self._heard_s > (UNANSWERED_S if unanswered else ANSWER_MAX_S) or now_s > deadline_s:
-                return f"no answer from {self._uri}: is it switched on, and are channel and address right?"
         return None
 
     def _close(self, crazyflie: Any) -> None:
@@ -311,7 +296,7 @@ class CrazyflieLink:
 
         def fully(_uri: str) -> None:
             if self._current is crazyflie:
-                self._fully.set()
+                self._fully = True
                 self._outbox.wake()
 
         def broken(_uri: str, reason: str) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, IntFlag
@@ -57,31 +56,22 @@ class Outbox:
 
     def __init__(self) -> None:
         self._ready = threading.Condition()
-        self._orders: deque[Order | SetParam] = deque()
+        self._orders: list[Order | SetParam] = []
         self._newest: dict[type, tuple[Velocity | Pose, float]] = {}  # newest of each kind, with its time, s
         self._woken = False
 
     def put(self, packet: Packet, now_s: float) -> None:
-        """Add a packet; motors-off deletes the queued velocity."""
+        """Add a packet; motors-off deletes the queued velocity and always has room."""
         with self._ready:
             if isinstance(packet, Velocity | Pose):
                 self._newest[type(packet)] = packet, now_s
-            else:
-                self._add_order(packet)
+            elif packet in _URGENT:
+                self._newest.pop(Velocity, None)
+                del self._orders[ORDERS_MAX - 1 :]
+                self._orders.insert(0 if packet is Order.EMERGENCY_STOP else ORDERS_MAX, packet)
+            elif len(self._orders) < ORDERS_MAX:
+                self._orders.append(packet)
             self._ready.notify()
-
-    def _add_order(self, order: Order | SetParam) -> None:
-        urgent = order in _URGENT
-        if urgent:
-            self._newest.pop(Velocity, None)
-        if len(self._orders) >= ORDERS_MAX:
-            if not urgent:
-                return
-            self._orders.pop()
-        if order is Order.EMERGENCY_STOP:
-            self._orders.appendleft(order)
-        else:
-            self._orders.append(order)
 
     def get(self, timeout_s: float, clock: Callable[[], float]) -> Packet | None:
         """Return the next packet; None: no packet arrived within the time-out."""
@@ -89,7 +79,7 @@ class Outbox:
             self._ready.wait_for(lambda: self._woken or self._orders or self._newest, timeout_s)
             self._woken = False
             if self._orders:
-                return self._orders.popleft()
+                return self._orders.pop(0)
             for kind in (Velocity, Pose):
                 packet, since_s = self._newest.pop(kind, (None, 0.0))
                 if packet is not None and (kind is Pose or clock() - since_s <= VELOCITY_AGE_MAX_S):
@@ -221,7 +211,6 @@ PROOF_S, PATIENCE_S = 0.05, 0.3
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # difference to the expected time above which the firmware may have restarted, ms
 _DRIFT = 0.1  # maximum drift of a simulated firmware's clock; the clock of CrazySim ran at 0.97
-_MAGNITUDE = (1 << 9) - 1  # largest magnitude of an element; the sign is a separate bit (quatcompress.h)
 
 
 class BootClock:
@@ -267,14 +256,17 @@ class BootClock:
 
 def decode_state(v: Mapping[str, int], boot_ms: int, at_s: float) -> CrazyflieState:
     """Decode the variables of ``STATE``; ``boot_ms``: continuous firmware time; ``at_s``: arrival time."""
+    from cflib.utils.encoding import decompress_quaternion  # a late import: the package is an extra
+
     x, y, z, vx, vy, vz = (v[name] / 1000.0 for name in STATE.variables[:6])
+    qx, qy, qz, qw = decompress_quaternion(v["stateEstimateZ.quat"]).tolist()
     roll, pitch, yaw = (v[f"stateEstimateZ.rate{axis}"] / 1000.0 for axis in ("Roll", "Pitch", "Yaw"))
     return CrazyflieState(
         at_s,
         boot_ms,
         (x, y, z),
         (vx, vy, vz),
-        decompress_quaternion(v["stateEstimateZ.quat"]),
+        (qw, qx, qy, qz),
         (roll, -pitch, yaw),  # the firmware's pitch has the opposite sign (stabilizer.c, compressState)
         Info(v["supervisor.info"] & sum(Info)),
         v["pm.vbatMV"] / 1000.0,
@@ -285,20 +277,3 @@ def decode_health(v: Mapping[str, Any], at_s: float) -> Health:
     variance = (v["kalman.varPX"], v["kalman.varPY"], v["kalman.varPZ"])
     throttle = sum(v[name] for name in _MOTORS) / (4.0 * _PWM_MAX)
     return Health(at_s, variance, Power(int(v["pm.state"])), int(v["pm.batteryLevel"]), throttle)
-
-
-def decompress_quaternion(packed: int) -> Quat:
-    """Decode 32 bits into a unit quaternion w, x, y, z: index of the largest element, then the three others.
-
-    The largest is positive and follows from the norm; the wire order is x, y, z, w (quatcompress.h).
-    """
-    largest = packed >> 30
-    xyzw = [0.0] * 4
-    for i in (3, 2, 1, 0):
-        if i == largest:
-            continue
-        magnitude = math.sqrt(0.5) * (packed & _MAGNITUDE) / _MAGNITUDE
-        xyzw[i] = -magnitude if packed & (_MAGNITUDE + 1) else magnitude
-        packed >>= 10
-    xyzw[largest] = math.sqrt(max(0.0, 1.0 - sum(e * e for e in xyzw)))
-    return (xyzw[3], xyzw[0], xyzw[1], xyzw[2])

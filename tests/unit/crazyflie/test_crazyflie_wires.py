@@ -22,7 +22,6 @@ from bridge.crazyflie.packets import (
     SetParam,
     Velocity,
     decode_state,
-    decompress_quaternion,
 )
 from bridge.crazyflie.process import Loop
 from bridge.crazyflie.rules import DRAG, UNKNOWN_DRAG
@@ -40,12 +39,6 @@ from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.supervisor import State
 from tests.unit.mavlink.codec.frames_of_messages import packed
 
-UNIT = (
-    st.tuples(*[st.floats(-1.0, 1.0)] * 4)
-    .filter(lambda q: sum(e * e for e in q) > 0.01)
-    .map(lambda q: tuple(e / math.sqrt(sum(x * x for x in q)) for e in q))
-)
-
 
 def test_only_a_missing_usb_device_gets_the_remedy():
     failed = "Couldn't load link driver: "
@@ -53,14 +46,6 @@ def test_only_a_missing_usb_device_gets_the_remedy():
         "Cannot find a Crazyradio Dongle: plug it in; on Linux install Bitcraze's udev rules"
     )
     assert with_remedy(f"{failed}[Errno 111]") == f"{failed}[Errno 111]"
-
-
-@given(UNIT)
-def test_quaternions_survive_compression_to_a_quarter_of_a_degree(q):
-    back = decompress_quaternion(quaternion_bits(q))
-    assert sum(e * e for e in back) == pytest.approx(1.0)
-    angle = 2.0 * math.acos(min(1.0, abs(sum(a * b for a, b in zip(q, back, strict=True)))))
-    assert math.degrees(angle) < 0.3
 
 
 def test_pitch_rate_is_turned_the_right_way_round():
