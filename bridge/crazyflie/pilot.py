@@ -27,116 +27,104 @@ REFUSED = "the supervisor refused"
 _OFF = (Order.STOP, Order.NOTIFY_STOP, Order.DISARM)
 
 
+class _Goal(Enum):
+    ARM = auto()
+    OFF = auto()
+    NOTICE = auto()  # if the notice is lost, the supervisor reports a lost link two seconds later
+
+
 @dataclass(slots=True)
 class _Request:
+    goal: _Goal
     since_s: float
     sent_s: float
-    forced: bool = False
-    refused: bool = False
+    forced: bool = False  # OFF: a disarm that must also work in flight
+    latched: bool = False  # OFF: an emergency stop is sent, too
+    refused: bool = False  # ARM: the supervisor has refused at least once
+    left: int = NOTICES  # NOTICE: number of packets still to be sent
 
 
 class Arming:
-    """Requests to arm or to stop the motors: each is repeated until its effect is observed or a time-out."""
+    """Request to arm or to stop the motors: repeated until its effect is observed or a time-out."""
 
     def __init__(self) -> None:
         self.armed = False  # whether a client of this bridge armed, and the firmware confirmed it
-        self._arm: _Request | None = None
-        self._off: _Request | None = None
-        self._latched = False
-        self._notices, self._notice_s = 0, 0.0
+        self._request: _Request | None = None
         self._arms_itself = False
 
     @property
     def arming(self) -> bool:
-        return self._arm is not None
+        return self._request is not None and self._request.goal is _Goal.ARM
 
     @property
     def busy(self) -> bool:
         """Whether a packet must still be sent or an effect must still be observed."""
-        return self._arm is not None or self._off is not None or self._notices > 0
+        return self._request is not None
 
     def ask(self, state: CrazyflieState, now_s: float) -> list[Packet]:
         """Start to arm the vehicle and return the packets; firmware that arms itself needs no packet."""
-        self._off, self._notices = None, 0
-        if state.info & Info.ARMED:
-            self.armed = True
-            return []
-        self._arm, self._arms_itself = _Request(now_s, now_s), bool(state.info & Info.AUTO_ARM)
-        return [Order.ARM]
+        self.armed, self._arms_itself = bool(state.info & Info.ARMED), bool(state.info & Info.AUTO_ARM)
+        self._request = None if self.armed else _Request(_Goal.ARM, now_s, now_s)
+        return [] if self.armed else [Order.ARM]
 
     def refused_by(self, reply: ArmReply) -> bool:
         """Whether an answer ends the request; while the firmware arms itself, its refusals do not."""
-        if self._arm is None or reply.accepted:
+        if self._request is None or not self.arming or reply.accepted:
             return False
-        self._arm.refused = True
+        self._request.refused = True
         if not self._arms_itself:
-            self._arm = None
+            self._request = None
         return not self._arms_itself
 
-    def off(self, now_s: float, *, forced: bool) -> list[Packet]:
+    def off(self, now_s: float, *, forced: bool, latched: bool = False) -> list[Packet]:
         """Return the packets that stop the motors; a repeated call returns them again, if they were lost."""
-        self.armed, self._arm = False, None
-        since_s = self._off.since_s if self._off is not None and self._off.forced else now_s
-        self._off = _Request(since_s, now_s, forced or (self._off is not None and self._off.forced))
+        self.armed, before = False, self._request
+        request = self._request = _Request(_Goal.OFF, now_s, now_s, forced, latched)
+        if before is not None and before.goal is _Goal.OFF:
+            request.latched = latched or before.latched
+            if before.forced:
+                request.since_s, request.forced = before.since_s, True
         return list(_OFF)
 
     def emergency(self, now_s: float) -> list[Packet]:
-        packets = self.off(now_s, forced=True)
-        self._latched = True
-        return [Order.EMERGENCY_STOP, *packets]
+        return [Order.EMERGENCY_STOP, *self.off(now_s, forced=True, latched=True)]
 
     def forget(self, *, armed: bool) -> None:
-        """Drop all open requests because the link is lost."""
-        self.armed, self._arm, self._off, self._latched = armed, None, None, False
-        self._notices = 0
+        """Drop the open request because the link is lost."""
+        self.armed, self._request = armed, None
 
     def step(self, state: CrazyflieState | None, now_s: float) -> tuple[list[Packet], str | None]:
         """Return the packets to repeat, and a text if a request has failed."""
-        if self._arm is not None:
-            return self._step_arm(self._arm, state, now_s)
-        if self._off is not None:
-            return self._step_off(self._off, state, now_s)
-        if self._notices and now_s - self._notice_s >= REPEAT_S - 1e-9:
-            self._notices, self._notice_s = self._notices - 1, now_s
-            return [Order.NOTIFY_STOP], None
-        return [], None
-
-    def _step_arm(
-        self, request: _Request, state: CrazyflieState | None, now_s: float
-    ) -> tuple[list[Packet], str | None]:
-        if state is not None and state.at_s > request.since_s and state.info & Info.ARMED:
-            self.armed, self._arm = True, None
+        request = self._request
+        if request is None:
             return [], None
-        if now_s - request.since_s > ARM_MAX_S:
-            self._arm = None
-            return [], REFUSED if request.refused else "the supervisor did not answer"
-        return self._repeat(request, (Order.ARM,), now_s), None
-
-    def _step_off(
-        self, request: _Request, state: CrazyflieState | None, now_s: float
-    ) -> tuple[list[Packet], str | None]:
-        after_s = now_s - request.since_s
-        fresh = state is not None and state.at_s > request.since_s + REPEAT_S  # later than the request
-        if fresh and state is not None and not state.info & Info.FLYING:
-            self._off, self._latched = None, False
-            # If the notice is lost, the supervisor reports a lost link two seconds later.
-            self._notices, self._notice_s = NOTICES, now_s
-            return [Order.NOTIFY_STOP], None
-        if after_s > OFF_MAX_S:
-            self._off, self._latched = None, False
-            return [], "Motors off was not confirmed" if request.forced else None
-        if request.forced and after_s > KILL_UNSEEN_S and not self._latched:
-            self._latched = True
-            return [Order.EMERGENCY_STOP], "Disarming had no effect: emergency stop, restart needed"
-        orders = (Order.EMERGENCY_STOP, *_OFF) if self._latched else _OFF
-        return self._repeat(request, orders, now_s), None
-
-    @staticmethod
-    def _repeat(request: _Request, orders: tuple[Packet, ...], now_s: float) -> list[Packet]:
+        after_s, goal, orders = now_s - request.since_s, request.goal, (Order.ARM,)
+        if goal is _Goal.ARM:
+            if state is not None and state.at_s > request.since_s and state.info & Info.ARMED:
+                self.armed, self._request = True, None
+                return [], None
+            if after_s > ARM_MAX_S:
+                self._request = None
+                return [], REFUSED if request.refused else "the supervisor did not answer"
+        elif goal is _Goal.OFF:
+            fresh = state is not None and state.at_s > request.since_s + REPEAT_S  # later than the request
+            if fresh and state is not None and not state.info & Info.FLYING:
+                self._request = _Request(_Goal.NOTICE, now_s, now_s)
+                return [Order.NOTIFY_STOP], None
+            if after_s > OFF_MAX_S:
+                self._request = None
+                return [], "Motors off was not confirmed" if request.forced else None
+            if request.forced and after_s > KILL_UNSEEN_S and not request.latched:
+                request.latched = True
+                return [Order.EMERGENCY_STOP], "Disarming had no effect: emergency stop, restart needed"
+            orders = (Order.EMERGENCY_STOP, *_OFF) if request.latched else _OFF
         if now_s - request.sent_s < REPEAT_S - 1e-9:
-            return []
+            return [], None
         request.sent_s = now_s
-        return list(orders)
+        if goal is _Goal.NOTICE:
+            orders, request.left = (Order.NOTIFY_STOP,), request.left - 1
+            self._request = request if request.left else None
+        return list(orders), None
 
 
 GAIN_1_S = 1.5  # position gain, 1/s; a third of the velocity loop's gain avoids overshoot

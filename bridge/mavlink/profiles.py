@@ -83,51 +83,27 @@ _ARM_DISARM = 400
 _CUSTOM_MODE_ENABLED = 1  # flag MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _AIRBORNE = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
 # MAV_TYPE of vehicles that hover and follow velocity set-points on all axes.
-_MULTIROTORS = frozenset(
-    {
-        dialect.MAV_TYPE_QUADROTOR,
-        dialect.MAV_TYPE_COAXIAL,
-        dialect.MAV_TYPE_HEXAROTOR,
-        dialect.MAV_TYPE_OCTOROTOR,
-        dialect.MAV_TYPE_TRICOPTER,
-        dialect.MAV_TYPE_DODECAROTOR,
-        dialect.MAV_TYPE_DECAROTOR,
-    }
+_MULTIROTORS = tuple(
+    getattr(dialect, f"MAV_TYPE_{name}")
+    for name in ("QUADROTOR", "COAXIAL", "HEXAROTOR", "OCTOROTOR", "TRICOPTER", "DODECAROTOR", "DECAROTOR")
 )
 
 
-_armed = attrgetter("armed")
-
-
-def _external(status: VehicleStatus) -> bool:
-    return status.mode is Mode.EXTERNAL
+# A vehicle in the air gets no take-off command and no change of mode for a take-off: another client may
+# control it.
 
 
 def _airborne(status: VehicleStatus) -> bool:
     return status.armed and status.landed in _AIRBORNE
 
 
-def _flying(status: VehicleStatus) -> bool:
-    # A vehicle in the air never receives a take-off command: another client may control it.
-    return status.armed and (status.mode is Mode.TAKEOFF or status.landed in _AIRBORNE)
-
-
 def _guided_or_airborne(status: VehicleStatus) -> bool:
     return status.mode in (Mode.EXTERNAL, Mode.TAKEOFF) or _airborne(status)
-
-
-def _guided_or_armed(status: VehicleStatus) -> bool:
-    return status.armed or _guided_or_airborne(status)
 
 
 def _landing(status: VehicleStatus) -> bool:
     # A vehicle disarmed in the air is a contradiction; on the ground the landing command is harmless.
     return status.mode is Mode.LAND or not (status.armed or status.landed in _AIRBORNE)
-
-
-def _offboard_or_airborne(status: VehicleStatus) -> bool:
-    # A take-off never changes the mode of a vehicle in the air: another client may control it.
-    return _external(status) or _airborne(status)
 
 
 def _may_arm_in_its_mode(status: VehicleStatus) -> bool:
@@ -149,13 +125,22 @@ def _takeoff(altitude_m: float) -> Params:
     return (None, None, None, None, None, None, altitude_m)
 
 
-_ARM = Step(_ARM_DISARM, "arm", _given(1.0, 0.0), _armed)
+_ARM = Step(_ARM_DISARM, "arm", _given(1.0, 0.0), attrgetter("armed"))
 _LAND = Step(_NAV_LAND, "land", _given(), _landing)
-_OFFBOARD = Step(_DO_SET_MODE, "switch to OFFBOARD", _to(FlightMode.OFFBOARD), _external, prestream=True)
+_OFFBOARD = Step(
+    _DO_SET_MODE,
+    "switch to OFFBOARD",
+    _to(FlightMode.OFFBOARD),
+    lambda s: s.mode is Mode.EXTERNAL,
+    prestream=True,
+)
 _HOLD = Step(
     _DO_SET_MODE, "switch to HOLD", _to(FlightMode.HOLD), _may_arm_in_its_mode, period_s=1.0, tries=3600
 )
-_OWN_TAKEOFF = (_ARM, Step(_NAV_TAKEOFF, "take off", _takeoff, _flying))
+_OWN_TAKEOFF = (
+    _ARM,
+    Step(_NAV_TAKEOFF, "take off", _takeoff, lambda s: _airborne(s) or (s.armed and s.mode is Mode.TAKEOFF)),
+)
 # A forced disarm is repeated for a minute.
 _KILL = Step(_ARM_DISARM, "force disarm", _given(0.0, FORCE), lambda s: not s.armed, blind=True, tries=120)
 PX4 = Profile(
@@ -173,7 +158,7 @@ PX4 = Profile(
         Request.NONE: (),
         # The take-off uses set-points: COM_OBL_RC_ACT acts only in OFFBOARD, so in the climb of AUTO.TAKEOFF
         # a crash of the companion would leave the vehicle hovering.
-        Request.TAKEOFF: (replace(_OFFBOARD, done=_offboard_or_airborne), _ARM),
+        Request.TAKEOFF: (replace(_OFFBOARD, done=lambda s: s.mode is Mode.EXTERNAL or _airborne(s)), _ARM),
         Request.EXTERNAL: (_OFFBOARD,),
         Request.LAND: (_LAND,),
         Request.MOTORS_OFF: (_KILL,),
@@ -206,7 +191,12 @@ CRAZYFLIE = replace(
     prepare=(),  # arming does not depend on the mode
 )
 
-_GUIDED = _given(_CUSTOM_MODE_ENABLED, 4.0, 0.0)
+_GUIDED = Step(
+    _DO_SET_MODE,
+    "switch to GUIDED",
+    _given(_CUSTOM_MODE_ENABLED, 4.0, 0.0),
+    lambda s: s.mode is Mode.EXTERNAL,
+)
 ARDUPILOT = Profile(
     name="ardupilot",
     title="ArduCopter, GUIDED",
@@ -221,12 +211,12 @@ ARDUPILOT = Profile(
     sequences={
         Request.NONE: (),
         Request.TAKEOFF: (
-            Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_airborne),
+            replace(_GUIDED, done=_guided_or_airborne),
             _ARM,
             # A repeated take-off restarts the spool-up of the motors, so the time between tries is longer.
             Step(_NAV_TAKEOFF, "take off", _takeoff, _airborne, period_s=4.0, tries=4),
         ),
-        Request.EXTERNAL: (Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _external),),
+        Request.EXTERNAL: (_GUIDED,),
         Request.LAND: (_LAND,),
         Request.MOTORS_OFF: (_KILL,),
     },
@@ -238,7 +228,7 @@ ARDUPILOT = Profile(
     needs_origin=True,
     # The pre-arm bit depends on the mode, so the mode is set first. ArduPilot acknowledges but drops a mode
     # change in the first seconds after boot, so the step repeats during the whole wait.
-    prepare=(Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_armed, period_s=1.0, tries=3600),),
+    prepare=(replace(_GUIDED, done=lambda s: s.armed or _guided_or_airborne(s), period_s=1.0, tries=3600),),
     asked_hz={dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0},  # requested because all SRx_ rates may be 0
 )
 
@@ -274,7 +264,7 @@ def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
             f"autopilot {chosen.autopilot}; choose the profile that fits, or auto"
         )
     if type_ not in _MULTIROTORS:
-        types = ", ".join(named("MAV_TYPE", number) for number in sorted(_MULTIROTORS))
+        types = ", ".join(named("MAV_TYPE", number) for number in _MULTIROTORS)
         name = named("MAV_TYPE", type_)
         return f"unsupported vehicle type {name} in the vehicle's heartbeat; supported are {types}"
     return None
