@@ -21,14 +21,10 @@ DOMAIN_MAX = 232  # largest domain id, which the DDS ports limit (ROS 2 document
 TOPIC_LENGTH_MAX = 247  # maximum length of a topic name (rmw validate_full_topic_name.h)
 NO_HASH = "TypeHashNotSupported"  # placeholder of ROS 2 Humble, which has no type hashes
 QOS_KEEP_10 = "::,10:,:,:,,"  # reliable, volatile, keep last 10; empty means rmw_zenoh's default (qos.cpp)
-_ADMIN = "@ros2_lv"
 _TOPIC = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
-_TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_TYPE = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)", re.ASCII)
-_HASH = re.compile(rf"RIHS01_[0-9a-f]{{64}}|{NO_HASH}")
+_HASH = rf"RIHS01_[0-9a-f]{{64}}|{NO_HASH}"
 _KEY = re.compile(
-    rf"(0|[1-9][0-9]{{0,2}})({_TOPIC.pattern})/([A-Za-z]\w*)::msg::dds_::([A-Za-z]\w*)_/({_HASH.pattern})",
-    re.ASCII,
+    rf"(0|[1-9][0-9]{{0,2}})({_TOPIC.pattern})/([A-Za-z]\w*)::msg::dds_::([A-Za-z]\w*)_/({_HASH})", re.ASCII
 )
 
 
@@ -46,6 +42,19 @@ class Node(NamedTuple):
     session: str  # id of the Zenoh session, as Zenoh prints it
     name: str
     namespace: str = "/"
+
+    def token(self, number: int, kind: str, *tail: str) -> str:
+        """Return a liveliness token, for ``ros2 node list`` and ``ros2 topic list``.
+
+        ``number`` is unique in the session; ``kind`` is NN for the node itself, MP for a publisher.
+        """
+        begin = ("@ros2_lv", str(self.domain), self.session, "0", str(number), kind)
+        return "/".join((*begin, "%", _mangle(self.namespace), self.name, *tail))  # "%": no enclave
+
+    def publisher_token(
+        self, number: int, topic: str, type_name: str, type_hash: str, qos: str = QOS_KEEP_10
+    ) -> str:
+        return self.token(number, "MP", _mangle(topic), _dds_type(type_name), type_hash, qos)
 
 
 def check_topic(topic: str) -> str:
@@ -66,21 +75,9 @@ def check_domain(domain: int) -> int:
     raise ValueError(f"ROS 2 domain id {domain} is out of range: allowed are 0 to {DOMAIN_MAX}")
 
 
-def dds_type(type_name: str) -> str:
-    """Return the name of a message type in DDS, such as ``nav_msgs::msg::dds_::Odometry_``."""
-    match = _TYPE.fullmatch(type_name)
-    if match is None:
-        raise ValueError(f"ROS 2 type {type_name!r}: PACKAGE/msg/NAME is needed, as in nav_msgs/msg/Odometry")
-    return f"{match[1]}::msg::dds_::{match[2]}_"
-
-
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """Return a topic's rmw_zenoh key ``DOMAIN/TOPIC/TYPE/HASH``. Raises ValueError: a part is malformed."""
-    if not _HASH.fullmatch(type_hash):
-        raise ValueError(
-            f"type hash {type_hash!r}: RIHS01_ and 64 hexadecimal digits are needed, or {NO_HASH}"
-        )
-    return f"{check_domain(domain)}{check_topic(topic)}/{dds_type(type_name)}/{type_hash}"
+    """Return a topic's rmw_zenoh key ``DOMAIN/TOPIC/TYPE/HASH``. Raises ValueError: bad domain or topic."""
+    return f"{check_domain(domain)}{check_topic(topic)}/{_dds_type(type_name)}/{type_hash}"
 
 
 def any_type_key(domain: int, topic: str) -> str:
@@ -97,39 +94,15 @@ def parse_topic_key(key: str) -> TopicKey | None:
     return TopicKey(int(domain), topic, f"{package}/msg/{name}", type_hash)
 
 
-def bridge_key(topic: str) -> str:
-    """Return the key of a topic behind zenoh-bridge-ros2dds: its name without the leading slash."""
-    return check_topic(topic).removeprefix("/")
-
-
-def node_token(node: Node) -> str:
-    """Return the liveliness token of a node, for ``ros2 node list``. Raises ValueError: bad name."""
-    return _token(node, 0, "NN")
-
-
-def publisher_token(
-    node: Node, number: int, topic: str, type_name: str, type_hash: str, qos: str = QOS_KEEP_10
-) -> str:
-    """Return a publisher's liveliness token; ``number`` is unique in the session, ``qos`` short form."""
-    topic_key(node.domain, topic, type_name, type_hash)  # raises ValueError if a part is malformed
-    return _token(node, number, "MP", _mangle(topic), dds_type(type_name), type_hash, qos)
-
-
 def publisher_id(token: str) -> bytes:
     """Return the 16-byte publisher id of every sample: XXH3-128 of the token, lowest byte first."""
     digest: bytes = xxhash.xxh3_128_digest(token.encode())
     return digest[::-1]
 
 
-def _token(node: Node, number: int, kind: str, *tail: str) -> str:
-    if node.namespace != "/":
-        check_topic(node.namespace)
-    if not _TOKEN.fullmatch(node.name):
-        raise ValueError(
-            f"ROS 2 node name {node.name!r}: letters, digits and underscores are allowed, no digit first"
-        )
-    begin = (_ADMIN, str(check_domain(node.domain)), node.session, "0", str(number), kind)
-    return "/".join((*begin, "%", _mangle(node.namespace), node.name, *tail))  # "%" stands for no enclave
+def _dds_type(type_name: str) -> str:
+    """Return the name of a message type in DDS, such as ``nav_msgs::msg::dds_::Odometry_``."""
+    return type_name.replace("/msg/", "::msg::dds_::") + "_"
 
 
 def _mangle(name: str) -> str:
@@ -158,15 +131,15 @@ class Ros2Node:
     ) -> None:
         """``domain``: ROS_DOMAIN_ID of the other nodes; topics have full names, whatever the namespace."""
         self._session = session
-        self._node = Node(domain, str(session.zid()), name, namespace)
-        self._tokens = [zenoh_link.liveliness_token(session, node_token(self._node))]
+        self._node = Node(check_domain(domain), str(session.zid()), name, namespace)
+        self._tokens = [zenoh_link.liveliness_token(session, self._node.token(0, "NN"))]
 
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
         """Announce a topic and declare its publisher; with a wrong type hash ROS 2 receives no sample."""
         # the node itself has number 0
-        token = publisher_token(self._node, len(self._tokens), topic, type_name, type_hash)
-        self._tokens.append(zenoh_link.liveliness_token(self._session, token))
         key = topic_key(self._node.domain, topic, type_name, type_hash)
+        token = self._node.publisher_token(len(self._tokens), topic, type_name, type_hash)
+        self._tokens.append(zenoh_link.liveliness_token(self._session, token))
         return Ros2Publisher(zenoh_link.dropping_publisher(self._session, key), publisher_id(token), self)
 
 

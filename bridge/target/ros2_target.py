@@ -24,7 +24,7 @@ from bridge.ros2.cdr import (
     decode_odometry,
     decode_pose,
 )
-from bridge.ros2.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topic_key
+from bridge.ros2.ros2_names import NO_HASH, any_type_key, check_topic, parse_topic_key
 from bridge.target.odometry import RawSample, excess_noise, raw_sample
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink
@@ -98,7 +98,8 @@ class TargetSpec:
     def key(self) -> str:
         if self.dialect is Dialect.RMW_ZENOH:
             return any_type_key(self.domain, self.name)
-        return bridge_key(self.name) if self.dialect is Dialect.ROS2DDS else self.name
+        # zenoh-bridge-ros2dds has a topic at its name without the leading slash
+        return check_topic(self.name)[1:] if self.dialect is Dialect.ROS2DDS else self.name
 
     def check_key(self, key: str) -> None:
         """Raise OdometryError if a key of a rmw_zenoh topic has another message type than expected."""
