@@ -98,7 +98,8 @@ class Arming:
         request = self._request
         if request is None:
             return [], None
-        after_s, goal, orders = now_s - request.since_s, request.goal, (Order.ARM,)
+        after_s, goal = now_s - request.since_s, request.goal
+        orders: tuple[Packet, ...] = (Order.ARM,)
         if goal is _Goal.ARM:
             if state is not None and state.at_s > request.since_s and state.info & Info.ARMED:
                 self.armed, self._request = True, None

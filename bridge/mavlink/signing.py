@@ -36,8 +36,6 @@ class SigningKey:
     path: Path | None = None
 
     def __post_init__(self) -> None:
-        if len(self.secret) != KEY_BYTES:
-            raise ValueError(f"signing key has {len(self.secret)} bytes: {KEY_BYTES} are needed; {_HELP}")
         if len(set(self.secret)) == 1:
             raise ValueError(f"signing key is one byte repeated, which can be guessed; {_HELP}")
 

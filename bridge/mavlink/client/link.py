@@ -88,9 +88,8 @@ class VehicleLink:
         self._heartbeat_at_s = self._hello_at_s = -math.inf
         self._hello = b""  # first heartbeat, repeated until a message of the vehicle arrives
         self._restarted_s = -math.inf  # time of the newest restart that was handled
-        self._warned: str | None = None
-        self._judged: object = None  # autopilot, type and profile at the last evaluation of ``refused``
         self._handlers: dict[int, Callable[[Message, float], None]] = {
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
             EVENT: self._on_event,
@@ -245,12 +244,6 @@ class VehicleLink:
         self._streams = StreamRequests(rates_hz, *self._target, profile.unset)
         self._origin_sender = OriginSender(self._origin if profile.needs_origin else None, self._target[0])
 
-    def _recognise(self, heartbeat: Message) -> None:
-        profile = found(heartbeat.autopilot)
-        if profile is not None and refusal(heartbeat.autopilot, heartbeat.type, None) is None:
-            self.adopt(profile)
-            self._say(dialect.MAV_SEVERITY_INFO, f"its heartbeat says: {profile.title}")
-
     def _may_stream(self, profile: Profile) -> bool:
         """Whether a set-point would neither end nor prevent a take-off of the vehicle."""
         if profile.stream_in_takeoff:
@@ -262,13 +255,20 @@ class VehicleLink:
     def _handle(self, message: Message, arrival_s: float) -> None:
         message_id: int = message.get_msgId()  # STATUSTEXT has a field named id, so .id cannot be used
         self._streams.seen(message_id)
-        if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT and self.state.profile is None:
-            self._recognise(message)
-        handler = self._handlers.get(message_id)
-        if handler is not None:
-            handler(message, arrival_s)
-        else:
-            self.state.update(message, arrival_s)
+        self._handlers.get(message_id, self.state.update)(message, arrival_s)
+
+    def _on_heartbeat(self, message: Message, arrival_s: float) -> None:
+        refused, profile = (
+            refusal(message.autopilot, message.type, self.state.profile),
+            found(message.autopilot),
+        )
+        if refused is not None and refused != self.refused:
+            self._say(dialect.MAV_SEVERITY_ERROR, refused)
+        self.refused = refused
+        if refused is None and self.state.profile is None and profile is not None:
+            self.adopt(profile)
+            self._say(dialect.MAV_SEVERITY_INFO, f"its heartbeat says: {profile.title}")
+        self.state.update(message, arrival_s)
 
     def _on_ack(self, message: Message, _arrival_s: float) -> None:
         self._sequencer.note_ack(message.command, message.result)
@@ -278,8 +278,7 @@ class VehicleLink:
             self._said(severity, text)
 
     def _on_event(self, message: Message, _arrival_s: float) -> None:
-        said = event_text(message)
-        if said is not None:
+        if (said := event_text(message)) is not None:
             self._said(*said)
 
     def _said(self, severity: int, text: str) -> None:
@@ -319,18 +318,6 @@ class VehicleLink:
                 self._origin_sender.restart()
                 self._say(dialect.MAV_SEVERITY_INFO, _RESTARTED)
             self._outgoing += self._streams.step(now_s)
-        self._warn()
-
-    def _warn(self) -> None:
-        state = self.state
-        said = (state.autopilot, state.type, state.profile)
-        if said == self._judged or state.autopilot is None or state.type is None:
-            return
-        self._judged = said
-        self.refused = refusal(state.autopilot, state.type, state.profile)
-        if self.refused is not None and self.refused != self._warned:
-            self._warned = self.refused
-            self._say(dialect.MAV_SEVERITY_ERROR, self.refused)
 
     def _say(self, severity: int, text: str) -> None:
         self._texts = [*self._texts, (severity, text)][-_TEXTS_MAX:]

@@ -37,14 +37,6 @@ class Kind(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Other:
-    """Another address that uses the vehicle's ids."""
-
-    first_s: float
-    last_s: float
-
-
-@dataclass(slots=True)
 class Senders:
     """Admits the frames of one vehicle. All times are on the caller's clock."""
 
@@ -63,7 +55,8 @@ class Senders:
     _steady: int = 0  # number of consecutive frames of the known sender
     _number: int = -1  # sequence number of the known sender's newest frame that was not repeated
     _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # newest frames, in order
-    _others: dict[Peer, _Other] = field(default_factory=dict)
+    # times of the first and of the newest frame of other addresses that use the vehicle's ids
+    _others: dict[Peer, tuple[float, float]] = field(default_factory=dict)
     _due: int = 1  # count of ignored frames at which the next notice is due
     _notices: list[str] = field(default_factory=list)
 
@@ -77,7 +70,7 @@ class Senders:
     @property
     def suspects(self) -> bool:
         """Whether another address, perhaps a second vehicle, has sent recently; this blocks arming."""
-        return any(self._now_s - other.last_s <= SILENT_S for other in self._others.values())
+        return any(self._now_s - last_s <= SILENT_S for _, last_s in self._others.values())
 
     def take_notices(self) -> list[str]:
         """Return the texts for the operator since the last call."""
@@ -159,13 +152,13 @@ class Senders:
 
     def _note(self, peer: Peer, now_s: float, *, well: bool) -> None:
         """Record another address; an address that alternates with the known one is a second sender."""
-        other = self._others.get(peer)
-        if other is None or now_s - other.last_s > SILENT_S:
+        first_s, last_s = self._others.get(peer, (now_s, -math.inf))
+        if now_s - last_s > SILENT_S:
+            first_s = now_s
             if len(self._others) >= _OTHERS_MAX:
                 del self._others[next(iter(self._others))]
-            self._others[peer] = other = _Other(now_s, now_s)
-        other.last_s = now_s
-        if well and self._known_s - other.first_s >= _APART_S and self.known is not None:
+        self._others[peer] = (first_s, now_s)
+        if well and self._known_s - first_s >= _APART_S and self.known is not None:
             self.doubled = (
                 f"two senders have the vehicle's ids: {_at(self.known)} and {_at(peer)}; stop one of them, "
                 "or give it another system id (PX4 MAV_SYS_ID, ArduPilot MAV_SYSID or SYSID_THISMAV), which "

@@ -40,21 +40,16 @@ _FTP_FAIL = 1
 _FTP_BYTES = 251
 _FTP_HEADER = 12  # bytes: sequence (2), session, opcode, size, requested opcode, burst, padding, offset (4)
 # Mission, fence and rally points: known types of items; the vehicle has no items.
-_TYPES = frozenset(
-    {dialect.MAV_MISSION_TYPE_MISSION, dialect.MAV_MISSION_TYPE_FENCE, dialect.MAV_MISSION_TYPE_RALLY}
-)
+_TYPES = (dialect.MAV_MISSION_TYPE_MISSION, dialect.MAV_MISSION_TYPE_FENCE, dialect.MAV_MISSION_TYPE_RALLY)
 _ALL = dialect.MAV_MISSION_TYPE_ALL
 _ITEM_REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
-_MISSIONS = (
-    *_ITEM_REQUESTS,
-    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
-    dialect.MAVLINK_MSG_ID_MISSION_COUNT,
-    dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
-    dialect.MAVLINK_MSG_ID_MISSION_ITEM,
-    dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT,
-    dialect.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST,
-    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST,
-)
+_MISSIONS = tuple(
+    getattr(dialect, f"MAVLINK_MSG_ID_MISSION_{name}")
+    for name in (
+        "REQUEST", "REQUEST_INT", "REQUEST_LIST", "COUNT", "CLEAR_ALL", "ITEM", "ITEM_INT",
+        "WRITE_PARTIAL_LIST", "REQUEST_PARTIAL_LIST",
+    )
+)  # fmt: skip
 _REFUSED_SETPOINTS = {
     dialect.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: "attitude",
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: "global position",
