@@ -62,11 +62,6 @@ class Name:
             not self.before or number < minor(self.before)
         )
 
-    @property
-    def where(self) -> str:
-        ends = (f"from {self.since}" if self.since else "", f"before {self.before}" if self.before else "")
-        return " ".join(filter(None, ends))
-
 
 @dataclass(frozen=True, slots=True)
 class Rule:
@@ -134,17 +129,7 @@ def _numbers(values: tuple[str, ...]) -> set[float]:
 class Asked(NamedTuple):
     name: Name
     rule: Rule
-    others: tuple[tuple[Name, bool], ...]  # names in other releases; True: the value can be converted
-
-    def elsewhere(self, value: float | None) -> str:
-        """Return names and convertible values in other releases; empty: the names are equal."""
-        texts = []
-        for other, converts in self.others:
-            converted = ""
-            if value is not None and converts:
-                converted = f" {value * self.name.scale / other.scale:g} {other.unit}".rstrip()
-            texts.append(f"{other.name}{converted} {other.where}")
-        return ", ".join(texts)
+    names: frozenset[str]  # names of the setting in all releases
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,18 +141,13 @@ class Table:
     def asked(self, profile: str, release: str) -> tuple[Asked, ...]:
         """Return the parameters of one of the table's releases for one of its profiles."""
         rules = [rule for rule in self.rule if not rule.profiles or profile in rule.profiles]
-        found = []
-        for rule in rules:
-            for name in (each for each in rule.names if each.has(release)):
-                others = tuple(
-                    (other, twin is rule)
-                    for twin in rules
-                    if twin.means == rule.means
-                    for other in twin.names
-                    if not other.has(release) and other.name != name.name
-                )
-                found.append(Asked(name, rule, others))
-        return tuple(found)
+        names = [(rule.means, name.name) for rule in rules for name in rule.names]
+        return tuple(
+            Asked(name, rule, frozenset(other for means, other in names if means == rule.means))
+            for rule in rules
+            for name in rule.names
+            if name.has(release)
+        )
 
 
 def minor(release: str) -> tuple[int, int]:
@@ -200,14 +180,12 @@ class Finding:
     wanted: str
     why: str
     means: str  # name of the setting, the same for all releases
-    elsewhere: str  # names in other releases, with the value if it can be converted
 
     @property
     def shown(self) -> str:
         if self.value is None:
             return "missing"
-        unit = f" {self.unit}" if self.unit else ""
-        return f"{self.value:g}{unit}" + (f" ({self.elsewhere})" if self.elsewhere else "")
+        return f"{self.value:g} {self.unit}".rstrip()
 
     @property
     def text(self) -> str:
@@ -236,11 +214,11 @@ def judge(
             level, why = Level.UNSAFE, "in the air the motors stop"
         elif not rule.safe(value * name.scale, needs):
             level, why = rule.severity, rule.text
-        if level is Level.UNSAFE and {name.name, *(other.name for other, _ in each.others)} & set(accepted):
+        if level is Level.UNSAFE and each.names & set(accepted):
             level = Level.ACCEPTED
         if level is not Level.IGNORED:
-            wanted, elsewhere = rule.wanted_in(name, needs), each.elsewhere(value)
-            findings.append(Finding(name.name, level, value, name.unit, wanted, why, rule.means, elsewhere))
+            wanted = rule.wanted_in(name, needs)
+            findings.append(Finding(name.name, level, value, name.unit, wanted, why, rule.means))
     return findings
 
 
