@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import NamedTuple
@@ -16,12 +16,12 @@ from bridge.mavlink.codec.framing import FLAG_SIGNED, Framer, without_signature
 from bridge.mavlink.codec.messages import Message, decode
 from bridge.mavlink.signing import Refusal, Signer, SigningKey, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
-from bridge.mavlink.transport.byte_stream import ByteStream
-from bridge.mavlink.transport.transport import DatagramTransport
+from bridge.mavlink.transport.transport import ByteStream, DatagramTransport
 from flightstack.config.options import Signing
 
 _CHUNKS_PER_CALL = 512  # maximum number of chunks in one call of receive()
 _BYTES_PER_CALL = 16384  # number of bytes, about 4 ms of work, after which one call reads no more chunks
+_NOTICES_MAX = 32  # maximum number of texts that wait for ``take_notices``
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 _OLD = frozenset({Refusal.STALE, Refusal.REPLAYED})  # refusals despite a correct signature
 _ANSWER_S = 1.0  # time between two replies to frames with old timestamps, which may be replayed, s
@@ -82,8 +82,9 @@ class Endpoint:
         self.counters = Counter[str]()  # numbers of frames and bytes by outcome, see docs/how_to/security.md
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._peers = PeerTable(configured if kind == "udpin" else (address,))
+        self._notices: deque[str] = deque(maxlen=_NOTICES_MAX)
         self._transport: ByteStream | DatagramTransport = (
-            ByteStream(kind, address, self.counters)
+            ByteStream(kind, address, self.counters, self._notices)
             if kind in ("serial", "tcp")
             else DatagramTransport(url, kind == "udpin", address, self.counters)
         )
@@ -179,7 +180,8 @@ class Endpoint:
         return self._transport.fileno()
 
     def take_notices(self) -> list[str]:
-        return self._transport.take_notices()
+        """Return the texts about lost connections since the last call."""
+        return [self._notices.popleft() for _ in range(len(self._notices))]
 
     def pack(self, message: Message) -> bytes:
         """Serialise a message, unsigned, with the ids of this endpoint and the next sequence number.

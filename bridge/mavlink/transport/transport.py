@@ -1,10 +1,20 @@
-"""UDP for a MAVLink endpoint, and the text of its counters; ``byte_stream`` has serial lines and TCP."""
+"""The transports of a MAVLink endpoint: UDP, serial lines and TCP connections, and the text of its counters.
+
+A serial line or TCP connection is reopened every half second after a loss. Its outgoing frames wait in a
+bounded buffer; if it is full, a new frame is dropped as a whole, so that the receiver never gets a part of
+one. Only ``wait`` blocks.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import math
+import os
 import select
 import socket
-from collections import Counter
+import time
+from collections import Counter, deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -81,10 +91,6 @@ class DatagramTransport:
     def fileno(self) -> int:
         return self._socket.fileno()
 
-    def take_notices(self) -> list[str]:
-        """Return no notice, because UDP has no connection that could be lost."""
-        return []
-
     def close(self) -> None:
         self._socket.close()
 
@@ -112,3 +118,242 @@ def _datagrams(frames: Sequence[bytes]) -> list[bytes]:
             current = b""
         current += frame
     return [*datagrams, current]
+
+
+RETRY_S = 0.5  # time between two tries to open a lost connection, s
+_READ_BYTES = 4096  # maximum number of bytes of one read
+_SLICE_S = 0.005  # longest wait between two writes of pending bytes, s
+_OUTGOING_MAX = 4096  # maximum number of buffered bytes of TCP; less for a serial line
+_FRAME_MAX = 280  # length of the longest frame, bytes; minimum size of every queue
+_BITS_PER_BYTE = 10  # bits per byte on a serial line: a start bit, eight data bits, a stop bit (8N1)
+_QUEUE_S = 0.1  # duration of the buffered frames on a serial line, s: an older set-point is useless
+_KERNEL_QUEUE_S = 0.05  # duration of the bytes in the kernel's buffer, s
+_CONNECT_MAX_S = 2.0  # time without reply after which a TCP connection attempt is given up, s
+_UNANSWERED_MAX_MS = 2000  # time without acknowledgement after which a TCP connection counts as lost, ms
+_SEND_BUFFER = 4096  # size of the kernel's buffer for TCP, bytes; small to limit the latency
+
+
+class ByteStream:
+    """A serial line or TCP connection that is reopened after a loss."""
+
+    is_stream = True
+    local_port = 0
+
+    def __init__(self, kind: str, address: Peer, counters: Counter[str], notices: deque[str]) -> None:
+        """``address``: device and baud ("serial"), or IPv4 address and port ("tcp"); ``notices``: its texts.
+
+        Raises OSError: the serial line cannot be opened; a refused TCP connection is tried again.
+        """
+        host, number = address
+        self.baud = number if kind == "serial" else None
+        self._name = (
+            f"serial line {host}, {number} baud" if self.baud else f"TCP connection to {host}:{number}"
+        )
+        self._outgoing_max = _bytes_in(_QUEUE_S, number) if self.baud else _OUTGOING_MAX
+        self._peer, self._counters, self._notices = address, counters, notices
+        self._channel: Channel | None = None
+        self._was_up = self._told = False  # whether it was ever connected; whether the loss is reported
+        self._lost_s = self._retry_s = time.monotonic()
+        self._outgoing = bytearray()  # pending frames; the first one may be sent in part
+        self._nothing = socket.socketpair()  # descriptors that are never readable
+        if self.baud is not None:
+            self._channel = _SerialChannel(address)
+
+    def receive(self) -> Chunk | None:
+        """Return the next bytes; None: no bytes have arrived."""
+        channel = self._ready()
+        try:
+            data = channel.read(_READ_BYTES) if channel is not None else None
+        except OSError as error:
+            self._lose(error)
+            return None
+        if data is None:
+            return None
+        self._counters["bytes_in"] += len(data)
+        return Chunk(data, self._peer)
+
+    def send(self, frames: Sequence[bytes], _peer: Peer) -> None:
+        """Send or buffer frames; without a connection or room they are dropped."""
+        for frame in frames:
+            if self._ready() is None:
+                self._counters["send_errors"] += 1
+            elif len(self._outgoing) + len(frame) > self._outgoing_max:
+                self._counters["outgoing_full"] += 1
+            else:
+                self._outgoing += frame
+        self._ready()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for input and write pending frames meanwhile."""
+        until_s = time.monotonic() + timeout_s
+        while True:
+            channel, left_s = self._ready(), max(0.0, until_s - time.monotonic())
+            inputs = () if channel is None else (channel.fileno(),)
+            if select.select(inputs, (), (), min(left_s, _SLICE_S))[0]:
+                return True
+            if not left_s:
+                return False
+
+    def fileno(self) -> int:
+        """Descriptor of the connection; without one, a descriptor that is never readable."""
+        channel = self._ready()
+        return self._nothing[0].fileno() if channel is None else channel.fileno()
+
+    def close(self) -> None:
+        """Close the connection; may be called twice."""
+        self._retry_s = math.inf
+        if self._ready() is not None:
+            self._close_channel()
+        for end in self._nothing:
+            end.close()
+
+    def _ready(self) -> Channel | None:
+        """Return the connection, reopened when due, after writing what it takes; None: there is none."""
+        try:
+            if self._channel is None:
+                if time.monotonic() < self._retry_s:
+                    return None
+                self._channel = (_SerialChannel if self.baud is not None else _TcpChannel)(self._peer)
+            if not self._channel.established():
+                return None
+            if self._told:
+                lost_s = time.monotonic() - self._lost_s
+                self._notices.append(f"{self._name} is connected again after {lost_s:.1f} s")
+            self._was_up, self._told = True, False
+            while self._outgoing and (written := self._channel.write(self._outgoing)):
+                del self._outgoing[:written]
+                self._counters["bytes_out"] += written
+        except BlockingIOError:  # no room
+            pass
+        except OSError as error:
+            self._lose(error)
+        return self._channel
+
+    def _lose(self, error: OSError) -> None:
+        """Close the connection and drop pending frames, which would be too old later."""
+        self._close_channel()
+        self._outgoing.clear()
+        now_s = time.monotonic()
+        self._retry_s = now_s + RETRY_S
+        if not self._told:
+            self._told, self._lost_s = True, now_s
+            self._counters["connections_lost"] += self._was_up
+            what = "is lost" if self._was_up else "cannot be opened"
+            reason = error.strerror or error
+            self._notices.append(f"{self._name} {what} ({reason}): tried again every {RETRY_S:g} s")
+
+    def _close_channel(self) -> None:
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+
+
+def _bytes_in(time_s: float, baud: int) -> int:
+    """Return the number of bytes that a serial line transmits in a time; at least one frame."""
+    return max(_FRAME_MAX, round(baud / _BITS_PER_BYTE * time_s))
+
+
+# Channels have a non-blocking descriptor; their methods raise OSError when the connection is lost.
+
+
+class _SerialChannel:
+    """An open serial port. Raises OSError: it cannot be opened or set up."""
+
+    def __init__(self, address: Peer) -> None:
+        import serial
+
+        device, baud = address
+        self._queue_max = _bytes_in(_KERNEL_QUEUE_S, baud)
+        try:
+            self._port = serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True)
+        except (serial.SerialException, ValueError) as error:
+            number = getattr(error, "errno", None) or errno.EINVAL
+            reason = _REASONS.get(number, str(error))
+            raise OSError(number, f"serial port {device}: {reason}") from error
+
+    def fileno(self) -> int:
+        return int(self._port.fileno())
+
+    def established(self) -> bool:
+        return True
+
+    def read(self, size: int) -> bytes | None:
+        # Reading an empty line waits for a kernel worker (n_tty_read), up to 0.3 s on a busy machine.
+        waiting: int = self._port.in_waiting  # raises OSError if the device is gone
+        return bytes(self._port.read(min(waiting, size))) if waiting else None
+
+    def write(self, data: bytearray) -> int:
+        # Only a small part of the kernel's buffer is used, because the full buffer holds seconds of frames.
+        # With a full buffer, pyserial's write would wait without limit.
+        room = self._queue_max - self._port.out_waiting
+        return os.write(self._port.fileno(), data[:room]) if room > 0 else 0
+
+    def close(self) -> None:
+        # The kernel's buffer is nearly empty; closing does not wait for a missing device.
+        with contextlib.suppress(OSError):
+            self._port.close()
+
+
+_REASONS = {
+    errno.ENOENT: "there is no such device: is it plugged in?",
+    errno.EACCES: "no right to use it: is the user in the group dialout?",
+    errno.EAGAIN: "another process has it open",
+    errno.EBUSY: "another process has it open",
+}
+
+
+class _TcpChannel:
+    """A connecting or established TCP connection. Raises OSError: it is refused immediately."""
+
+    def __init__(self, address: Peer) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._established = False
+        self._until_s = time.monotonic() + _CONNECT_MAX_S
+        try:
+            self._socket.setblocking(False)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+            if hasattr(socket, "TCP_USER_TIMEOUT"):
+                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MAX_MS)
+            number = self._socket.connect_ex(address)
+            if number not in (0, errno.EINPROGRESS):
+                raise OSError(number, os.strerror(number))
+        except OSError:
+            self._socket.close()
+            raise
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def established(self) -> bool:
+        if self._established:
+            return True
+        _, writable, _ = select.select((), (self._socket,), (), 0)
+        if not writable:
+            if time.monotonic() > self._until_s:
+                raise OSError(errno.ETIMEDOUT, f"no answer within {_CONNECT_MAX_S:g} s")
+            return False
+        number = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if number:
+            raise OSError(number, os.strerror(number))
+        self._established = True
+        return True
+
+    def read(self, size: int) -> bytes | None:
+        try:
+            data = self._socket.recv(size)
+        except BlockingIOError:
+            return None
+        if not data:
+            raise OSError(errno.ECONNRESET, "the other side has closed it")
+        return data
+
+    def write(self, data: bytearray) -> int:
+        return self._socket.send(data)
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._socket.close()
+
+
+Channel = _SerialChannel | _TcpChannel

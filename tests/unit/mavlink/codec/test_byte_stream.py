@@ -7,7 +7,7 @@ import pytest
 
 from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.endpoint import Endpoint
-from bridge.mavlink.transport.byte_stream import RETRY_S
+from bridge.mavlink.transport.transport import RETRY_S
 from tests.processes.bounded import AT_ONCE_S, wait_for
 from tests.serial_relay import PtyEnd, TcpEnd
 from tests.unit.mavlink.codec.frames_of_messages import frames_of, position
