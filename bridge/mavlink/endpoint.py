@@ -130,14 +130,15 @@ class Endpoint:
 
     def _take(self, frame: bytes, peer: Peer, received: list[Received]) -> None:
         """Check and decode a frame and record its sender; count it if it is rejected."""
-        counters = self.counters
-        refused = self._refused(frame)
-        if refused is not None:
+        counters, signed = self.counters, frame[2] & FLAG_SIGNED
+        if self._signer is None:
+            counters["unchecked"] += signed  # handled like an unsigned frame
+        elif (refused := self._signer.refusal(frame)) is not None:
             counters[refused.value] += 1
             if refused in _OLD:
                 self._answer_stale(peer)
             return
-        if frame[2] & FLAG_SIGNED:
+        if signed:
             frame = without_signature(frame)
         try:
             message = decode(frame)
@@ -153,14 +154,6 @@ class Endpoint:
         if self.tap is not None:
             self.tap(Direction.IN, frame, peer)
         received.append(Received(message, peer))
-
-    def _refused(self, frame: bytes) -> Refusal | None:
-        """Return the reason why signing rejects a frame; None: the frame is accepted."""
-        signed = frame[2] & FLAG_SIGNED
-        if self._signer is None:
-            self.counters["unchecked"] += signed  # handled like an unsigned frame
-            return None
-        return self._signer.refusal(frame) if signed else Refusal.UNSIGNED
 
     def _answer_stale(self, peer: Peer) -> None:
         """Send a heartbeat to a peer with a late clock: its signed timestamp advances an autopilot clock."""
@@ -228,7 +221,7 @@ class Endpoint:
         """Close the socket or line and write the signing state; may be called twice."""
         self._transport.close()
         if self._signer is not None:
-            self._signer.close()
+            self._signer.save()
 
 
 def open_endpoint(

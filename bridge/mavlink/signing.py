@@ -21,7 +21,7 @@ from typing import Annotated
 
 import msgspec
 
-from bridge.mavlink.codec.framing import with_signed_flag
+from bridge.mavlink.codec.framing import FLAG_SIGNED, with_signed_flag
 
 KEY_BYTES = 32  # length of the secret key in MAVLink 2 signing, bytes
 _HEX = re.compile(rb"[0-9a-fA-F]{64}")
@@ -155,14 +155,15 @@ class Signer:
         self._own = bytes((system_id, component_id))
         self._keyed = hashlib.sha256(key.secret)
         self._unix_ns, self._monotonic_ns = unix_ns, monotonic_ns
-        name = f"{key.path.name}.{system_id}-{component_id}-{_LINK[0]}.state" if key.path is not None else ""
-        self._path = key.path.with_name(name) if key.path is not None else None
-        state = load_state(self._path) if self._path is not None else SigningState(0, 0, [])
-        self._stored, self._sent = state.clock, state.sent
+        self._path, state = None, SigningState(0, 0, [])  # without a file of the key the state is not stored
+        if key.path is not None:
+            self._path = key.path.with_name(f"{key.path.name}.{system_id}-{component_id}-{_LINK[0]}.state")
+            state = load_state(self._path)
+        self._sent = state.sent
         # timestamp of the last accepted frame of each stream; only holders of the key add streams
         self._streams: dict[Stream, int] = {row[:3]: row[3] for row in state.streams}
         self._start_ns = monotonic_ns()
-        self._start = self._first_time()
+        self._start = self._first_time(state.clock)
         self._saved_s = self._start_ns / 1e9
         if self._path is not None:
             save_state(self._path, self._snapshot())  # written at the start, to detect missing permissions
@@ -179,7 +180,9 @@ class Signer:
         return body + self._tag(body)
 
     def refusal(self, frame: bytes) -> Refusal | None:
-        """Return the reason to reject a signed frame; None: the frame is accepted, its timestamp stored."""
+        """Return the reason to reject a frame; None: the frame is accepted, its timestamp stored."""
+        if not frame[2] & FLAG_SIGNED:
+            return Refusal.UNSIGNED
         if frame[5:7] == self._own:
             return Refusal.REFLECTED  # a reflected frame has a correct signature
         if not hmac.compare_digest(self._tag(frame[:-_TAG]), frame[-_TAG:]):
@@ -197,20 +200,17 @@ class Signer:
         return None
 
     def save_if_due(self) -> None:
-        """Write the state every ten seconds; a failure is counted and does not end a flight."""
+        """Write the state every ten seconds."""
         now_s = self._monotonic_ns() / 1e9
-        if self._path is not None and now_s - self._saved_s >= _SAVE_S:
+        if now_s - self._saved_s >= _SAVE_S:
             self._saved_s = now_s
-            self._save(self._path)
+            self.save()
 
-    def close(self) -> None:
-        """Write the state for the last time; may be called twice."""
-        if self._path is not None:
-            self._save(self._path)
-
-    def _save(self, path: Path) -> None:
+    def save(self) -> None:
+        """Write the state now; a failure is counted and does not end a flight."""
         try:
-            save_state(path, self._snapshot())
+            if self._path is not None:
+                save_state(self._path, self._snapshot())
         except OSError:
             self.state_errors += 1
 
@@ -228,14 +228,13 @@ class Signer:
     def _system(self) -> int:
         return max(0, (self._unix_ns() - EPOCH_NS) // TICK_NS)
 
-    def _first_time(self) -> int:
-        system, stored = self._system(), self._stored
-        if system >= stored:
-            return system
-        behind_s = (stored - system) / _S
+    def _first_time(self, stored: int) -> int:
+        behind = stored - self._system()
+        if behind <= 0:
+            return self._system()
         self.warning = (
-            f"the system clock is {behind_s:.0f} s behind the last run with this signing key: signing "
-            f"continues from that run's time;  set the clock, and if that time was wrong delete {self._path}"
+            f"the system clock is {behind / _S:.0f} s behind the last run with this signing key: signing "
+            f"continues from that run's time; set the clock, and if that time was wrong delete {self._path}"
         )
         # As in ArduPilot, the clock starts later than all frames that followed the last write.
         return stored + STALE_TICKS

@@ -111,7 +111,7 @@ def test_replay_after_a_restart_is_refused_although_it_is_less_than_a_minute_old
     first, peer = clock.signer(key), theirs(secret=key.secret, stamp=clock.ticks)
     frames = [heartbeat().pack(peer) for _ in range(3)]
     assert [first.refusal(f) for f in frames] == [None] * 3
-    first.close()
+    first.save()
     clock.advance(5.0)
     second = clock.signer(key)
     assert {second.refusal(f) for f in frames} == {Refusal.REPLAYED}
@@ -124,7 +124,7 @@ def test_clock_that_went_back_over_a_restart_opens_nothing(clock, key):
     first = clock.signer(key)
     first.sign(heartbeat().pack(dialect.MAVLink(None, 1, 1)))
     sent = load_state_of(key).sent
-    first.close()
+    first.save()
     assert load_state_of(key).sent > sent
     before = first.now()
     clock.unix_ns -= 100 * 10**9  # sets the clock back to the time of the old frame
