@@ -8,7 +8,7 @@ retries.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -145,32 +145,25 @@ class StreamRequests:
         """Return the commands to send now; called only after the first message of the vehicle."""
         if now_s < self.quiet_until_s:
             return []
-        streams = self._streams.values()
-        messages = [self._ask(stream, now_s) for stream in streams if self._due(stream, now_s)]
-        since_s = min((stream.since_s for stream in streams), default=now_s)
+        messages = []
+        for stream in self._streams.values():
+            elapsed_s = now_s - stream.since_s
+            if stream.tries and elapsed_s < _CHECK_S:
+                continue
+            if stream.tries and stream.seen >= _ENOUGH * stream.rate_hz * elapsed_s:
+                stream.tries = 1  # the stream arrives; if it stops later, requests start again
+            elif stream.tries < _REQUESTS or (not stream.seen and elapsed_s >= _AGAIN_S):
+                stream.tries += 1
+                messages.append(self._request(stream))
+            elif not stream.seen:  # else accept that the vehicle or its line is slower than requested
+                continue
+            stream.seen, stream.since_s = 0, now_s
+        since_s = min((stream.since_s for stream in self._streams.values()), default=now_s)
         self.quiet_until_s = since_s + _CHECK_S - _ROUNDING_S
         return messages
 
-    def _due(self, stream: _Stream, now_s: float) -> bool:
-        elapsed_s = now_s - stream.since_s
-        if stream.tries and elapsed_s < _CHECK_S:
-            return False
-        if stream.tries and stream.seen >= _ENOUGH * stream.rate_hz * elapsed_s:
-            stream.tries = 1  # the stream arrives; if it stops later, requests start again
-            stream.seen, stream.since_s = 0, now_s
-            return False
-        if stream.tries < _REQUESTS:
-            return True
-        if stream.seen:  # accept that the vehicle or its line is slower than requested
-            stream.seen, stream.since_s = 0, now_s
-            return False
-        return elapsed_s >= _AGAIN_S
-
-    def _ask(self, stream: _Stream, now_s: float) -> Message:
-        stream.tries += 1
-        stream.seen, stream.since_s = 0, now_s
-        interval_us = float(round(1e6 / stream.rate_hz))
-        rest = (self._unset,) * 4
+    def _request(self, stream: _Stream) -> Message:
+        interval_us, rest = float(round(1e6 / stream.rate_hz)), (self._unset,) * 4
         return dialect.MAVLink_command_long_message(
             *self._target, _SET_MESSAGE_INTERVAL, 0, float(stream.message_id), interval_us, *rest, 0.0
         )
@@ -216,7 +209,7 @@ class CommandSequencer:
         self._offset_m = 0.0  # height of the vehicle above the datum of its take-off command
         self.failed: str | None = None  # reason why the current request failed, or None
         self.reached = False  # whether a heartbeat has shown the requested status
-        self._request = Request.NONE
+        self.request = Request.NONE
         self._since_s = -math.inf
         self._begun = False  # whether an earlier request exists
         self._enter(None, -math.inf)
@@ -229,13 +222,9 @@ class CommandSequencer:
         self._working, self._finals = False, 0
         self._texts: list[str] = []
 
-    @property
-    def request(self) -> Request:
-        return self._request
-
     def idle(self, request: Request, status: VehicleStatus | None) -> bool:
         """Whether ``step`` sends no message for this request until the status changes."""
-        if request is not self._request or self.failed is not None:
+        if request is not self.request or self.failed is not None:
             return False
         return self.reached or (self._begun and self._step is None and self._next_step(status) is None)
 
@@ -259,10 +248,9 @@ class CommandSequencer:
 
     def step(self, request: Request, status: VehicleStatus | None, now_s: float) -> list[Message]:
         """Return the commands to send now, at most one. A new request starts a new sequence."""
-        if request is not self._request:
-            self._request, self._since_s = request, now_s
-            self.failed, self.reached = None, False
-            self._begun = True
+        if request is not self.request:
+            self.request, self._since_s = request, now_s
+            self.failed, self.reached, self._begun = None, False, True
             self._enter(None, now_s)
         if self.reached or self.failed is not None:
             return []
@@ -295,7 +283,7 @@ class CommandSequencer:
 
     def _lacking(self, step: Step) -> int | None:
         """Return the id of the message that the take-off height still requires, or None."""
-        if self._request is not Request.TAKEOFF:
+        if self.request is not Request.TAKEOFF:
             return None
         if self._counts_from_sea_level:
             return dialect.MAVLINK_MSG_ID_HOME_POSITION if self.home_amsl_m is None else None
@@ -316,11 +304,8 @@ class CommandSequencer:
         return [request_message(self._target, message_id, self._profile.unset)]
 
     def _next_step(self, status: VehicleStatus | None) -> Step | None:
-        steps = self._profile.sequences[self._request] if self._begun else self._profile.prepare
-        needed: Callable[[Step], bool] = (
-            (lambda step: step.blind) if status is None else (lambda step: not step.done(status))
-        )
-        return next(filter(needed, steps), None)
+        steps = self._profile.sequences[self.request] if self._begun else self._profile.prepare
+        return next((s for s in steps if (s.blind if status is None else not s.done(status))), None)
 
     def _streams(self, now_s: float) -> bool:
         """Whether set-points have been sent for long enough without a pause."""
