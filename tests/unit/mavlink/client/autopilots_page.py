@@ -110,11 +110,16 @@ _OTHERWISE = {
 }  # fmt: skip
 
 
+def _releases(name):
+    ends = (f"from {name.since}" if name.since else "", f"before {name.before}" if name.before else "")
+    return f" ({' '.join(filter(None, ends))})" if any(ends) else ""
+
+
 def rules(name):
     """Return the table of the parameters that are checked for one autopilot, for all releases."""
     rows = [
         [
-            each.name + (f" ({each.where})" if each.where else ""),
+            each.name + _releases(each),
             rule.wanted_in(each, _needs()),
             _OTHERWISE[rule.severity],
             rule.text,
