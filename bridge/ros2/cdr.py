@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 from bridge.frames import Quat, world_from_body
@@ -24,6 +23,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseStamped"
 POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _pack_odometry, _unpack_odometry = codec(ODOMETRY, frame_id=None, foreign=True)
+_UNPACK_POSE = {name: codec(name, frame_id=None, foreign=True)[1] for name in (POSE, POSE_COVARIANCE)}
 
 
 class OdometryError(ValueError):
@@ -105,15 +105,10 @@ def decode_odometry(payload: bytes) -> Odometry:
 
 def decode_pose(payload: bytes, schema: str = POSE) -> Pose:
     """Decode a message of type ``POSE`` or ``POSE_COVARIANCE``. Raises OdometryError: not a usable pose."""
-    (stamp_ns, frame_id), pose = _decoded(_pose_unpacker(schema), payload)
+    (stamp_ns, frame_id), pose = _decoded(_UNPACK_POSE[schema], payload)
     pose, covariance = pose if schema == POSE_COVARIANCE else (pose, NO_COVARIANCE)
     position_m, (x, y, z, w) = pose
     return Pose(stamp_ns, frame_id, position_m, checked_unit((w, x, y, z), position_m), covariance)
-
-
-@cache
-def _pose_unpacker(schema: str) -> Unpack:
-    return codec(schema, frame_id=None, foreign=True)[1]
 
 
 def checked_unit(orientation_wxyz: Quat, others: Vec3 | tuple[float, ...]) -> Quat:

@@ -60,13 +60,9 @@ ROS_TYPES = {
     TargetType.ODOMETRY: RosType(
         ODOMETRY, "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
     ),
-    TargetType.POSE: RosType(
-        POSE,
-        "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
-    ),
+    TargetType.POSE: RosType(POSE, "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"),
     TargetType.POSE_COVARIANCE: RosType(
-        POSE_COVARIANCE,
-        "RIHS01_26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e",
+        POSE_COVARIANCE, "RIHS01_26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e"
     ),
 }
 
@@ -233,8 +229,8 @@ class TargetSource:
         self._spec, self._frame, self._child = spec, frame_id, child_frame_id
         self._link, self._until_look = link, 0
         self._track = PoseTrack(link, child_frame_id)
-        self._texts: list[str] = []
-        self._told: dict[str, None] = {}
+        self.told: list[str] = []  # all warnings of the flight, oldest first
+        self._taken = 0  # number of warnings that ``take_problems`` has returned
         self.refused = 0  # number of samples without odometry, except poses before the velocity is known
 
     def poll(self) -> list[RawSample]:
@@ -257,13 +253,8 @@ class TargetSource:
 
     def take_problems(self) -> list[str]:
         """Return the warnings since the last call; each is sent once per flight."""
-        texts, self._texts = self._texts, []
+        texts, self._taken = self.told[self._taken :], len(self.told)
         return texts
-
-    @property
-    def told(self) -> tuple[str, ...]:
-        """All warnings of the flight, oldest first."""
-        return tuple(self._told)
 
     def _odometry(self, payload: bytes) -> Odometry | None:
         """Return the odometry made from a message; None: there is none, or it needs no conversion."""
@@ -282,7 +273,7 @@ class TargetSource:
             odometry = decode_odometry(payload)
         except OdometryError:
             return  # the controller's decoder reports the error of each sample
-        self._is_framed(odometry.frame_id)
+        self._tell(self._frame_problem(odometry.frame_id))
         if odometry.child_frame_id != self._child:
             self._tell(
                 f"child_frame_id is {odometry.child_frame_id!r}, "
@@ -291,36 +282,31 @@ class TargetSource:
         self._tell(excess_noise(odometry.pose_covariance, odometry.twist_covariance, self._link))
 
     def _followed(self, pose: Pose) -> Odometry | None:
-        if not self._is_framed(pose.frame_id):
-            self.refused += 1
-            return None
+        if problem := self._frame_problem(pose.frame_id):
+            raise OdometryError(problem)
         self._tell(excess_noise(pose.covariance, NO_COVARIANCE, self._link))
         odometry = self._track.take(pose)
         self._tell(self._track.problem)
         return odometry
 
-    def _is_framed(self, frame_id: str) -> bool:
+    def _frame_problem(self, frame_id: str) -> str:
         if frame_id == self._frame:
-            return True
-        self._tell(
+            return ""
+        return (
             f"frame_id is {frame_id!r}, checks.target_frame is {self._frame!r}: rejected; "
             "set it only if that frame is the vehicle's east-north-up frame"
         )
-        return False
 
     def _tell(self, problem: str) -> None:
         text = f"{self._spec.text}: {problem}"
-        if problem and text not in self._told and len(self._told) < TEXTS_MAX:
-            self._told[text] = None
-            self._texts.append(text)
+        if problem and text not in self.told and len(self.told) < TEXTS_MAX:
+            self.told.append(text)
 
 
 KEYS_MAX = 8  # maximum number of listed keys
 _CAPACITY = 64  # maximum number of samples between two polls
 # A chunk of the key contains the name: robot1/odom, 0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_...
-_LIKELY = (
-    "**/$*odom$*/**", "**/$*Odometry$*/**", "**/$*pose$*/**", "**/$*Pose$*/**",
-)  # fmt: skip
+_LIKELY = ("**/$*odom$*/**", "**/$*Odometry$*/**", "**/$*pose$*/**", "**/$*Pose$*/**")
 
 
 class KeySearch:
