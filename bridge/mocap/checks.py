@@ -7,8 +7,9 @@ vehicle flip. So a pose is forwarded only if the vehicle can have moved there fr
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated, NamedTuple
 
@@ -51,13 +52,6 @@ class Limits:
     settle_s: float = 1.0  # time at a new place after which a jump is accepted, s; only if disarmed
 
 
-class Sample(NamedTuple):
-    """A received pose; ``pose`` is None if the message is unreadable."""
-
-    pose: Pose | None
-    arrival_s: float
-
-
 class Passed(NamedTuple):
     pose: Pose
     measured_s: float  # time of measurement on the local clock, s: arrival minus delay
@@ -74,48 +68,47 @@ _REFUSALS = {
 }
 
 
-@dataclass(slots=True)
 class PoseChecks:
     """Checks the poses of one body; the loop calls ``step`` in every pass."""
 
-    limits: Limits = field(default_factory=Limits)
-    # rejected samples by reason; ``thinned`` counts the samples omitted to limit the rate
-    counts: dict[Refusal, int] = field(default_factory=lambda: dict.fromkeys(Refusal, 0))
-    thinned: int = 0
-    passed: int = 0
-    _last: Passed | None = None
-    _clock: SenderClock = field(init=False)
-    _sent_s: float = -math.inf
-    _resets: int = 0
-    _elsewhere: Passed | None = None  # newest pose of the series after a jump
-    _elsewhere_since_s: float = 0.0
-    _refused: Refusal | None = None
-    _window_s: float = -math.inf
-    _in_window: int = 0
-    _rate_hz: float | None = None
+    def __init__(self, limits: Limits = Limits()) -> None:
+        self.limits = limits
+        self.counts = Counter[Refusal]()  # rejected poses by reason
+        self.thinned = self.passed = 0  # number of poses omitted to limit the rate, and of forwarded ones
+        self._clock = SenderClock(limits.late_max_s, limits.clock_proof_s)
+        self._last: Passed | None = None
+        self._sent_s = -math.inf
+        self._resets = 0
+        self._elsewhere: Passed | None = None  # newest pose of the series after a jump
+        self._elsewhere_since_s = 0.0
+        self._refused: Refusal | None = None  # reason to reject the newest pose; None: it is good
+        self._window_s, self._in_window = -math.inf, 0
+        self._rate_hz: float | None = None
 
-    def __post_init__(self) -> None:
-        self._clock = SenderClock(self.limits.late_max_s, self.limits.clock_proof_s)
+    def step(self, poses: Sequence[Pose | None], now_s: float, *, armed: bool) -> tuple[Passed, ...]:
+        """Return the good ones of the poses that arrive now, oldest first; None is an unreadable message.
 
-    def step(self, samples: Sequence[Sample], now_s: float, *, armed: bool) -> tuple[Passed, ...]:
-        """Return the good samples, oldest first; no jump is accepted if the vehicle is armed."""
-        good = [passed for sample in samples if (passed := self._judge(sample, armed)) is not None]
-        self._count_rate(len(good), now_s)
-        kept = tuple(passed for passed in good if self._due(passed.measured_s))
+        No jump is accepted if the vehicle is armed.
+        """
+        good, kept = 0, list[Passed]()
+        for pose in poses:
+            found = self._judged(pose, now_s, armed)
+            if isinstance(found, Refusal):
+                self.counts[found] += 1
+                self._refused = found
+                continue
+            good += 1
+            self._last, self._elsewhere, self._refused = found, None, None
+            if found.measured_s - self._sent_s >= 0.75 / self.limits.rate_max_hz:  # 0.75 allows jitter
+                self._sent_s = found.measured_s
+                kept.append(found)
+        self._count_rate(good, now_s)
         self.passed += len(kept)
-        return kept
+        self.thinned += good - len(kept)
+        return tuple(kept)
 
-    def _judge(self, sample: Sample, armed: bool) -> Passed | None:
-        found = self._look(sample, armed)
-        if isinstance(found, Refusal):
-            self.counts[found] += 1
-            self._refused = found
-            return None
-        self._last, self._elsewhere, self._refused = found, None, None
-        return found
-
-    def _look(self, sample: Sample, armed: bool) -> Passed | Refusal:
-        pose, limits = sample.pose, self.limits
+    def _judged(self, pose: Pose | None, now_s: float, armed: bool) -> Passed | Refusal:
+        limits = self.limits
         if pose is None:
             return Refusal.UNREADABLE
         if limits.frame_id is not None and pose.frame_id != limits.frame_id:
@@ -123,22 +116,24 @@ class PoseChecks:
         if max(map(abs, pose.position_m)) > limits.room_m:
             return Refusal.ROOM
         stamp_s = pose.stamp_ns / 1e9
-        reading = self._clock.accept(stamp_s, sample.arrival_s, math.inf if armed else PATIENCE_S)
+        reading = self._clock.accept(stamp_s, now_s, math.inf if armed else PATIENCE_S)
         if not reading.good:
             return _REFUSALS[reading]
-        late_s = self._clock.lateness_s(stamp_s, sample.arrival_s)
-        passed = Passed(pose, sample.arrival_s - late_s, self._resets)
+        passed = Passed(pose, now_s - self._clock.lateness_s(stamp_s, now_s), self._resets)
         last, before = self._last, self._elsewhere
         if last is None:
             return passed
         returns = before is None or _apart(last, passed) < _apart(before, passed)
-        if returns and self._reaches(last, passed, math.inf if before is None else self.limits.return_m):
+        if returns and self._reaches(last, passed, math.inf if before is None else limits.return_m):
             return passed
-        if before is not None and self._reaches(before, passed, math.inf):
-            return self._carried(passed, armed)  # the series of poses continues at the new place
-        self._elsewhere_since_s = passed.measured_s
+        continues = before is not None and self._reaches(before, passed, math.inf)
+        if armed or not continues:
+            self._elsewhere_since_s = passed.measured_s
         self._elsewhere = passed
-        return Refusal.JUMP
+        if not continues or passed.measured_s - self._elsewhere_since_s < limits.settle_s:
+            return Refusal.JUMP
+        self._resets += 1  # after this time on the ground: the vehicle was carried there
+        return passed._replace(resets=self._resets)
 
     def _reaches(self, before: Passed, after: Passed, most_m: float) -> bool:
         limits = self.limits
@@ -147,23 +142,6 @@ class PoseChecks:
         turned_rad = angle_between(before.pose.orientation_wxyz, after.pose.orientation_wxyz)
         fits = moved_m <= min(limits.jump_m + limits.speed_max_m_s * dt_s, most_m)
         return fits and turned_rad <= limits.turn_rad + limits.turn_rate_max_rad_s * dt_s
-
-    def _carried(self, passed: Passed, armed: bool) -> Passed | Refusal:
-        """Accept poses at a new place after ``settle_s`` on the ground: the vehicle was carried there."""
-        if armed:
-            self._elsewhere_since_s = passed.measured_s
-        self._elsewhere = passed
-        if passed.measured_s - self._elsewhere_since_s < self.limits.settle_s:
-            return Refusal.JUMP
-        self._resets += 1
-        return passed._replace(resets=self._resets)
-
-    def _due(self, at_s: float) -> bool:
-        if at_s - self._sent_s < 0.75 / self.limits.rate_max_hz:  # the rate is too high; 0.75 allows jitter
-            self.thinned += 1
-            return False
-        self._sent_s = at_s
-        return True
 
     def _count_rate(self, count: int, now_s: float) -> None:
         self._in_window += count

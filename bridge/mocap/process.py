@@ -19,8 +19,8 @@ from bridge.mavlink.client.companion import Origin, OriginSender, companion_hear
 from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
-from bridge.mocap.checks import Limits, MocapOptions, Passed, PoseChecks, PoseOptions, Sample
-from bridge.ros2.cdr import OdometryError
+from bridge.mocap.checks import Limits, MocapOptions, Passed, PoseChecks, PoseOptions
+from bridge.ros2.cdr import OdometryError, Pose
 from bridge.target.ros2_target import KeySearch, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
@@ -66,9 +66,9 @@ class MocapSource:
 
     def poll(self, now_s: float, *, armed: bool) -> tuple[Passed, ...]:
         """Return the good poses since the last call, oldest first; never blocks."""
-        samples = [self._sample(sample, now_s) for sample in zenoh_link.drain(self._subscriber)]
-        passed, self.problem = self.checks.step(samples, now_s, armed=armed), self.checks.problem(now_s)
-        self._arrived = self._arrived or bool(samples)
+        poses = [self._pose(sample) for sample in zenoh_link.drain(self._subscriber)]
+        passed, self.problem = self.checks.step(poses, now_s, armed=armed), self.checks.problem(now_s)
+        self._arrived = self._arrived or bool(poses)
         if self._arrived or armed:
             self._search.stop()  # in flight nothing is searched
         if not self._arrived:
@@ -78,14 +78,14 @@ class MocapSource:
             self.problem = f"mocap: {self._unreadable}"
         return passed
 
-    def _sample(self, sample: zenoh_link.Sample, now_s: float) -> Sample:
+    def _pose(self, sample: zenoh_link.Sample) -> Pose | None:
         self._unreadable = None
         try:
             self._spec.check_key(str(sample.key_expr))
-            return Sample(self._spec.pose(sample.payload.to_bytes()), now_s)
+            return self._spec.pose(sample.payload.to_bytes())
         except OdometryError as error:
             self._unreadable = str(error)
-            return Sample(None, now_s)
+            return None
 
 
 COMPONENT_ID = dialect.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
