@@ -19,28 +19,7 @@ from dataclasses import make_dataclass
 from typing import Any
 
 from bridge.ros2.codec import CODES, HEADER_TYPE, TIME_TYPES
-from logs.schema.schemas import (
-    CONTROLLER_INPUT,
-    CONTROLLER_NEIGHBOURS,
-    CONTROLLER_POWER,
-    CONTROLLER_STATE,
-    CONTROLLER_STEP,
-    FLEET_PAIR,
-    HEALTH,
-    LOG,
-    LOOP_TIMING,
-    MEMBER_STATUS,
-    TRUE_STATE,
-    Field,
-    codec,
-    fields_of,
-)
-
-ROWS = (
-    CONTROLLER_STEP, CONTROLLER_INPUT, CONTROLLER_POWER, CONTROLLER_STATE,
-    CONTROLLER_NEIGHBOURS, MEMBER_STATUS, FLEET_PAIR, LOOP_TIMING, TRUE_STATE, HEALTH, LOG,
-)  # fmt: skip
-COLUMNS = (CONTROLLER_STEP, LOOP_TIMING, TRUE_STATE)
+from logs.schema.schemas import COLUMNS, ROWS, Field, codec, fields_of
 
 
 def class_name(schema: str, end: str) -> str:
