@@ -18,7 +18,6 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.commander import Right, Sender
 from bridge.mavlink.server.profile import FORCE, FlightMode, mode_of, why_no_mode
 from bridge.mavlink.server.telemetry import Builder, Snapshot, Streams, V
-from flightstack.core.types import Vec3
 
 ACCEPTED: int = dialect.MAV_RESULT_ACCEPTED
 REJECTED: int = dialect.MAV_RESULT_TEMPORARILY_REJECTED
@@ -31,8 +30,8 @@ _INT32_MAX = 2**31 - 1
 _INT_NAN = 0x7FF80000  # NaN that a faulty client has cast to an integer (PX4 mavlink_receiver.cpp)
 _INT_SCALE = 1e-7  # COMMAND_INT carries degrees times 1e7
 # COMMAND_INT frames with z above sea level, and with z above home; COMMAND_LONG has z above sea level.
-_AMSL_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT})
-_HOME_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
+_AMSL_FRAMES = (dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT)
+_HOME_FRAMES = (dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _CUSTOM_MODE = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 
@@ -50,14 +49,6 @@ class Command:
         """Return parameter n (from 1); None if it was omitted."""
         value = self.params[n - 1]
         return None if math.isnan(value) else value
-
-    def local_z_m(self, height_m: float, home_enu_m: Vec3) -> float:
-        """Convert a height in this command into the local z, which is 0 at sea level."""
-        return height_m + (home_enu_m[2] if self.frame in _HOME_FRAMES else 0.0)
-
-    @property
-    def frame_known(self) -> bool:
-        return self.frame in _HOME_FRAMES or self.frame in _AMSL_FRAMES
 
 
 class Answer(NamedTuple):
@@ -134,7 +125,7 @@ class Commands(Generic[V]):
         self.table: Table = {
             m.MAV_CMD_NAV_LAND: Entry(self._land, anybody),
             m.MAV_CMD_NAV_TAKEOFF: Entry(self._take_off, owner, place=True),
-            m.MAV_CMD_DO_SET_MODE: Entry(self._set_mode, owner, right_of=self._right_to_mode),
+            m.MAV_CMD_DO_SET_MODE: Entry(self._set_mode, owner, right_of=_right_to_mode),
             m.MAV_CMD_COMPONENT_ARM_DISARM: Entry(self._arm_disarm, owner, right_of=_right_to_arm),
             m.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND),
             m.MAV_CMD_RUN_PREARM_CHECKS: Entry(self._prearm_checks, anybody),
@@ -179,7 +170,7 @@ class Commands(Generic[V]):
         forbidden = self._vehicle.forbids(sender, right, now_s)
         if forbidden is not None:
             return Answer(REJECTED, f"Command {command.number} refused: {forbidden}")
-        if entry.place and not command.frame_known:
+        if entry.place and command.frame not in (*_HOME_FRAMES, *_AMSL_FRAMES):
             # PX4 ignores the frame and would fly to a wrong place.
             return Answer(DENIED, f"Command {command.number} denied: frame {command.frame}, only global")
         return entry.run(command)
@@ -199,9 +190,9 @@ class Commands(Generic[V]):
         return answer(self._vehicle.terminate(command.now_s), DENIED)
 
     def _take_off(self, command: Command) -> Answer:
-        height_m = command.given(7)
-        z_m = None if height_m is None else command.local_z_m(height_m, self._vehicle.home_enu_m)
-        return answer(self._vehicle.take_off(z_m, command.now_s))
+        """Take off; the height is above home or above sea level, which has the local z of 0."""
+        z_m, base_m = command.given(7), self._vehicle.home_enu_m[2] if command.frame in _HOME_FRAMES else 0.0
+        return answer(self._vehicle.take_off(None if z_m is None else z_m + base_m, command.now_s))
 
     def _land(self, command: Command) -> Answer:
         return answer(self._vehicle.land(command.now_s))
@@ -214,11 +205,6 @@ class Commands(Generic[V]):
         if mode is None:
             return Answer(DENIED, why_no_mode(round(main), round(sub)))
         return answer(self._vehicle.set_mode(mode, command.now_s))
-
-    def _right_to_mode(self, command: Command) -> Right:
-        main, sub = command.given(2), command.given(3) or 0.0
-        landing = main is not None and mode_of(round(main), round(sub)) is FlightMode.LAND
-        return Right.ANYBODY if landing else Right.OWNER
 
     def _prearm_checks(self, command: Command) -> Answer:
         if self._vehicle.armed:
@@ -256,6 +242,12 @@ class Commands(Generic[V]):
 
 def _degrees(scaled: int) -> float:
     return math.nan if scaled == _INT32_MAX else scaled * _INT_SCALE
+
+
+def _right_to_mode(command: Command) -> Right:
+    main, sub = command.given(2), command.given(3) or 0.0
+    landing = main is not None and mode_of(round(main), round(sub)) is FlightMode.LAND
+    return Right.ANYBODY if landing else Right.OWNER
 
 
 def _right_to_arm(command: Command) -> Right:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -161,13 +161,9 @@ class _Stream(Generic[V]):
     message_id: int
     build: Builder[V]
     default_s: float  # default period of the stream, s; infinite: off
-    interval_s: float = field(init=False)  # present period, s
-    due_s: float = field(init=False)
+    interval_s: float  # present period, s
+    due_s: float
     passed_s: float = -_OFF  # time of the last sending; a message is sent at most once per tick
-
-    def __post_init__(self) -> None:
-        self.interval_s = self.default_s
-        self.due_s = 0.0 if self.default_s < _OFF else _OFF
 
     def passes(self, now_s: float, limit_s: float) -> bool:
         """Whether the message is due before ``limit_s``; if so, the call schedules it one interval later."""
@@ -190,8 +186,9 @@ class Streams(Generic[V]):
         self._streams: dict[int, _Stream[V]] = {}
         for id_ in dict.fromkeys((*EVERY_TICK, *table)):
             build, hz = table[id_]
-            default_s = _OFF if hz is None else max(period_s, 1.0 / hz)
-            self._streams[id_] = _Stream(id_, build, period_s if id_ in EVERY_TICK else default_s)
+            rate_s = _OFF if hz is None else max(period_s, 1.0 / hz)
+            default_s = period_s if id_ in EVERY_TICK else rate_s
+            self._streams[id_] = _Stream(id_, build, default_s, default_s, 0.0 if default_s < _OFF else _OFF)
         self._busy: list[_Stream[V]] = []  # streams that are sent at every tick
         self._lazy: list[_Stream[V]] = []  # streams with longer intervals
         self._lazy_due_s = 0.0  # earliest due time of these streams
