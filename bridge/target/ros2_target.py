@@ -127,7 +127,7 @@ class TargetSpec:
 SETTLED_M_S = 0.05  # largest standard deviation of a usable velocity; a quarter of the Burger's
 UNKNOWN_M_S = 100.0  # standard deviation of a velocity that was not measured, far above robot speeds
 GATE_SIGMAS = 6.0  # distance from the expected pose that makes an outlier: 1 in 10^8 by chance
-# consecutive outliers, or poses older than the newest stamp, after which the estimate restarts with them
+# consecutive poses that are outliers or older than the last one, after which the estimate restarts
 OUTLIERS_MAX = 5
 UNSETTLED_MAX = 50  # number of poses without a velocity after which a warning is sent
 
@@ -144,8 +144,7 @@ class PoseTrack:
         self._estimator = TargetEstimator(replace(link, velocity_noise_m_s=UNKNOWN_M_S))
         self._noise_m, self._child = link.position_noise_m, child_frame_id
         self._last: Pose | None = None  # last accepted pose
-        self._outliers = 0
-        self._behind, self._behind_ns = 0, 0  # poses older than the newest stamp; their last stamp
+        self._strange = 0  # number of consecutive poses that are outliers or older than the last one
         self._unsettled = 0  # number of poses since the last restart
         self.problem = ""  # reason why poses give no odometry; empty: they do
 
@@ -153,19 +152,18 @@ class PoseTrack:
         """Return the odometry of a pose; None if the velocity is unknown."""
         time_s, last = pose.stamp_ns / 1e9, self._last
         step_s = (pose.stamp_ns - last.stamp_ns) / 1e9 if last is not None else math.inf
-        if last is not None and 0.0 < step_s <= RESTART_S and self._is_outlier(pose, time_s):
-            self._outliers += 1
-            if self._outliers < OUTLIERS_MAX:
-                return None
-            step_s = math.inf
         if step_s == 0.0:
             return None
+        # a larger step back is a restart of the sender's clock
+        if -RESTART_S <= step_s < 0.0 or (0.0 < step_s <= RESTART_S and self._is_outlier(pose, time_s)):
+            self._strange += 1
+            if self._strange < OUTLIERS_MAX:
+                return None
+            step_s = math.inf
         if not 0.0 < step_s <= RESTART_S:
-            if last is not None and -RESTART_S <= step_s < 0.0 and not self._continues(pose.stamp_ns):
-                return None  # out of order; a larger step back is a restart of the sender's clock
             self._estimator.memory.time_s = math.nan
             last = None
-        self._outliers, self._behind, self._last = 0, 0, pose
+        self._strange, self._last = 0, pose
         q = pose.orientation_wxyz
         yaw_rad = yaw_from_quaternion(q)
         self._estimator.update(time_s, pose.position_m, ZERO, yaw_rad)
@@ -192,12 +190,6 @@ class PoseTrack:
             body_from_world(q, (0.0, 0.0, turned_rad / step_s)),
             pose.covariance,
         )
-
-    def _continues(self, stamp_ns: int) -> bool:
-        """Whether several poses in order are older than the newest stamp, which was therefore wrong."""
-        self._behind = self._behind + 1 if self._behind and stamp_ns > self._behind_ns else 1
-        self._behind_ns = stamp_ns
-        return self._behind >= OUTLIERS_MAX
 
     def _is_outlier(self, pose: Pose, time_s: float) -> bool:
         expected = self._estimator.at(time_s)
