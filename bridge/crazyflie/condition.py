@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 
 from bridge.crazyflie.packets import PROTOCOL_MIN, Connected, CrazyflieState, Health, Info, Lost, Power
 from bridge.crazyflie.rules import ESTIMATOR, KALMAN, LOST_S, POSE_AGE_MAX_S, REARM_S
@@ -54,11 +54,64 @@ class Condition:
         """Return the reasons against arming, the most basic first."""
         if self.link.protocol is None:
             return [f"no link to the Crazyflie: {self.link.reason}"]
-        return [text for text in (check(self, now_s) for check in CHECKS) if text is not None]
+        return [*self._unfit(self.link.protocol, now_s), *self._unplaced(now_s), *self._tilted()]
 
     def position_known(self, now_s: float) -> bool:
         """Whether the position estimate is good enough to fly."""
-        return all(check(self, now_s) is None for check in (_state, _estimator, _poses, _position))
+        return self.fresh_state(now_s) is not None and next(self._unplaced(now_s), None) is None
+
+    def _unfit(self, protocol: int, now_s: float) -> Iterator[str]:
+        """Yield the reasons against arming that do not concern the position."""
+        state, health = self.state, self.health
+        if old := too_old(protocol):
+            yield old
+        if state is None:
+            yield "no state from the Crazyflie yet"
+        else:
+            if (age_s := now_s - state.at_s) > STATE_AGE_MAX_S:
+                yield f"state is {age_s:.1f} s old: radio too weak?"
+            # firmware that arms itself is disarmed for a short time, and arms again
+            rearms = state.info & Info.AUTO_ARM and state.at_s - self.fit_s <= REARM_S
+            if reason := stuck(state.info):
+                yield reason
+            elif not (state.info & FIT or rearms):
+                yield "supervisor's pre-flight checks have not passed"
+            if health is not None and health.power is Power.CHARGING:
+                yield "it is charging: take it off the charger"
+            elif health is not None and (
+                health.power in (Power.LOW, Power.SHUTDOWN) or state.battery_v < BATTERY_MIN_V
+            ):
+                yield f"battery at {state.battery_v:.2f} V, {BATTERY_MIN_V:g} V needed: charge it"
+        if (found := self.link.params.get("stabilizer.controller", "0")) not in CONTROLLERS:
+            yield f"stabilizer.controller is {found}, which follows no velocities: set it to 1 (PID)"
+        if self.mocap_problem is not None:
+            yield self.mocap_problem
+
+    def _unplaced(self, now_s: float) -> Iterator[str]:
+        """Yield the reasons why the position is not known."""
+        params, health = self.link.params, self.health
+        if (found := params.get(ESTIMATOR, KALMAN)) != KALMAN:
+            yield f"{ESTIMATOR} is {found}, {KALMAN} (Kalman) needed"
+        # without poses the variance stays small, but the error is 0.65 m after 2.5 s
+        if self.needs_poses and now_s - self.posed_s > POSE_AGE_MAX_S:
+            yield "no pose from outside: has motion capture stopped?"
+        if health is None or now_s - health.at_s > HEALTH_AGE_MAX_S:
+            yield "no variance of the position estimate received"
+            return
+        worst = max(health.variance_m2)
+        # a stopped filter reports no variance
+        if not (math.isfinite(sum(health.variance_m2)) and 0.0 < worst <= VARIANCE_MAX_M2):
+            decks = (text for name, text in _POSITION_DECKS.items() if params.get(name, "0") != "0")
+            source = next(decks, "no positioning deck; give poses with --mocap KEY")
+            yield f"no position estimate (sigma {math.sqrt(abs(worst)):.2g} m): {source}"
+
+    def _tilted(self) -> Iterator[str]:
+        tilt_deg = math.degrees(2.0 * math.asin(min(1.0, 0.5 * math.hypot(*(self._leaning or ZERO)))))
+        if tilt_deg > TILT_MAX_DEG:
+            yield (
+                f"markers are tilted by {tilt_deg:.1f} degrees against the body, {TILT_MAX_DEG:g} allowed: "
+                "define the body anew in motion capture while it stands level"
+            )
 
     def fresh_state(self, now_s: float) -> CrazyflieState | None:
         """Return the newest state; None if it is too old for flight control."""
@@ -89,11 +142,6 @@ class Condition:
         mean = self._leaning or leaning
         x, y, z = (m + _SHARE * (new - m) for m, new in zip(mean, leaning, strict=True))
         self._leaning = (x, y, z)
-
-    @property
-    def tilt_rad(self) -> float:
-        leaning = math.hypot(*(self._leaning or ZERO))
-        return 2.0 * math.asin(min(1.0, 0.5 * leaning))
 
 
 def stuck(info: Info) -> str | None:
@@ -126,83 +174,3 @@ def too_old(protocol: int) -> str | None:
     if protocol >= PROTOCOL_MIN:
         return None
     return f"firmware has CRTP protocol {protocol}, arming needs {PROTOCOL_MIN}: update it"
-
-
-def _protocol(c: Condition, _now_s: float) -> str | None:
-    return too_old(c.link.protocol) if c.link.protocol is not None else None
-
-
-def _state(c: Condition, now_s: float) -> str | None:
-    if c.state is None:
-        return "no state from the Crazyflie yet"
-    age_s = now_s - c.state.at_s
-    return f"state is {age_s:.1f} s old: radio too weak?" if age_s > STATE_AGE_MAX_S else None
-
-
-def _supervisor(c: Condition, _now_s: float) -> str | None:
-    info = c.state.info if c.state is not None else Info(0)
-    found = stuck(info)
-    if found is not None or c.state is None or info & FIT:
-        return found
-    if info & Info.AUTO_ARM and c.state.at_s - c.fit_s <= REARM_S:
-        return None  # this firmware arms itself again
-    return "supervisor's pre-flight checks have not passed"
-
-
-def _battery(c: Condition, _now_s: float) -> str | None:
-    if c.state is None or c.health is None:
-        return None
-    if c.health.power is Power.CHARGING:
-        return "it is charging: take it off the charger"
-    if c.health.power in (Power.LOW, Power.SHUTDOWN) or c.state.battery_v < BATTERY_MIN_V:
-        return f"battery at {c.state.battery_v:.2f} V, {BATTERY_MIN_V:g} V needed: charge it"
-    return None
-
-
-def _controller(c: Condition, _now_s: float) -> str | None:
-    found = c.link.params.get("stabilizer.controller")
-    if found is None or found in CONTROLLERS:
-        return None
-    return f"stabilizer.controller is {found}, which follows no velocities: set it to 1 (PID)"
-
-
-def _estimator(c: Condition, _now_s: float) -> str | None:
-    found = c.link.params.get(ESTIMATOR)
-    if found is None or found == KALMAN:
-        return None
-    return f"{ESTIMATOR} is {found}, {KALMAN} (Kalman) needed"
-
-
-def _position(c: Condition, now_s: float) -> str | None:
-    if c.health is None or now_s - c.health.at_s > HEALTH_AGE_MAX_S:
-        return "no variance of the position estimate received"
-    worst = max(c.health.variance_m2)
-    # a stopped filter reports no variance
-    if math.isfinite(sum(c.health.variance_m2)) and 0.0 < worst <= VARIANCE_MAX_M2:
-        return None
-    decks = [text for name, text in _POSITION_DECKS.items() if c.link.params.get(name, "0") != "0"]
-    source = decks[0] if decks else "no positioning deck; give poses with --mocap KEY"
-    return f"no position estimate (sigma {math.sqrt(abs(worst)):.2g} m): {source}"
-
-
-def _poses(c: Condition, now_s: float) -> str | None:
-    """Return the problem of missing poses: the variance stays small, but the error is 0.65 m after 2.5 s."""
-    if not c.needs_poses or now_s - c.posed_s <= POSE_AGE_MAX_S:
-        return None
-    return "no pose from outside: has motion capture stopped?"
-
-
-def _level(c: Condition, _now_s: float) -> str | None:
-    tilt_deg = math.degrees(c.tilt_rad)
-    if tilt_deg <= TILT_MAX_DEG:
-        return None
-    return (
-        f"markers are tilted by {tilt_deg:.1f} degrees against the body, "
-        f"{TILT_MAX_DEG:g} allowed: define the body anew in motion capture while it stands level"
-    )
-
-
-CHECKS: tuple[Callable[[Condition, float], str | None], ...] = (
-    _protocol, _state, _supervisor, _battery, _controller, _estimator, lambda c, _: c.mocap_problem, _poses,
-    _position, _level,
-)  # fmt: skip
