@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -33,6 +33,13 @@ _LANDED_STATE_HZ = 5.0  # requested rate of the landed state; PX4's default
 _THROTTLE_HZ = 10.0  # requested rate of VFR_HUD if the thrust reserve is estimated
 _TEXTS_MAX = 256  # maximum number of texts that wait for ``take_texts``
 _HELD_MAX = 4096  # maximum number of messages that wait for their tick in lockstep
+# messages that the link itself handles; VehicleState handles the others
+_OWN = frozenset(
+    {
+        dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_COMMAND_ACK,
+        dialect.MAVLINK_MSG_ID_TIMESYNC, dialect.MAVLINK_MSG_ID_STATUSTEXT, EVENT,
+    }
+)  # fmt: skip
 _RESTARTED = "restarted, or heard again after a silence: missing telemetry is requested again"
 
 
@@ -88,13 +95,6 @@ class VehicleLink:
         self._heartbeat_at_s = self._hello_at_s = -math.inf
         self._hello = b""  # first heartbeat, repeated until a message of the vehicle arrives
         self._restarted_s = -math.inf  # time of the newest restart that was handled
-        self._handlers: dict[int, Callable[[Message, float], None]] = {
-            dialect.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
-            dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
-            dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
-            EVENT: self._on_event,
-            dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
-        }
 
     @property
     def failed(self) -> str | None:
@@ -195,7 +195,7 @@ class VehicleLink:
     @property
     def heeded(self) -> frozenset[int]:
         """Ids of the messages that have an effect on this link."""
-        return frozenset((*self._handlers, *self.state.heeded, *self._streams.asked))
+        return frozenset((*_OWN, *self.state.heeded, *self._streams.asked))
 
     def silent_until_s(self, request: Request) -> float:
         """Return the time before which this link sends only set-points, if only vehicle states arrive."""
@@ -255,7 +255,19 @@ class VehicleLink:
     def _handle(self, message: Message, arrival_s: float) -> None:
         message_id: int = message.get_msgId()  # STATUSTEXT has a field named id, so .id cannot be used
         self._streams.seen(message_id)
-        self._handlers.get(message_id, self.state.update)(message, arrival_s)
+        if message_id not in _OWN:
+            self.state.update(message, arrival_s)
+        elif message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            self._on_heartbeat(message, arrival_s)
+        elif message_id == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
+            self._sequencer.note_ack(message.command, message.result)
+        elif message_id == dialect.MAVLINK_MSG_ID_TIMESYNC:
+            self._on_timesync(message, arrival_s)
+        else:
+            said = [event_text(message)] if message_id == EVENT else self._assembler.add(message)
+            for severity, text in filter(None, said):  # the text may be the reason of a failed command
+                self._say(severity, text)
+                self._sequencer.note_text(text)
 
     def _on_heartbeat(self, message: Message, arrival_s: float) -> None:
         refused, profile = (
@@ -269,22 +281,6 @@ class VehicleLink:
             self.adopt(profile)
             self._say(dialect.MAV_SEVERITY_INFO, f"its heartbeat says: {profile.title}")
         self.state.update(message, arrival_s)
-
-    def _on_ack(self, message: Message, _arrival_s: float) -> None:
-        self._sequencer.note_ack(message.command, message.result)
-
-    def _on_text(self, message: Message, _arrival_s: float) -> None:
-        for severity, text in self._assembler.add(message):
-            self._said(severity, text)
-
-    def _on_event(self, message: Message, _arrival_s: float) -> None:
-        if (said := event_text(message)) is not None:
-            self._said(*said)
-
-    def _said(self, severity: int, text: str) -> None:
-        """Pass on a status text of the vehicle; the text may be the reason of a failed command."""
-        self._say(severity, text)
-        self._sequencer.note_text(text)
 
     def _on_timesync(self, message: Message, arrival_s: float) -> None:
         if message.tc1 != 0:
