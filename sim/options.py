@@ -82,14 +82,9 @@ class ValidateOptions:
     """Options of the tool that compares the simulator with recorded flights."""
 
     folder: Annotated[Path, Option("DIR", exists=True, path="folder")]
-    columns: Annotated[Path | None, Option(
-        "--columns", "TOML with the recordings' columns, units and signs; default: those of NanoBench.",
-        "FILE", path="file", exists=True
-    )] = None  # fmt: skip
-    vehicle: Annotated[str | None, Option(
-        "--vehicle", "Vehicle to simulate: a name of sim/plant or a file; default: crazyflie21_room.",
-        "NAME_OR_FILE"
-    )] = None  # fmt: skip
+    vehicle: Annotated[str, Option(
+        "--vehicle", "Vehicle to simulate: a name of sim/plant or a file.", "NAME_OR_FILE"
+    )] = "crazyflie21_room"  # fmt: skip
     seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0
     workers: shared.Workers = None
     out: Annotated[Path | None, Option(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -137,7 +137,6 @@ def validate(options: ValidateOptions) -> None:
     from sim.validation import run as core
     from sim.validation.criteria import judge, reasons, summary
 
-    options = replace(options, vehicle=options.vehicle or core.VEHICLE)
     console = Terminal(stderr=options.as_json)
     try:
         paths = find_recordings(options.folder)

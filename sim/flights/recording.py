@@ -1,4 +1,4 @@
-"""A recorded flight of a real vehicle, read from Parquet or CSV by a table of columns, in SI units.
+"""A recorded flight of a real vehicle, read from Parquet or CSV, in SI units.
 
 World axes have z up and the horizontal axes of the room (ENU if the room's x is called east). The body frame
 is FLU.
@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -18,59 +18,48 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from flightstack.common.strict_toml import ConfigError, decoded, read_toml
+from flightstack.common.strict_toml import decoded
 
 Floats = NDArray[np.float64]
 
 SUFFIXES = (".parquet", ".csv")
 PWM_MAX = 65535.0  # Crazyflie firmware motors.c: 16-bit PWM
 SAMPLES_MIN = 200  # minimum number of samples: 2 s at 100 Hz
-COLUMNS = Path(__file__).with_name("crazyflie_vicon.toml")
 
 
 class RecordingError(ValueError):
     """A recording that cannot be used; the message has the value found and the allowed values."""
 
 
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """Definition of a quantity that the columns of a recording contain."""
+def _axes(prefix: str) -> tuple[str, ...]:
+    return tuple(prefix + axis for axis in "xyz")
+
+
+class Quantity(NamedTuple):
+    """Columns of a recording that contain one quantity."""
 
     field: str  # field of ``Recording``
-    width: int  # number of columns
-    # allowed units, each with the factor to SI units (for PWM: to the duty cycle, 0 to 1)
-    units: Mapping[str, float]
-    required: bool = False  # whether a recording without these columns is rejected
+    columns: tuple[str, ...]  # names of the columns
+    unit: str
+    factor: float = 1.0  # factor from the unit to SI units (for PWM: to the duty cycle, 0 to 1)
+    required: bool = True  # whether a recording without these columns is rejected
 
 
-_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3}
-_ANGLE = {"rad": 1.0, "deg": math.pi / 180.0}
-_RATE = {"rad/s": 1.0, "deg/s": math.pi / 180.0}
-_DUTY = {"PWM": 1.0 / PWM_MAX, "1": 1.0, "%": 1e-2}
-
-QUANTITIES: dict[str, Quantity] = {
-    "time": Quantity("time_s", 1, {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, required=True),
-    "position": Quantity("position_m", 3, _LENGTH, required=True),
-    "velocity": Quantity("velocity_m_s", 3, _SPEED),
-    "attitude": Quantity("attitude", 4, {"1": 1.0}, required=True),
-    "rates": Quantity("rates_rad_s", 3, _RATE, required=True),
-    "pwm": Quantity("duty", 4, _DUTY, required=True),
-    "battery": Quantity("battery_v", 1, {"V": 1.0, "mV": 1e-3}, required=True),
-    "estimate_position": Quantity("estimate_position_m", 3, _LENGTH),
-    "estimate_velocity": Quantity("estimate_velocity_m_s", 3, _SPEED),
-    "setpoint_position": Quantity("setpoint_position_m", 3, _LENGTH),
-    "setpoint_yaw": Quantity("setpoint_yaw_rad", 1, _ANGLE),
-    "thrust_command": Quantity("thrust_command", 1, _DUTY),
+# columns as published with NanoBench (arXiv 2603.09908); most names are those of the firmware's log variables
+QUANTITIES: Mapping[str, Quantity] = {
+    "time": Quantity("time_s", ("t",), "s"),
+    "position": Quantity("position_m", ("px", "py", "pz"), "m"),
+    "attitude": Quantity("attitude", ("qw", "qx", "qy", "qz"), "1"),
+    "rates": Quantity("rates_rad_s", _axes("imu_gyro_"), "rad/s"),
+    "pwm": Quantity("duty", tuple(f"motor_motor_m{i}" for i in range(1, 5)), "PWM", 1.0 / PWM_MAX),
+    "battery": Quantity("battery_v", ("pwr_pm_vbat",), "V"),
+    "velocity": Quantity("velocity_m_s", ("vx", "vy", "vz"), "m/s", 1.0, False),
+    "estimate_position": Quantity("estimate_position_m", _axes("est_stateEstimate_"), "m", 1.0, False),
+    "estimate_velocity": Quantity("estimate_velocity_m_s", _axes("est_stateEstimate_v"), "m/s", 1.0, False),
+    "setpoint_position": Quantity("setpoint_position_m", _axes("sp_ctrltarget_"), "m", 1.0, False),
+    "setpoint_yaw": Quantity("setpoint_yaw_rad", ("sp_ctrltarget_yaw",), "deg", math.pi / 180.0, False),
+    "thrust_command": Quantity("thrust_command", ("pid_controller_cmd_thrust",), "PWM", 1.0 / PWM_MAX, False),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Columns of a quantity, and their factors to SI units in the project's axes."""
-
-    columns: tuple[str, ...]
-    factors: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,51 +80,12 @@ class Recording:
     setpoint_position_m: Floats | None = None  # (n, 3) position set-points, world
     setpoint_yaw_rad: Floats | None = None  # (n,) yaw set-points
     thrust_command: Floats | None = None  # (n,) thrust command of the PID controller, 0 to 1
-    step_s: float = field(default=0.01)
+    step_s: float = 0.01  # median time between two samples
 
     @property
     def by_pid(self) -> bool:
         """Whether the PID controller flew; with Mellinger the thrust command is always zero."""
         return self.thrust_command is None or bool(np.any(self.thrust_command > 0.0))
-
-
-def read_columns(path: Path = COLUMNS) -> dict[str, Group]:
-    """Read the TOML file that gives column names and units for each quantity.
-
-    Raises RecordingError: not TOML, an unknown quantity or unit, or the wrong number of columns.
-    """
-    try:
-        tables = read_toml(path)
-    except ConfigError as error:
-        raise RecordingError(str(error)) from error
-    for name in tables:
-        if name not in QUANTITIES:
-            raise RecordingError(
-                f"{path}: [{name}]: found no such quantity; allowed: {', '.join(QUANTITIES)}"
-            )
-    for name, quantity in QUANTITIES.items():
-        if quantity.required and name not in tables:
-            raise RecordingError(f"{path}: [{name}] is missing; it needs {quantity.width} columns and a unit")
-    return {name: _group(f"{path}: [{name}]", QUANTITIES[name], table) for name, table in tables.items()}
-
-
-def _group(where: str, quantity: Quantity, table: object) -> Group:
-    if not isinstance(table, dict) or not set(table) <= {"columns", "unit", "sign"}:
-        raise RecordingError(f"{where}: found {table!r}; allowed: columns, unit, sign")
-    columns, sign = (_list(where, table, key, quantity.width) for key in ("columns", "sign"))
-    unit = table.get("unit")
-    if not all(isinstance(c, str) for c in columns) or any(s not in (1, -1) for s in sign):
-        raise RecordingError(f"{where}: columns are names, and signs are 1 or -1; found {columns}, {sign}")
-    if not isinstance(unit, str) or unit not in quantity.units:
-        raise RecordingError(f"{where}: unit: found {unit!r}; allowed: {', '.join(quantity.units)}")
-    return Group(tuple(columns), tuple(s * quantity.units[unit] for s in sign))
-
-
-def _list(where: str, table: dict[str, Any], key: str, width: int) -> list[Any]:
-    found = table.get(key, [1] * width if key == "sign" else None)
-    if not isinstance(found, list) or len(found) != width:
-        raise RecordingError(f"{where}: {key}: found {found!r}; a list of {width} is needed")
-    return found
 
 
 def find_recordings(folder: Path) -> list[Path]:
@@ -151,7 +101,7 @@ def find_recordings(folder: Path) -> list[Path]:
     return found
 
 
-def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
+def read_recording(path: Path) -> Recording:
     """Read the file of one recorded flight and convert its columns to SI units.
 
     Raises RecordingError: unreadable file, columns missing or not numeric, too few samples, or no time.
@@ -167,31 +117,27 @@ def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
     except (OSError, ValueError, pa.ArrowException) as error:
         raise RecordingError(f"can't be read: {str(error).partition(chr(10))[0]}") from error
     arrays: dict[str, Floats] = {}
-    for name, group in columns.items():
-        missing = [column for column in group.columns if column not in names]
-        if missing and QUANTITIES[name].required:
+    for name, quantity in QUANTITIES.items():
+        missing = [column for column in quantity.columns if column not in names]
+        if missing and quantity.required:
             raise RecordingError(
-                f"columns of {name} not found: {', '.join(missing)}; the file has "
-                f"{', '.join(names[:8])}, ...; name its columns by --columns"
+                f"columns of {name} not found: {', '.join(missing)}; the file has {', '.join(names[:8])}, ..."
             )
-        double = [column for column in group.columns if names.count(column) > 1]
+        double = [column for column in quantity.columns if names.count(column) > 1]
         if double:
             raise RecordingError(f"columns of {name} are there several times: {', '.join(double)}")
         if not missing:
-            arrays[QUANTITIES[name].field] = _numbers(table, group)
+            arrays[quantity.field] = _numbers(table, quantity)
     if len(arrays["time_s"]) < SAMPLES_MIN:
         raise RecordingError(f"found {len(arrays['time_s'])} samples, at least {SAMPLES_MIN} are needed")
     return _recording(path.stem, arrays)
 
 
-def _numbers(table: pa.Table, group: Group) -> Floats:
+def _numbers(table: pa.Table, quantity: Quantity) -> Floats:
     try:
-        made = [
-            factor * np.asarray(table[column].to_numpy(), dtype=np.float64)
-            for column, factor in zip(group.columns, group.factors, strict=True)
-        ]
+        made = [quantity.factor * np.asarray(table[c].to_numpy(), dtype=np.float64) for c in quantity.columns]
     except (ValueError, TypeError, pa.ArrowException) as error:
-        raise RecordingError(f"columns {', '.join(group.columns)} are not numbers: {error}") from error
+        raise RecordingError(f"columns {', '.join(quantity.columns)} are not numbers: {error}") from error
     values = made[0] if len(made) == 1 else np.stack(made, axis=1)
     values[~np.isfinite(values)] = np.nan  # treat infinite values as missing
     return values

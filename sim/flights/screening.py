@@ -1,10 +1,9 @@
 """Selects the usable parts of a recorded flight, and states why other parts are left out.
 
-First the values are checked against the table of columns: units, signs, order, clocks. Each quantity is
-compared with another quantity of the same flight, or with the range of a small quadrotor. If they differ by
-more than a factor of ``FAR``, the error message names the unit that would fit. The gyro is logged on board,
-the attitude comes from motion capture. Both show the same rotation, so their lag is the offset of the two
-clocks. Over radio this offset may drift by a tenth of a second within a flight.
+First the values are checked: units, signs, order, clocks. Each quantity is compared with another quantity of
+the same flight, or with the range of a small quadrotor; they may differ by a factor of ``FAR``. The gyro is
+logged on board, the attitude comes from motion capture. Both show the same rotation, so their lag is the
+offset of the two clocks. Over radio this offset may drift by a tenth of a second within a flight.
 
 Each check of the screening marks samples. A marked sample also excludes ``MARGIN_S`` on both sides, because
 loggers interpolate over damaged values. A piece must last at least ``PIECE_MIN_S`` in the air. A flight with
@@ -13,17 +12,16 @@ more damage than ``DAMAGED_MAX`` is excluded: its estimator or link failed befor
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from sim.flights.recording import QUANTITIES, Floats, Group, Recording, RecordingError, read_recording
+from sim.flights.recording import QUANTITIES, Floats, Recording, RecordingError, read_recording
 
 FAR = 6.0  # allowed factor between two quantities; any two units differ by more
 STEP_S = (0.5e-3, 0.1)  # allowed sample period, s; longer periods do not show a quadrotor's motion
@@ -32,78 +30,57 @@ CELL_V = 3.7  # typical voltage of a LiPo cell, V
 DUTY = 0.5  # typical duty cycle in flight, within a factor of 2
 TILT_MAX_DEG = 60.0  # largest median tilt of a flight
 OPPOSITE = -0.5  # correlation below which an axis has the wrong sign
-# smallest motion that is compared, SI units; smaller motions are noise
-MOVES = {"attitude": 0.05, "position": 0.05, "velocity": 0.05}
+MOVES = 0.05  # smallest motion that is compared, m, m/s or rad/s; smaller motions are noise
 
 
-class _Scale(NamedTuple):
-    """Size of a recorded quantity, divided by its expected size."""
-
-    name: str
-    ratio: float
-    told: str
+def check(recording: Recording) -> None:
+    """Raise RecordingError with the first quantity that contradicts the others."""
+    for text in _contradictions(recording):
+        raise RecordingError(text)
 
 
-def check(recording: Recording, columns: Mapping[str, Group]) -> None:
-    """Raise RecordingError if values contradict ``columns``, with each quantity and the unit that fits."""
+def _contradictions(r: Recording) -> Iterator[str]:
     low, high = STEP_S
-    if not low <= recording.step_s <= high:
-        scale = _Scale("time", recording.step_s / 0.01, f"samples are {recording.step_s:.3g} s apart")
-        raise RecordingError(_wrong(scale, columns) + f"; {low:g} to {high:g} s are allowed")
-    far = [scale for scale in _scales(recording) if not 1.0 / FAR <= scale.ratio <= FAR]
-    # a quantity without a fitting unit results from the wrong unit of another quantity
-    far = [scale for scale in far if _fits(scale, columns)] or far
-    found = [_wrong(scale, columns) for scale in far] + list(_turned(recording))
-    if found:
-        raise RecordingError("; ".join(found))
+    if not low <= r.step_s <= high:
+        yield f"time: samples are {r.step_s:.3g} s apart, {low:g} to {high:g} s are allowed; the unit is s"
+    for name, ratio, text in _sizes(r):
+        if not 1.0 / FAR <= ratio <= FAR:
+            unit = QUANTITIES[name].unit
+            yield f"{name}: {text}; allowed is a factor of {FAR:g}; are these its columns, in {unit}?"
+    yield from _turned(r)
 
 
-def _fits(scale: _Scale, columns: Mapping[str, Group]) -> list[str]:
-    declared = abs(columns[scale.name].factors[0])
-    units = QUANTITIES[scale.name].units
-    return [u for u, factor in units.items() if 1.0 / FAR <= scale.ratio * factor / declared <= FAR]
-
-
-def _wrong(scale: _Scale, columns: Mapping[str, Group]) -> str:
-    """Return a sentence with the value found and the unit that would fit."""
-    declared, fits = abs(columns[scale.name].factors[0]), _fits(scale, columns)
-    unit = next(u for u, factor in QUANTITIES[scale.name].units.items() if np.isclose(factor, declared))
-    hint = f"unit {' or '.join(fits)} would fit" if fits else "no unit fits: are these its columns?"
-    return f"{scale.name}: {scale.told}, if the unit is {unit}; {hint}"
-
-
-def _scales(r: Recording) -> Iterator[_Scale]:
-    """Yield this ratio for each quantity that the flight contains."""
+def _sizes(r: Recording) -> Iterator[tuple[str, float, str]]:
+    """Yield each quantity of the flight, the ratio of its size to the expected size, and both as text."""
     moving = np.isfinite(r.duty).all(axis=1) & (r.duty.max(axis=1) > 0.0)
-    span_m = max(_width(r.position_m), 1e-9)
+    span_m = _width(r.position_m)
     if span_m > ROOM_M:
-        yield _Scale("position", span_m, f"the flight is {2.0 * span_m:.3g} m wide")
+        yield "position", span_m, f"the flight is {2.0 * span_m:.3g} m wide"
     if moving.any():
         duty = float(np.median(r.duty[moving]))
-        yield _Scale("pwm", duty / DUTY, f"the median is {duty:.3g} of the highest command")
+        yield "pwm", duty / DUTY, f"the median is {duty:.3g} of the highest command, expected {DUTY:g}"
     volt = float(np.nanmedian(r.battery_v)) if np.isfinite(r.battery_v).any() else CELL_V
-    yield _Scale("battery", volt / CELL_V, f"the median is {volt:.3g} V")
+    yield "battery", volt / CELL_V, f"the median is {volt:.3g} V, expected {CELL_V:g} V"
     derived = np.gradient(r.position_m, r.time_s, axis=0)
+    turning, gyro = (band(rates, r.step_s) for rates in (rates_rad_s(r), r.rates_rad_s))
     pairs = [
-        ("velocity", r.velocity_m_s, derived, MOVES["velocity"], "derivative of the position"),
-        ("rates", r.rates_rad_s, rates_rad_s(r), MOVES["attitude"], "derivative of the attitude"),
-        ("estimate_position", r.estimate_position_m, r.position_m, MOVES["position"], "position"),
-        ("estimate_velocity", r.estimate_velocity_m_s, r.velocity_m_s, MOVES["velocity"], "velocity"),
-        ("setpoint_position", r.setpoint_position_m, r.position_m, MOVES["position"], "position"),
+        ("velocity", r.velocity_m_s, derived, "derivative of the position"),
+        ("rates", gyro, turning, "derivative of the attitude"),
+        ("estimate_position", r.estimate_position_m, r.position_m, "position"),
+        ("estimate_velocity", r.estimate_velocity_m_s, r.velocity_m_s, "velocity"),
+        ("setpoint_position", r.setpoint_position_m, r.position_m, "position"),
     ]
-    for name, values, reference, least, told in pairs:
+    for name, values, reference, text in pairs:
         if values is None:
             continue
-        if name == "rates":
-            values, reference = band(values, r.step_s), band(reference, r.step_s)
         size, true = _width(values), _width(reference)
         rests = size == 0.0 and name.startswith("setpoint")  # set-points, but not sensors, can be constant
-        if true > least and not rests:
-            yield _Scale(name, size / true, f"{size / true:.3g} times the {told}")
+        if true > MOVES and not rests:
+            yield name, size / true, f"{size / true:.3g} times the {text}"
 
 
 def _turned(r: Recording) -> Iterator[str]:
-    """Yield a sentence for each group of columns with rotated axes or a wrong sign."""
+    """Yield a sentence for an attitude or a rate with a wrong order of columns or a wrong sign."""
     up = _matrix(r)[:, 2, 2]
     tilt_deg = float(np.degrees(np.arccos(np.clip(np.median(up), -1.0, 1.0))))
     if tilt_deg > TILT_MAX_DEG:
@@ -111,15 +88,14 @@ def _turned(r: Recording) -> Iterator[str]:
             f"attitude: tilted by {tilt_deg:.0f} degrees in the middle; columns are w, x, y, z of the "
             "rotation from body (forward, left, up) to world (z up)"
         )
-        return
-    values, reference = band(r.rates_rad_s, r.step_s), band(rates_rad_s(r), r.step_s)
-    if _width(reference) <= MOVES["attitude"]:
+    values, reference = (band(rates, r.step_s) for rates in (r.rates_rad_s, rates_rad_s(r)))
+    if _width(reference) <= MOVES:
         return
     for axis in range(3):
         a, b = (v[:, axis] - v[:, axis].mean() for v in (values, reference))
         size = float(np.sqrt((a**2).sum() * (b**2).sum()))
         if size > 0.0 and float((a * b).sum()) / size < OPPOSITE:
-            yield f"rates: column {axis + 1} is opposite to the attitude; set its sign, or mend the attitude"
+            yield f"rates: column {axis + 1} is opposite to the attitude; mend its sign, or the attitude"
 
 
 def _width(values: Floats) -> float:
@@ -224,13 +200,13 @@ class Screened:
         return float(sum(piece.stop - piece.start for piece in self.pieces)) * self.recording.step_s
 
 
-def load(path: Path, columns: Mapping[str, Group]) -> Screened:
+def load(path: Path) -> Screened:
     """Read a flight, check units and signs, and screen it.
 
-    Raises RecordingError: the file cannot be read or contradicts the columns.
+    Raises RecordingError: the file cannot be read, or a quantity contradicts the others.
     """
-    recording = read_recording(path, columns)
-    check(recording, columns)
+    recording = read_recording(path)
+    check(recording)
     return screen(recording)
 
 

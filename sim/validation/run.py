@@ -12,7 +12,7 @@ from pathlib import Path
 from zlib import crc32
 
 from flightstack.common.pool import in_processes
-from sim.flights.recording import COLUMNS, Group, RecordingError, read_columns
+from sim.flights.recording import RecordingError
 from sim.flights.screening import Reason, load
 from sim.options import ValidateOptions
 from sim.plant.params import Params
@@ -21,8 +21,6 @@ from sim.validation import closed_loop, open_loop, sensing
 from sim.validation.closed_loop import ClosedLoop
 from sim.validation.open_loop import OpenLoop
 from sim.validation.sensing import Sensing
-
-VEHICLE = "crazyflie21_room"  # vehicle of the recorded flights with which the project was compared
 
 
 @dataclass(frozen=True)
@@ -43,15 +41,15 @@ class Compared:
         return self.used_s > 0.0
 
 
-def compare(path: Path, columns: dict[str, Group], params: Params, options: ValidateOptions) -> Compared:
+def compare(path: Path, params: Params, seed: int) -> Compared:
     """Compare one flight; the random numbers depend only on the flight's name and the seed."""
     try:
-        flight = load(path, columns)
+        flight = load(path)
     except RecordingError as error:
         return Compared(path.stem, 0.0, (Reason(str(error), 0.0),))
     if not flight.usable:
         return Compared(path.stem, 0.0, flight.left_out)
-    seed = options.seed + crc32(path.stem.encode())
+    seed += crc32(path.stem.encode())
     return Compared(
         path.stem,
         flight.seconds,
@@ -69,11 +67,9 @@ def run(
     """Compare flights in ``workers`` processes; the result is sorted by name.
 
     ``on_flight``: called with each compared flight, in any order.
-    Raises RecordingError: the table of columns is wrong; ConfigError: the vehicle's file is wrong;
-    WorkersError: no process starts.
+    Raises ConfigError: the vehicle's file is wrong; WorkersError: no process starts.
     """
-    columns, params = read_columns(options.columns or COLUMNS), load_vehicle(options.vehicle or VEHICLE)
-    work = partial(compare, columns=columns, params=params, options=options)
+    work = partial(compare, params=load_vehicle(options.vehicle), seed=options.seed)
     alone = workers == 1 or len(paths) <= 1
     done: list[Compared] = []
     for one in map(work, paths) if alone else in_processes(work, paths, workers, _failed):

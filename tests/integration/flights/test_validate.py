@@ -11,7 +11,6 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from sim.flights.recording import COLUMNS
 from tests import recorded
 from tests.integration.runs import called
 
@@ -44,9 +43,6 @@ def changed(names, change):
     for name in names:
         columns[name] = change(columns[name])
     return columns
-
-
-GYRO = [f"imu_gyro_{axis}" for axis in "xyz"]
 
 
 def nan_for_a_while(values):
@@ -117,7 +113,6 @@ def test_nothing_left_is_exit_status_1(tmp_path):
     [
         (("nowhere",), "nowhere"),
         ((recorded.PIECE.parent, "--vehicle", "nothing"), "neither a file nor one of"),
-        ((recorded.PIECE.parent, "--columns", recorded.PIECE), "not TOML"),
     ],
 )
 def test_wrong_input_exits_2(tmp_path, words, says):
@@ -125,16 +120,6 @@ def test_wrong_input_exits_2(tmp_path, words, says):
     assert done.code == 2
     assert says in done.err
     assert "Traceback" not in done.err
-
-
-def test_other_names_and_units_are_read_by_a_table_of_columns(tmp_path):
-    columns = changed(GYRO, np.degrees)
-    columns["seconds"] = columns.pop("t")
-    write(tmp_path / "flight.csv", columns)
-    mapped = COLUMNS.read_text().replace('["t"]', '["seconds"]').replace('"rad/s"', '"deg/s"')
-    (tmp_path / "columns.toml").write_text(mapped)
-    told, _ = validate(tmp_path, tmp_path / "out", "--columns", tmp_path / "columns.toml")
-    assert told["used"] == 1
 
 
 def test_the_terminal_shows_criteria_and_causes(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Tests which columns of recorded flights are read, and which files and parts are rejected."""
+"""Tests the reading of recorded flights, and which files and parts are rejected."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from sim.flights.recording import COLUMNS, PWM_MAX, RecordingError, read_columns, read_recording
+from sim.flights.recording import PWM_MAX, QUANTITIES, RecordingError, read_recording
 from sim.flights.screening import screen
 
 RATE_HZ = 100.0
-COLUMN_TABLE = read_columns()
 
 
 def flight(seconds: float = 12.0) -> dict[str, np.ndarray]:
@@ -22,7 +21,7 @@ def flight(seconds: float = 12.0) -> dict[str, np.ndarray]:
     t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
     air = np.clip((t - 2.0) / 0.5, 0.0, 1.0)
     zero, one = np.zeros_like(t), np.ones_like(t)
-    columns = {name: zero for group in COLUMN_TABLE.values() for name in group.columns}
+    columns = {name: zero for each in QUANTITIES.values() for name in each.columns}
     columns |= {
         "t": 1.7e9 + t, "px": np.cos(0.5 * t), "py": np.sin(0.5 * t), "pz": 0.05 + air, "qw": one,
         "vx": -0.5 * np.sin(0.5 * t), "vy": 0.5 * np.cos(0.5 * t), "pwr_pm_vbat": 3.7 * one,
@@ -39,7 +38,7 @@ def read(tmp_path, columns, suffix=".parquet"):
         pa.csv.write_csv(table, path)
     else:
         pa.parquet.write_table(table, path)
-    return read_recording(path, COLUMN_TABLE)
+    return read_recording(path)
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
@@ -52,19 +51,6 @@ def test_units_and_signs_become_those_of_the_project(tmp_path, suffix):
     assert found.duty.max() == pytest.approx(50000.0 / PWM_MAX)
     assert found.setpoint_yaw_rad[0] == pytest.approx(math.radians(10.0))
     assert not found.by_pid
-
-
-def test_other_names_and_units_come_from_a_table(tmp_path):
-    columns = flight()
-    columns["x_mm"], columns["y_mm"], columns["z_mm"] = (1000.0 * columns.pop(f"p{a}") for a in "xyz")
-    table = COLUMNS.read_text().replace(
-        '["px", "py", "pz"]\nunit = "m"', '["x_mm", "y_mm", "z_mm"]\nunit = "mm"'
-    )
-    (tmp_path / "columns.toml").write_text(table)
-    path = tmp_path / "flight.parquet"
-    pa.parquet.write_table(pa.table(columns), path)
-    found = read_recording(path, read_columns(tmp_path / "columns.toml"))
-    assert found.position_m[0].tolist() == pytest.approx([1.0, 0.0, 0.05])
 
 
 @pytest.mark.parametrize(
@@ -80,23 +66,6 @@ def test_a_flight_that_cannot_be_read_says_why(tmp_path, change, says):
     columns = flight() | change
     with pytest.raises(RecordingError, match=says):
         read(tmp_path, {name: values for name, values in columns.items() if values is not None})
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("[speed]\n", "no such quantity"),
-        ("[time]\ncolumns = ['t']\nunit = 's'\n", r"\[position\] is missing"),
-        (COLUMNS.read_text().replace('unit = "V"', 'unit = "volts"'), "allowed: V, mV"),
-        (COLUMNS.read_text().replace('columns = ["t"]', 'columns = ["t", "u"]'), "a list of 1 is needed"),
-        (COLUMNS.read_text().replace('unit = "V"', 'unit = "V"\nsign = [-2]'), "signs are 1 or -1"),
-        ("not toml", "not TOML"),
-    ],
-)
-def test_a_wrong_table_of_columns_says_what_is_allowed(tmp_path, text, says):
-    (tmp_path / "columns.toml").write_text(text)
-    with pytest.raises(RecordingError, match=says):
-        read_columns(tmp_path / "columns.toml")
 
 
 def test_a_whole_flight_is_used_but_for_the_ground(tmp_path):

@@ -15,10 +15,10 @@ from sim.flights.screening import Reason
 from sim.options import ValidateOptions
 from sim.validation import closed_loop, open_loop, sensing
 from sim.validation.criteria import causes, judge, over_flights, summary
-from sim.validation.run import VEHICLE, Compared
+from sim.validation.run import Compared
 from tests.examples import examples
 
-PLAN = ValidateOptions(folder=Path("flights"), vehicle=VEHICLE)
+PLAN = ValidateOptions(folder=Path("flights"))
 FLOWN = closed_loop.Flown(0.1, 0.02, 0.85, 0.05)
 ERROR = sensing.Error(0.02, (0.002, 0.01, 0.014, 0.025))
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flightstack.compiled.records import cell, new
-from sim.flights.recording import Recording, read_columns
+from sim.flights.recording import Recording
 from sim.flights.screening import Screened, load
 from sim.plant.state_error import ErrorRows, PastRecord, mismeasured_path
 from sim.scenarios.tables import StateError
@@ -58,8 +58,7 @@ def test_simulated_estimates_are_like_those_that_the_same_model_made():
 
 def test_the_defaults_are_like_the_recorded_flights():
     """Only a third of the flights are compared; docs/how_it_works/own_state.md has a table of all."""
-    columns = read_columns()
-    recorded = [load(path, columns) for path in flights()[::3]]
+    recorded = [load(path) for path in flights()[::3]]
     found = [compare(flight, number) for number, flight in enumerate(recorded) if flight.usable]
     for quantity in ("position", "velocity"):
         ratio, delay_s = pooled([each for each in found if each is not None], quantity)
