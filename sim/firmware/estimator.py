@@ -25,9 +25,10 @@ from functools import cache
 import numpy as np
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Record, Vector, new, reader, scalars
+from flightstack.compiled.records import F64, Record, Vector, reader, scalars
 from flightstack.core.types import Vec3
 from sim.firmware.setpoint import SensedState
+from sim.plant.params import CONTROL_STEP_S
 from sim.plant.states import Estimate
 
 FIRMWARE_STEP_S = 0.001
@@ -233,16 +234,15 @@ def turn_estimate(s: SensedState, dx: float, dy: float, dz: float) -> None:
 class Estimator:
     """State estimator of one vehicle; ``sensed`` is the result.
 
-    ``mocap_period_s``: time between motion-capture samples; ``step_s``: time between calls of ``predict``;
-    ``record``: record that stores the state; ``known_drag_1_s``: ``kalman.dragB_*`` for the firmware's form;
-    None: default form.
+    ``record``: record that stores the state; ``mocap_period_s``: time between motion-capture samples;
+    ``known_drag_1_s``: ``kalman.dragB_*`` for the firmware's form; None: default form.
     """
 
     def __init__(
-        self, mocap_period_s: float, step_s: float, gravity_m_s2: float,
-        record: EstimatorRecord | None = None, known_drag_1_s: Vec3 | None = None,
+        self, record: EstimatorRecord, mocap_period_s: float, gravity_m_s2: float,
+        known_drag_1_s: Vec3 | None,
     ) -> None:  # fmt: skip
-        self.record = r = new(EstimatorRecord) if record is None else record
+        self.record = r = record
         self.sensed = s = r.sensed
         (self._age_s,) = scalars(r, "since_sample_s")
         self._read = reader(s, skipping="axes")
@@ -253,7 +253,7 @@ class Estimator:
         if known_drag_1_s is not None:
             (r.kp, r.kv, r.kt), (r.kp_tilt, r.kv_tilt, r.kt_tilt) = pose_gains(mocap_period_s, gravity_m_s2)
             r.by_pose, r.known_drag[:], r.kz = True, known_drag_1_s, 0.0
-        r.step = step_s
+        r.step = CONTROL_STEP_S
         r.gravity = gravity_m_s2
         self.sensed.quaternion[:] = (1.0, 0.0, 0.0, 0.0)
         self.sensed.axes[:] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -271,20 +271,6 @@ class Estimator:
         bx, by, bz = (axes[i] * a + axes[3 + i] * b + axes[6 + i] * c for i in range(3))
         self.record.bias_z = -bz
         turn_estimate(sensed, by / gravity, -bx / gravity, 0.0)
-
-    def correct(self, x: float, y: float, z: float, yaw: float) -> None:
-        """Correct the estimate with a motion-capture sample; the sample's age is ignored."""
-        correct(self.record, x, y, z, yaw)
-
-    def take_pose(self, position: Vec3, quaternion: tuple[float, float, float, float]) -> None:
-        """Correct the estimate with an external pose; unlike ``correct``, also correct roll and pitch."""
-        w, x, y, z = quaternion
-        self.correct(*position, math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
-        correct_tilt(self.record, np.array(quaternion))
-
-    def know_drag(self, drag_1_s: Vec3) -> None:
-        """Set the firmware's parameters ``kalman.dragB_*``: drag along the body axes, 1/s."""
-        self.record.known_drag[:] = drag_1_s
 
     def estimate(self) -> Estimate:
         """Newest estimate; it is valid as long as samples arrive."""

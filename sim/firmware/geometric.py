@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import Record, new
+from flightstack.compiled.records import Record
 from flightstack.core.types import Vec3
 from sim.firmware.mixer import counts_per_n
 from sim.firmware.setpoint import SensedState, SetpointRecord
@@ -125,23 +125,17 @@ def paper_reset(p: PaperRecord) -> None:
     p.attitude.integral_z = 0.0
 
 
-class PaperLoop:
-    def __init__(self, params: Params, record: PaperRecord | None = None) -> None:
-        self.record = r = new(PaperRecord) if record is None else record
-        r.weight = self._weight = params.body.mass_kg * params.contact.gravity_m_s2
-        r.counts_per_n = counts_per_n(params, self._weight)
-        r.attitude.wx = math.nan
+def set_up_paper(p: PaperRecord, params: Params) -> None:
+    p.weight = weight_n = params.body.mass_kg * params.contact.gravity_m_s2
+    p.counts_per_n = counts_per_n(params, weight_n)
+    p.attitude.wx = math.nan
 
-    def reset(self) -> None:
-        paper_reset(self.record)
 
-    def trim(self, force: Vec3, counts_per_n: float, moments: Counts = (0, 0, 0)) -> Vec3:
-        """Return the set-point at which the loop, at rest, commands ``force`` (world, N).
+def paper_trim(p: PaperRecord, force: Vec3, counts_per_n: float) -> Vec3:
+    """Return the set-point at which the loop, at rest, commands ``force`` (world, N).
 
-        ``counts_per_n``: thrust counts per newton; the loop uses the nominal value; ``moments``: without
-        effect on this loop.
-        """
-        del moments
-        scale = counts_per_n / self.record.counts_per_n
-        fx, fy, fz = scale * force[0], scale * force[1], scale * force[2]
-        return (fx / K_V_N_S_M, fy / K_V_N_S_M, (fz - self._weight) / K_V_N_S_M)
+    ``counts_per_n``: thrust counts per newton; the loop uses the nominal value.
+    """
+    scale = counts_per_n / p.counts_per_n
+    fx, fy, fz = scale * force[0], scale * force[1], scale * force[2]
+    return (fx / K_V_N_S_M, fy / K_V_N_S_M, (fz - p.weight) / K_V_N_S_M)

@@ -184,42 +184,36 @@ def cascade_update(
     )
 
 
-class PidLoop:
-    def __init__(self, params: Params, record: CascadeRecord | None = None) -> None:
-        self.record = c = new(CascadeRecord) if record is None else record
-        slow, fast = POSITION_STEP_S, CONTROL_STEP_S
-        g = params.velocity_gains
-        # values of the firmware's PID_POS_*, PID_VEL_*, PID_ROLL*, PID_PITCH* and PID_YAW*
-        c.x = pid_record(2.0, 0.0, 0.0, 5000.0, slow, SPEED_MAX_M_S)
-        c.y = pid_record(2.0, 0.0, 0.0, 5000.0, slow, SPEED_MAX_M_S)
-        c.z = pid_record(2.0, 0.5, 0.0, 5000.0, slow, SPEED_MAX_M_S)
-        c.vx = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)
-        c.vy = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)
-        c.vz = pid_record(g.z_p, g.z_i, 0.0, 5000.0, slow, 32.767)  # limit: UINT16_MAX / 2 / thrustScale
-        c.roll = pid_record(6.0, 3.0, 0.0, 20.0, fast)
-        c.pitch = pid_record(6.0, 3.0, 0.0, 20.0, fast)
-        c.yaw = pid_record(6.0, 1.0, 0.35, 360.0, fast)
-        c.roll_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)
-        c.pitch_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)
-        c.yaw_rate = pid_record(120.0, 16.7, 0.0, 166.7, fast)
-        c.mode = UNKNOWN
-        c.late_calls, c.response = round(g.xy_dead_time_s / slow), g.xy_response
-        c.tilt_share = slow / max(slow, g.tilt_time_s)
+def set_up_cascade(c: CascadeRecord, params: Params) -> None:
+    slow, fast = POSITION_STEP_S, CONTROL_STEP_S
+    g = params.velocity_gains
+    # values of the firmware's PID_POS_*, PID_VEL_*, PID_ROLL*, PID_PITCH* and PID_YAW*
+    c.x = pid_record(2.0, 0.0, 0.0, 5000.0, slow, SPEED_MAX_M_S)
+    c.y = pid_record(2.0, 0.0, 0.0, 5000.0, slow, SPEED_MAX_M_S)
+    c.z = pid_record(2.0, 0.5, 0.0, 5000.0, slow, SPEED_MAX_M_S)
+    c.vx = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)
+    c.vy = pid_record(g.xy_p, g.xy_i, 0.0, 5000.0, slow, 1.1 * TILT_MAX_DEG)
+    c.vz = pid_record(g.z_p, g.z_i, 0.0, 5000.0, slow, 32.767)  # limit: UINT16_MAX / 2 / thrustScale
+    c.roll = pid_record(6.0, 3.0, 0.0, 20.0, fast)
+    c.pitch = pid_record(6.0, 3.0, 0.0, 20.0, fast)
+    c.yaw = pid_record(6.0, 1.0, 0.35, 360.0, fast)
+    c.roll_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)
+    c.pitch_rate = pid_record(250.0, 500.0, 2.5, 33.3, fast)
+    c.yaw_rate = pid_record(120.0, 16.7, 0.0, 166.7, fast)
+    c.mode = UNKNOWN
+    c.late_calls, c.response = round(g.xy_dead_time_s / slow), g.xy_response
+    c.tilt_share = slow / max(slow, g.tilt_time_s)
 
-    def reset(self) -> None:
-        cascade_reset(self.record)
 
-    def trim(self, force: Vec3, counts_per_n: float, moments: Counts = (0, 0, 0)) -> Vec3:
-        """Set the integrals for hover at yaw 0 with thrust ``force`` (world, N); return the set-point, zero.
+def cascade_trim(c: CascadeRecord, force: Vec3, counts_per_n: float, moments: Counts) -> None:
+    """Set the integrals for hover at yaw 0 with thrust ``force`` (world, N); the set-point of hover is zero.
 
-        ``counts_per_n``: thrust counts per newton; ``moments``: counts that balance unequal motors.
-        """
-        c = self.record
-        c.mode = FREE
-        thrust = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-        c.vx.integral = math.atan2(force[0], force[2]) * DEG / c.vx.ki
-        c.vy.integral = math.asin(force[1] / thrust) * DEG / c.vy.ki
-        c.vz.integral = (thrust * counts_per_n - THRUST_BASE) / THRUST_SCALE / c.vz.ki
-        for pid, moment in zip((c.roll_rate, c.pitch_rate, c.yaw_rate), moments, strict=True):
-            pid.integral = moment / pid.ki
-        return (0.0, 0.0, 0.0)
+    ``counts_per_n``: thrust counts per newton; ``moments``: counts that balance unequal motors.
+    """
+    c.mode = FREE
+    thrust = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+    c.vx.integral = math.atan2(force[0], force[2]) * DEG / c.vx.ki
+    c.vy.integral = math.asin(force[1] / thrust) * DEG / c.vy.ki
+    c.vz.integral = (thrust * counts_per_n - THRUST_BASE) / THRUST_SCALE / c.vz.ki
+    for pid, moment in zip((c.roll_rate, c.pitch_rate, c.yaw_rate), moments, strict=True):
+        pid.integral = moment / pid.ki

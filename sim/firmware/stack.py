@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Motors, Record
-from flightstack.core.types import Vec3
+from flightstack.compiled.records import F64, Motors, Record, scalars
+from flightstack.core.types import ZERO, Vec3
+from sim.firmware import supervisor
 from sim.firmware.estimator import Estimator, EstimatorRecord
-from sim.firmware.geometric import PaperLoop, PaperRecord, paper_reset, paper_update
+from sim.firmware.geometric import PaperRecord, paper_reset, paper_trim, paper_update, set_up_paper
 from sim.firmware.mixer import OFF, MapRecord, counts_per_n, moments_of, motor_speeds, set_up_map
-from sim.firmware.pid import CascadeRecord, PidLoop, cascade_reset, cascade_update
+from sim.firmware.pid import CascadeRecord, cascade_reset, cascade_trim, cascade_update, set_up_cascade
 from sim.firmware.setpoint import STOP, Inbox, InboxRecord, Setpoint, SetpointRecord, receive
-from sim.firmware.supervisor import Supervisor, SupervisorRecord, flies, supervise
-from sim.plant.params import CONTROL_STEP_S, Params
+from sim.firmware.supervisor import STATES, State, SupervisorRecord, flies, supervise
+from sim.plant.params import Params
 from sim.plant.rotors import Four
 from sim.scenarios.tables import VehicleSpec, VelocityLoop
 
@@ -85,40 +86,51 @@ def control(f: FirmwareRecord, rpm_max: float) -> None:
 
 
 class Firmware:
-    """Estimator, controllers, mixer and supervisor of one vehicle."""
+    """Estimator, controllers, mixer and supervisor of one vehicle; ``record`` stores the state."""
 
     def __init__(self, spec: VehicleSpec, params: Params, record: FirmwareRecord) -> None:
-        self.record = record
+        self.record = r = record
         self.delay_ms = round(spec.setpoint_delay_s * 1000.0)
         self._params = params
-        record.gravity = gravity = params.contact.gravity_m_s2
-        set_up_map(record.thrust_map, params.rotor, params.battery)
-        self._inbox = Inbox(record.inbox, record.setpoint)
+        r.gravity = gravity = params.contact.gravity_m_s2
+        set_up_map(r.thrust_map, params.rotor, params.battery)
+        self._inbox = Inbox(r.inbox, r.setpoint)
         self._inbox.set(STOP, 0)
-        paper, pid = PaperLoop(params, record.paper), PidLoop(params, record.pid)
-        record.loop = {VelocityLoop.PAPER: PAPER, VelocityLoop.PID: PID}[spec.velocity_loop]
-        self.controller: PaperLoop | PidLoop = paper if record.loop == PAPER else pid
-        period_s = 1.0 / spec.mocap.rate_hz
-        self.estimator = Estimator(period_s, CONTROL_STEP_S, gravity, record.estimator, spec.known_drag_1_s)
-        self.supervisor = Supervisor(record.supervisor)
+        set_up_paper(r.paper, params)
+        set_up_cascade(r.pid, params)
+        r.loop = {VelocityLoop.PAPER: PAPER, VelocityLoop.PID: PID}[spec.velocity_loop]
+        self.estimator = Estimator(r.estimator, 1.0 / spec.mocap.rate_hz, gravity, spec.known_drag_1_s)
+        self._state, self._armed = scalars(r.supervisor, "state", "motors_allowed")
+        supervisor.restart(r.supervisor)
 
-    def trim(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
-        """Trim the controller for hover at yaw 0; return the velocity set-point of the hover.
+    @property
+    def armed(self) -> bool:
+        """Whether the motors may turn."""
+        return bool(self._armed[0])
+
+    @property
+    def state(self) -> State:
+        """State of the supervisor."""
+        return STATES[int(self._state[0])]
+
+    def start_flying(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
+        """Start armed in hover at yaw 0 and time zero; return the velocity set-point of the hover.
 
         ``force``: force of nominal motors, world frame, N; ``motors``: ratio of each thrust to the mean;
         ``battery_v``: voltage under the load of hover.
         """
+        r, trim = self.record, ZERO
         thrust_n = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-        each = [
-            counts_per_n(self._params, thrust_n / share, battery_v) * thrust_n / share for share in motors
-        ]
         per_n = counts_per_n(self._params, thrust_n, battery_v)
-        return self.controller.trim(force, per_n, moments_of(each))
-
-    def start_flying(self, setpoint: Setpoint) -> None:
-        """Start armed and in the air at time zero."""
-        self._inbox.set(setpoint, 0)
-        self.supervisor.start_flying()
+        if r.loop == PAPER:
+            trim = paper_trim(r.paper, force, per_n)
+        else:
+            shares_n = (thrust_n / share for share in motors)
+            each = [counts_per_n(self._params, share_n, battery_v) * share_n for share_n in shares_n]
+            cascade_trim(r.pid, force, per_n, moments_of(each))
+        self._inbox.set(Setpoint(*trim), 0)
+        supervisor.start_flying(r.supervisor)
+        return trim
 
     def send(self, setpoint: Setpoint, now_ms: int) -> None:
         """Send a set-point; it arrives after the radio's delay."""
@@ -126,20 +138,29 @@ class Firmware:
 
     def arm(self, now_ms: int, battery_v: float) -> str | None:
         """Arm the vehicle; return None, or the reason of the rejection."""
+        r = self.record
         if not self.estimator.valid:
             return "no motion-capture samples"
-        if self.estimator.sensed.axes[8] < TILT_MAX_COS:
+        if r.estimator.sensed.axes[8] < TILT_MAX_COS:
             return "not upright"
         if battery_v < BATTERY_MIN_V:
             return f"battery at {battery_v:.2f} V, at least {BATTERY_MIN_V} V are needed"
-        fresh = not self.supervisor.motors_allowed
-        refused = self.supervisor.arm(now_ms)
+        fresh = not self.armed
+        refused = supervisor.arm(r.supervisor, now_ms)
         if refused is None and fresh:  # earlier set-points no longer apply
             self._inbox.set(STOP, now_ms)
-            self.controller.reset()
+            if r.loop == PAPER:
+                paper_reset(r.paper)
+            else:
+                cascade_reset(r.pid)
         return refused
 
     def disarm(self, now_ms: int) -> None:
         """Disarm and stop the motors immediately."""
-        self.supervisor.disarm(now_ms)
+        supervisor.disarm(self.record.supervisor, now_ms)
         self.record.commands[:] = OFF
+
+    def restart(self, now_ms: int) -> None:
+        """Restart and unlock the firmware."""
+        supervisor.restart(self.record.supervisor)
+        self.disarm(now_ms)

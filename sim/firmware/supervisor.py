@@ -15,7 +15,7 @@ from enum import Enum, IntFlag, auto
 import numpy as np
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import Record, new, scalars
+from flightstack.compiled.records import Record
 
 PERIOD_MS = 40  # period of the supervisor, 25 Hz
 WARNING_MS = 500  # set-point age from which it levels out, ms; supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
@@ -159,47 +159,31 @@ def supervise(
             return
 
 
-class Supervisor:
-    """State machine of one vehicle; times are in ms of simulated time; ``record`` stores the state."""
+def restart(s: SupervisorRecord) -> None:
+    """Set the state after power-on."""
+    enter(s, STATES.index(State.DISARMED), 0)
+    s.motors_last_ms, s.tilted_since_ms = -FLYING_HYSTERESIS_MS - 1, _UPRIGHT
 
-    def __init__(self, record: SupervisorRecord | None = None) -> None:
-        self.record = new(SupervisorRecord) if record is None else record
-        self._state, self._allowed = scalars(self.record, "state", "motors_allowed")
-        self.restart()
 
-    def restart(self) -> None:
-        """Set the state after power-on."""
-        self._enter(State.DISARMED, 0)
-        self.record.motors_last_ms, self.record.tilted_since_ms = -FLYING_HYSTERESIS_MS - 1, _UPRIGHT
+def start_flying(s: SupervisorRecord) -> None:
+    """Start with an armed vehicle in the air at time zero."""
+    s.motors_last_ms = 0
+    enter(s, STATES.index(State.FLYING), 0)
 
-    def _enter(self, state: State, now_ms: int) -> None:
-        enter(self.record, STATES.index(state), now_ms)
 
-    @property
-    def state(self) -> State:
-        return STATES[int(self._state[0])]
-
-    @property
-    def motors_allowed(self) -> bool:
-        return bool(self._allowed[0])
-
-    def start_flying(self) -> None:
-        """Start with an armed vehicle in the air at time zero."""
-        self.record.motors_last_ms = 0
-        self._enter(State.FLYING, 0)
-
-    def arm(self, now_ms: int) -> str | None:
-        """Arm the vehicle; return None, or the reason of the rejection."""
-        if self.motors_allowed:
-            return None
-        if self.state is not State.DISARMED:
-            return str(self.state.value)
-        self.record.motors_last_ms = now_ms - FLYING_HYSTERESIS_MS - 1
-        self.record.tilted_since_ms = _UPRIGHT
-        self._enter(State.READY, now_ms)
+def arm(s: SupervisorRecord, now_ms: int) -> str | None:
+    """Arm the vehicle; return None, or the reason of the rejection."""
+    if s.motors_allowed:
         return None
+    state = STATES[s.state]
+    if state is not State.DISARMED:
+        return str(state.value)
+    s.motors_last_ms, s.tilted_since_ms = now_ms - FLYING_HYSTERESIS_MS - 1, _UPRIGHT
+    enter(s, STATES.index(State.READY), now_ms)
+    return None
 
-    def disarm(self, now_ms: int) -> None:
-        """Disarm immediately; a locked vehicle remains locked."""
-        if self.state is not State.DISARMED and self.state is not State.LOCKED:
-            self._enter(State.DISARMED, now_ms)
+
+def disarm(s: SupervisorRecord, now_ms: int) -> None:
+    """Disarm immediately; a locked vehicle remains locked."""
+    if STATES[s.state] not in (State.DISARMED, State.LOCKED):
+        enter(s, STATES.index(State.DISARMED), now_ms)

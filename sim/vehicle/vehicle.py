@@ -13,6 +13,7 @@ from flightstack.core.types import ZERO, Vec3
 from logs.schema.events import ContactBit
 from sim.chance import stream
 from sim.faults.vehicle_faults import BatteryFaults, Faults, MotorFaults
+from sim.firmware.estimator import correct
 from sim.firmware.geometric import axes_from_force
 from sim.firmware.mixer import OFF
 from sim.firmware.setpoint import STOP, Setpoint
@@ -91,9 +92,7 @@ class VehicleSim(Physics):
         r.firmware.commands[:] = r.rotors.rpm
         scale = self.plant.thrust
         force = (fx / scale, fy / scale, fz / scale)
-        trim = self.firmware.trim(force, self.plant.motors, self.battery_v)
-        self.trim_velocity_enu_m_s = trim
-        self.firmware.start_flying(Setpoint(*trim))
+        self.trim_velocity_enu_m_s = self.firmware.start_flying(force, self.plant.motors, self.battery_v)
 
     def _draw_offset(self, scenario: Scenario, seed: int) -> Vec3:
         rng = stream(seed, "start")
@@ -147,7 +146,7 @@ class VehicleSim(Physics):
         mocap.divert(faults.mocap.active)
         if faults.mocap.active:
             for x, y, z, yaw in faults.mocap.deliver(now_ns, mocap.take(now_ms)):
-                self.firmware.estimator.correct(x, y, z, yaw)
+                correct(self.record.firmware.estimator, x, y, z, yaw)
             next_ms = min(next_ms, mocap.next_ms())
         return min(next_ms, ms_from(faults.next_ns))
 
@@ -171,8 +170,7 @@ class VehicleSim(Physics):
         """Restart and unlock the firmware. Return None if done, else the reason of the rejection."""
         if self.armed:
             return "armed; disarm first"
-        self.firmware.supervisor.restart()
-        self.firmware.disarm(self._ms)
+        self.firmware.restart(self._ms)
         self.stop_setpoint()
         return None
 
@@ -206,21 +204,21 @@ class VehicleSim(Physics):
     @property
     def armed(self) -> bool:
         """Whether the motors may turn."""
-        return self.firmware.supervisor.motors_allowed
+        return self.firmware.armed
 
     @property
     def locked(self) -> bool:
         """Whether the firmware is locked until a reboot (``reboot``)."""
-        return self.firmware.supervisor.state is State.LOCKED
+        return self.firmware.state is State.LOCKED
 
     @property
     def supervisor_state(self) -> int:
         """Index of the supervisor's state in ``STATES``."""
-        return STATES.index(self.firmware.supervisor.state)
+        return STATES.index(self.firmware.state)
 
     @property
     def state_text(self) -> str:
-        return str(self.firmware.supervisor.state.value)
+        return str(self.firmware.state.value)
 
     @property
     def motors_running(self) -> bool:

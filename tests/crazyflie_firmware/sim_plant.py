@@ -7,8 +7,11 @@ All scenarios use the filter of the firmware (``sim.firmware.estimator``), with 
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from bridge.frames import yaw_from_quaternion
 from bridge.zenoh import zenoh_link
+from sim.firmware.estimator import correct, correct_tilt
 from sim.runners.published_robot import RealTimeDeck
 from sim.scenarios.scenario import Scenario, load
 from sim.scenarios.tables import VelocityLoop
@@ -16,6 +19,13 @@ from sim.vehicle.vehicle import VehicleSim, warm_up
 from tests.crazyflie_firmware.plant import variance_m2
 
 MS_MAX = 50  # longest step, ms; during a longer pause of the machine simulated time also pauses
+
+
+def take_pose(vehicle, position, quaternion):
+    """Correct the estimate with an external pose; unlike motion capture, also correct roll and pitch."""
+    estimator = vehicle.record.firmware.estimator
+    correct(estimator, *position, yaw_from_quaternion(quaternion))
+    correct_tilt(estimator, np.array(quaternion))
 
 
 class SimPlant:
@@ -73,11 +83,11 @@ class SimPlant:
         if self._by_poses and quaternion_xyzw is not None:
             self._posed_s = self._now_s
             qx, qy, qz, qw = quaternion_xyzw
-            self.vehicle.firmware.estimator.take_pose((x, y, z), (qw, qx, qy, qz))
+            take_pose(self.vehicle, (x, y, z), (qw, qx, qy, qz))
 
     def know_drag(self, drag_1_s) -> None:
         """Set the parameters ``kalman.dragB_*``."""
-        self.vehicle.firmware.estimator.know_drag(drag_1_s)
+        self.vehicle.record.firmware.estimator.known_drag[:] = drag_1_s
 
     def reset(self, x: float, y: float, z: float, yaw: float) -> None:
         level = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))

@@ -15,6 +15,7 @@ from sim.firmware.mixer import MapRecord, motor_speed, set_up_map
 from sim.plant.params import load
 from sim.runners.robot import TargetMotion
 from sim.scenarios.tables import OdometryLink, PathKind, TargetLink, TargetSpec, VehicleSpec, VelocityLoop
+from tests.crazyflie_firmware.sim_plant import take_pose
 from tests.unit.plant.test_state_error import FINE
 from tests.unit.vehicle.vehicle_sim_helpers import scenario, vehicle
 
@@ -67,7 +68,7 @@ def test_poses_from_outside_whose_markers_are_tilted_make_it_drift(tilt_rad):
         x, y, z, w = truth.orientation
         half = 0.5 * tilt_rad  # half of a tilt about y
         q = (w - half * y, x - half * z, y + half * w, z + half * x)
-        sim.firmware.estimator.take_pose(truth.position_enu_m, q)
+        take_pose(sim, truth.position_enu_m, q)
         sim.set_velocity((0.0, 0.0, 0.0), 0.0)
         sim.advance(10)
     drift_m_s = 0.068 if tilt_rad else 0.0  # drift for a tilt of one degree, measured on firmware 2026.08

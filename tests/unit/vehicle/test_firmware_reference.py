@@ -11,11 +11,20 @@ import numpy as np
 import pytest
 
 from flightstack.compiled.records import new
-from sim.firmware.geometric import K_V_N_S_M, PaperLoop, paper_update
+from sim.firmware.geometric import K_V_N_S_M, PaperRecord, paper_update, set_up_paper
 from sim.firmware.mixer import COUNTS_MAX, cap, spread
-from sim.firmware.pid import PidLoop, cascade_update
+from sim.firmware.pid import CascadeRecord, cascade_update, set_up_cascade
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
-from sim.firmware.supervisor import PERIOD_MS, State, Supervisor, supervise
+from sim.firmware.supervisor import (
+    PERIOD_MS,
+    STATES,
+    State,
+    SupervisorRecord,
+    arm,
+    disarm,
+    restart,
+    supervise,
+)  # fmt: skip
 from sim.plant.params import load
 from sim.plant.states import rotation_axes
 
@@ -64,10 +73,10 @@ def setpoint(velocity, yaw_deg):
     return new(SetpointRecord, Setpoint(*map(float, velocity), float(np.radians(float(yaw_deg)))).fields())
 
 
-def mellinger_port(rows, paper):
+def mellinger_port(rows):
     """Return moments and thrust counts of a sequence, thrust on the firmware's scale."""
-    r = paper.record
-    out = []
+    r, out = new(PaperRecord), []
+    set_up_paper(r, PARAMS)
     for q, gyro, force, yaw in ((row[:4], row[4:7], row[7:10], row[10]) for row in rows.astype(float)):
         wanted = (np.array(force) - (0.0, 0.0, r.weight)) / K_V_N_S_M  # at rest, eq. 8 commands this force
         state = sensed(rotation_axes(q), gyro)
@@ -80,7 +89,7 @@ def test_mellinger_attitude_loop():
     d = data("mellinger")
     worst, off = 0.0, 0
     for rows, expected in zip(d["rows"], d["out"].astype(float), strict=True):
-        got = mellinger_port(rows, PaperLoop(PARAMS))
+        got = mellinger_port(rows)
         difference = np.abs(got[:, :3] - expected[:, :3])
         worst, off = max(worst, difference.max()), off + (difference > 0).sum()
         on = expected[:, 3] > 0.0
@@ -91,12 +100,12 @@ def test_mellinger_attitude_loop():
 
 
 def pid_port(rows):
-    loop = PidLoop(PARAMS)
-    out = []
+    record, out = new(CascadeRecord), []
+    set_up_cascade(record, PARAMS)
     for row in rows.astype(float):
         state = sensed(euler_axes(*np.radians(row[:3])), row[3:6], row[6:9])
         level = bool(row[13])
-        thrust, moments = cascade_update(loop.record, state, setpoint(row[9:12], row[12]), level)
+        thrust, moments = cascade_update(record, state, setpoint(row[9:12], row[12]), level)
         out.append((*moments, thrust))
     return np.array(out)
 
@@ -121,16 +130,16 @@ def test_mixer():
 
 
 def supervisor_port(rows, accelerations):
-    port = Supervisor()
-    states = []
+    port, states = new(SupervisorRecord), []
+    restart(port)
     for k, (action, motors, age_ms, accel) in enumerate(rows.tolist()):
         now_ms = 1000 + PERIOD_MS * k
         if action == 1:
-            assert port.arm(now_ms) is None
+            assert arm(port, now_ms) is None
         elif action in (2, 3):  # 2: disarm; 3: recovery from a crash, which the model does by a disarm
-            port.disarm(now_ms)
-        supervise(port.record, now_ms, age_ms, bool(motors), *accelerations[accel].tolist())
-        states.append(port.state)
+            disarm(port, now_ms)
+        supervise(port, now_ms, age_ms, bool(motors), *accelerations[accel].tolist())
+        states.append(STATES[port.state])
     return states
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.compiled.records import new
-from sim.firmware.pid import TILT_MAX_DEG, PidLoop, cascade_update
+from sim.firmware.pid import TILT_MAX_DEG, CascadeRecord, cascade_update, set_up_cascade
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
 from sim.plant.params import load
 from sim.scenarios.tables import Start, StartKind, VehicleSpec, VelocityLoop
@@ -29,9 +29,15 @@ def record(setpoint):
     return new(SetpointRecord, setpoint.fields())
 
 
+def cascade():
+    loop = new(CascadeRecord)
+    set_up_cascade(loop, PARAMS)
+    return loop
+
+
 def pid(loop, sensed, setpoint, level=False):
-    thrust, moments = cascade_update(loop.record, sensed, record(setpoint), level)
-    return thrust, moments, float(loop.record.pitch_wanted), float(loop.record.roll_wanted)
+    thrust, moments = cascade_update(loop, sensed, record(setpoint), level)
+    return thrust, moments, float(loop.pitch_wanted), float(loop.roll_wanted)
 
 
 class TestPidPosition:
@@ -40,7 +46,7 @@ class TestPidPosition:
     )
     def test_the_first_tick_by_hand(self, error, velocity, yaw):
         """Tilt = (kp + ki dt) (2 e - v) in the yawed frame; thrust likewise, with the integral of 2 e."""
-        loop = PidLoop(PARAMS)
+        loop = cascade()
         at = (1.0, -2.0, 0.5)
         wanted = tuple(a + e for a, e in zip(at, error, strict=True))
         thrust, _, pitch, roll = pid(
@@ -57,18 +63,18 @@ class TestPidPosition:
 
     def test_the_speed_is_limited_before_the_tilt(self):
         _, _, pitch, _ = pid(
-            PidLoop(PARAMS), sensed_at(velocity=(1.0, 0.0, 0.0)), Setpoint(position=(9.0, 0.0, 0.0))
+            cascade(), sensed_at(velocity=(1.0, 0.0, 0.0)), Setpoint(position=(9.0, 0.0, 0.0))
         )
         assert pitch == pytest.approx(25.01 * (1.1 - 1.0))
 
     def test_another_kind_of_set_point_resets_the_integrals(self):
-        loop = PidLoop(PARAMS)
+        loop = cascade()
         for _ in range(50):
             pid(loop, sensed_at(), Setpoint(position=(0.0, 0.0, 0.1)))
-        assert loop.record.z.integral == pytest.approx(10 * 0.01 * 0.1)
-        assert loop.record.vz.integral > 0.0
+        assert loop.z.integral == pytest.approx(10 * 0.01 * 0.1)
+        assert loop.vz.integral > 0.0
         pid(loop, sensed_at(), Setpoint())
-        assert (loop.record.z.integral, loop.record.vz.integral) == (0.0, 0.0)
+        assert (loop.z.integral, loop.vz.integral) == (0.0, 0.0)
 
 
 RAMP_M_S = 0.5
