@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
-from sim.faults.samples import LOST, Lost
-from sim.faults.schedule import Running
+from sim.faults.samples import LOST
+from sim.faults.schedule import Component, Running
 from sim.plant.sensors import NS
 from sim.scenarios.fault_spec import Kind, What
 
@@ -155,42 +155,25 @@ DUE: Mapping[Kind, Callable[[Running, Due], Due]] = {
 }
 
 
-class _One(NamedTuple):
-    """A running fault and its effects on messages."""
-
-    running: Running
-    rewrite: Rewrite | None
-    lost: Lost | None
-
-
-class LinkFaults:
+class LinkFaults(Component):
     """Active faults of one vehicle's MAVLink connection; call ``fate`` for every message."""
 
-    def __init__(self) -> None:
-        self._running: list[_One] = []
-
     def begin(self, running: Running) -> None:
+        super().begin(running)
         rewrite, lost = _REWRITES.get((running.fault.what, running.fault.kind)), LOST.get(running.fault.kind)
-        self._running.append(_One(running, rewrite and rewrite(running), lost and lost(running)))
-
-    def end(self, running: Running, now_ns: int) -> None:
-        """End a fault and release the messages that waited for it."""
-        del now_ns
-        self._running = [one for one in self._running if one.running is not running]
+        running.effect = rewrite and rewrite(running), lost and lost(running)
 
     def active(self, way: Way) -> bool:
         """Whether messages in this direction need a call of ``fate``."""
-        if not self._running:
-            return False
-        return any(CONCERNS[one.running.fault.what][0] is way for one in self._running)
+        return any(CONCERNS[running.fault.what][0] is way for running in self.running)
 
     def fate(self, way: Way, message: Message, now_ns: int) -> Fate:
         """Apply all faults to one message, which may be changed; call it once for each message, in order."""
         id_: int = message.get_msgId()
         due, damaged, stall = [now_ns], False, None
-        for running, rewrite, lost in self._running:
+        for running in self.running:
             concerned, ids = CONCERNS[running.fault.what]
-            kind = running.fault.kind
+            kind, (rewrite, lost) = running.fault.kind, running.effect
             if concerned is not way or (ids is not None and id_ not in ids):
                 continue
             if rewrite is not None:

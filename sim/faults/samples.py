@@ -10,7 +10,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from bridge.frames import Quat
 from flightstack.core.types import Vec3
-from sim.faults.schedule import Running
+from sim.faults.schedule import Component, Running
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.plant.sensors import NEVER_NS, NS
 from sim.plant.states import Estimate
@@ -63,16 +63,13 @@ class Shape(NamedTuple, Generic[S]):
 Change = Callable[[Any, int], Any]  # function from sample and time (ns) to the changed sample
 
 
-def _stuck(running: Running, shape: Shape[Any]) -> Change:
+def _stuck(_: Running, shape: Shape[Any]) -> Change:
     first: list[Any] = []
 
-    def change(sample: Any, now_ns: int) -> Any:
-        del now_ns
-        if not first:
-            first.append(sample)
+    def change(sample: Any, _: int) -> Any:
+        first[:] = first or [sample]
         return shape.freeze(first[0], sample)
 
-    del running
     return change
 
 
@@ -82,8 +79,7 @@ def _wrong(running: Running, shape: Shape[Any]) -> Change:
 
 
 def _garbage(running: Running, shape: Shape[Any]) -> Change:
-    def change(sample: Any, now_ns: int) -> Any:
-        del now_ns
+    def change(sample: Any, _: int) -> Any:
         half = running.fault.amount
         x, y, z, turn = running.rng.uniform(-1.0, 1.0, 4).tolist()
         return shape.move(sample, (half * x, half * y, half * z), math.pi * turn)
@@ -111,69 +107,60 @@ CHANGES: Mapping[Kind, Callable[[Running, Shape[Any]], Change]] = {
 }
 
 
-class _One(NamedTuple):
-    """A running fault of a stream and its effects."""
-
-    running: Running
-    lost: Lost
-    change: Change
-    delay_ns: int
-
-
-class SampleFaults(Generic[S]):
+class SampleFaults(Component, Generic[S]):
     """Applies the faults of one stream in the order of their start."""
 
     def __init__(self, shape: Shape[S]) -> None:
+        super().__init__()
         self._shape = shape
-        self._running: list[_One] = []
         self._held: deque[tuple[int, S]] = deque()
-        self.release_ns = NEVER_NS  # time at which a delayed sample is due
 
     @property
-    def running(self) -> bool:
-        return bool(self._running)
+    def release_ns(self) -> int:
+        """Time at which a delayed sample is due."""
+        return self._held[0][0] if self._held else NEVER_NS
 
     @property
     def active(self) -> bool:
         """Whether samples need a call of ``deliver``."""
-        return bool(self._running or self._held)
+        return bool(self.running or self._held)
 
     def begin(self, running: Running) -> None:
+        super().begin(running)
         kind = running.fault.kind
-        lost = LOST[kind](running) if kind in LOST else lambda _: False
-        change = CHANGES[kind](running, self._shape) if kind in CHANGES else lambda sample, _: sample
-        delay_ns = round(running.fault.amount * NS) if kind is Kind.DELAYED else 0
-        self._running.append(_One(running, lost, change, delay_ns))
+        running.effect = (
+            LOST[kind](running) if kind in LOST else None,
+            CHANGES[kind](running, self._shape) if kind in CHANGES else None,
+        )
 
     def end(self, running: Running, now_ns: int) -> None:
         """End a fault; delayed samples are due now."""
-        self._running = [one for one in self._running if one.running is not running]
+        super().end(running, now_ns)
         if running.fault.kind is Kind.DELAYED:
             self._held = deque((min(due_ns, now_ns), sample) for due_ns, sample in self._held)
-            self.release_ns = self._held[0][0] if self._held else NEVER_NS
 
     def deliver(self, now_ns: int, samples: list[S]) -> list[S]:
         """Return the samples that arrive now, in order; possibly none.
 
         Without faults these are ``samples``.
         """
+        delays_s = (one.fault.amount for one in self.running if one.fault.kind is Kind.DELAYED)
+        due_ns = now_ns + sum(round(delay_s * NS) for delay_s in delays_s)
         for sample in samples:
             kept = self._through(sample, now_ns)
             if kept is not None and len(self._held) < HELD_MAX:
-                delay_ns = sum(one.delay_ns for one in self._running)
-                due_ns = max(now_ns + delay_ns, self._held[-1][0] if self._held else 0)
-                self._held.append((due_ns, kept))
+                self._held.append((max(due_ns, self._held[-1][0] if self._held else 0), kept))
         out = []
-        while self._held and self._held[0][0] <= now_ns:
+        while self.release_ns <= now_ns:
             out.append(self._held.popleft()[1])
-        self.release_ns = self._held[0][0] if self._held else NEVER_NS
         return out
 
     def _through(self, sample: S, now_ns: int) -> S | None:
-        for one in self._running:
-            if one.lost(now_ns):
+        for one in self.running:
+            lost, change = one.effect
+            if lost and lost(now_ns):
                 return None
-            sample = one.change(sample, now_ns)
+            sample = change(sample, now_ns) if change else sample
         return sample
 
 
@@ -193,7 +180,7 @@ def _move_estimate(estimate: Estimate, offset: Vec3, turn: float) -> Estimate:
 ESTIMATE: Shape[Estimate] = Shape(_move_estimate, lambda first, _: first)
 
 
-class EstimateFaults:
+class EstimateFaults(SampleFaults[Estimate]):
     """Faults of the state estimate between firmware and autopilot.
 
     On a Crazyflie the radio carries a log stream of the estimate: the firmware uses the correct estimate,
@@ -201,31 +188,28 @@ class EstimateFaults:
     """
 
     def __init__(self) -> None:
-        self._arrived_ns = 0
-        self._reset()
-
-    def _reset(self) -> None:
-        self._samples = SampleFaults(ESTIMATE)
+        super().__init__(ESTIMATE)
+        self._arrived_ns, self.due_ns = 0, NEVER_NS
         self._arrived: Estimate | None = None
-        self.due_ns = NEVER_NS
 
     def begin(self, running: Running) -> None:
-        self._samples.begin(running)
+        super().begin(running)
         if self.due_ns == NEVER_NS:
             self.due_ns = running.start_ns
 
     def end(self, running: Running, now_ns: int) -> None:
-        """End a fault; delayed samples are due now."""
-        self._samples.end(running, now_ns)
-        if not self._samples.running:
-            self._reset()
+        """End a fault; delayed samples are due now, but after the last fault nothing is delayed any more."""
+        super().end(running, now_ns)
+        if not self.running:
+            self._held.clear()
+            self._arrived, self.due_ns = None, NEVER_NS
 
     def sample(self, now_ns: int, estimate: Estimate) -> None:
         """Apply the faults to a new estimate of the firmware."""
         self.due_ns += ESTIMATE_PERIOD_NS
         if self._arrived is None:
             self._arrived, self._arrived_ns = estimate, now_ns
-        for arrived in self._samples.deliver(now_ns, [estimate]):
+        for arrived in self.deliver(now_ns, [estimate]):
             self._arrived, self._arrived_ns = arrived, now_ns
 
     def report(self, now_ns: int, estimate: Estimate) -> Estimate:

@@ -6,7 +6,7 @@ import heapq
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from numpy.random import Generator
 
@@ -25,6 +25,7 @@ class Running:
     rng: Generator
     start_ns: int = NEVER_NS
     over: bool = False
+    effect: Any = None  # state or functions with which its component applies an active fault
 
     def happens(self) -> bool:
         """Return at random whether the fault acts on this item; ``value`` is its probability."""
@@ -46,29 +47,35 @@ class Change(NamedTuple):
         return f"Fault{'' if self.begins else ' over'}: {self.running.fault.text}"
 
 
-class Effect(Protocol):
-    """Applies the faults of one component when they start and end."""
+class Component:
+    """A component that fails; ``running`` has its active faults in the order of their start."""
 
-    def begin(self, running: Running) -> None: ...
+    def __init__(self) -> None:
+        self.running: list[Running] = []
 
-    def end(self, running: Running, now_ns: int) -> None: ...
+    def begin(self, running: Running) -> None:
+        self.running.append(running)
+
+    def end(self, running: Running, now_ns: int) -> None:
+        del now_ns
+        self.running.remove(running)
 
 
 class ScheduledFaults:
     """Starts and ends the faults of some components; times are simulated, integer ns.
 
-    ``effects``: the components; faults of other components are ignored.
+    ``components``: faults of other components are ignored.
     """
 
-    def __init__(self, faults: Iterable[Fault], seed: int, effects: Mapping[What, Effect]) -> None:
-        self._seed, self._effects = seed, effects
+    def __init__(self, faults: Iterable[Fault], seed: int, components: Mapping[What, Component]) -> None:
+        self._seed, self._components = seed, components
         self.change_ns = NEVER_NS  # time of the next start or end
         self._waiting: list[Running] = []  # faults whose reference event has not occurred
         self._due: list[tuple[int, int, bool, Running]] = []
         self._added = 0  # number of added faults, for the names of the random streams
         self._planned = 0  # sequence number that orders events at equal times
         self._texts: deque[Change] = deque(maxlen=TEXTS_MAX)
-        self.add((fault for fault in faults if fault.what in effects), 0)
+        self.add((fault for fault in faults if fault.what in components), 0)
 
     def add(self, faults: Iterable[Fault], now_ns: int) -> None:
         """Add faults; faults relative to ``time`` count from zero, others wait for an event (``refer``)."""
@@ -96,12 +103,12 @@ class ScheduledFaults:
         """Start and end the faults up to now, in order of time."""
         while self._due and self._due[0][0] <= now_ns:
             _, _, begins, running = heapq.heappop(self._due)
-            effect = self._effects[running.fault.what]
+            component = self._components[running.fault.what]
             if begins:
-                effect.begin(running)
+                component.begin(running)
             else:
                 running.over = True
-                effect.end(running, now_ns)
+                component.end(running, now_ns)
             self._texts.append(Change(running, begins))
         self.change_ns = self._due[0][0] if self._due else NEVER_NS
 

@@ -12,7 +12,7 @@ from flightstack.compiled.records import F64
 from flightstack.core.types import Vec3
 from sim.faults.link import CONCERNS, LinkFaults
 from sim.faults.samples import EstimateFaults, SampleFaults, Shape
-from sim.faults.schedule import Effect, Running, ScheduledFaults
+from sim.faults.schedule import Component, Running, ScheduledFaults
 from sim.plant.params import Rotor
 from sim.plant.rotors import BatteryRecord, RotorRecord
 from sim.scenarios.fault_spec import Fault, Kind, What
@@ -20,7 +20,7 @@ from sim.scenarios.fault_spec import Fault, Kind, What
 EMPTY_V = 3.0  # cell voltage at rest; firmware platform_defaults_cf2.h: DEFAULT_BAT_CRITICAL_LOW_VOLTAGE
 
 
-class MotorFaults:
+class MotorFaults(Component):
     """Motor faults: target speed = share * command + held; without a fault, share is 1 and held is 0.
 
     ``share`` and ``held`` (rpm) of M1..M4 are changed in place. ``hover_rpm``: speed at which the thrust of a
@@ -28,59 +28,61 @@ class MotorFaults:
     """
 
     def __init__(self, share: F64, held: F64, rotors: RotorRecord, rotor: Rotor, hover_rpm: float) -> None:
+        super().__init__()
         self._share, self._held, self._rpm = share, held, rotors.rpm
         self._rotor, self._hover_rpm = rotor, hover_rpm
-        self._running: list[tuple[Running, float, float]] = []
-        share[:], held[:] = 1.0, 0.0
+        self._apply()
 
     def begin(self, running: Running) -> None:
         """Start a fault; if a motor has several faults, the newest applies."""
-        fault = running.fault
-        assert fault.motor is not None
-        share = held = 0.0
+        fault, at = running.fault, _index(running)
+        share = 0.0
         if fault.kind is Kind.WEAK:
             thrust_n = fault.amount * self._rotor.thrust_n(self._hover_rpm)
             share = self._rotor.rpm(thrust_n) / self._hover_rpm
-        elif fault.kind is Kind.STUCK:
-            held = float(self._rpm[fault.motor - 1])
-        self._running.append((running, share, held))
+        running.effect = share, float(self._rpm[at]) if fault.kind is Kind.STUCK else 0.0
+        super().begin(running)
         self._apply()
 
     def end(self, running: Running, now_ns: int) -> None:
-        del now_ns
-        self._running = [one for one in self._running if one[0] is not running]
+        super().end(running, now_ns)
         self._apply()
 
     def _apply(self) -> None:
         self._share[:], self._held[:] = 1.0, 0.0
-        for running, share, held in self._running:
-            motor = running.fault.motor
-            assert motor is not None
-            self._share[motor - 1], self._held[motor - 1] = share, held
+        for running in self.running:
+            at = _index(running)
+            self._share[at], self._held[at] = running.effect
 
 
-class BatteryFaults:
+def _index(running: Running) -> int:
+    """Return the index of the motor that a fault concerns."""
+    assert running.fault.motor is not None
+    return running.fault.motor - 1
+
+
+class BatteryFaults(Component):
     """Changes the battery's record at the start of a fault, and restores it at the end."""
 
     def __init__(self, record: BatteryRecord) -> None:
+        super().__init__()
         self._record = record
-        self._taken: dict[Running, tuple[float, float]] = {}  # removed charge (A s) and voltage (V)
 
     def begin(self, running: Running) -> None:
+        super().begin(running)
         b, fault = self._record, running.fault
         left_a_s = float(b.charge_a_s - b.used_a_s)
-        charge_a_s, volts = {
+        running.effect = charge_a_s, volts = {
             Kind.DROP: (0.0, fault.amount),
             Kind.LOSS: (min(left_a_s, fault.amount * float(b.charge_a_s)), 0.0),
             Kind.OFF: (left_a_s, max(0.0, float(b.empty_v) - EMPTY_V)),
         }[fault.kind]
-        self._taken[running] = (charge_a_s, volts)
         self._take(charge_a_s, volts)
 
     def end(self, running: Running, now_ns: int) -> None:
         """Restore the charge and the voltage that the fault has taken from the battery."""
-        del now_ns
-        charge_a_s, volts = self._taken.pop(running)
+        super().end(running, now_ns)
+        charge_a_s, volts = running.effect
         self._take(-charge_a_s, -volts)
 
     def _take(self, charge_a_s: float, volts: float) -> None:
@@ -111,16 +113,16 @@ class Faults(ScheduledFaults):
         self.mocap = SampleFaults(MOCAP)  # faults of motion-capture samples before they reach the estimator
         self.own_state = EstimateFaults()  # faults of the state estimate before it reaches the autopilot
         self.link = LinkFaults()  # faults of the MAVLink connection, applied by its owner
-        effects: dict[What, Effect] = {
+        components: dict[What, Component] = {
             What.MOTOR: motors,
             What.BATTERY: battery,
             What.MOCAP: self.mocap,
             What.OWN_STATE: self.own_state,
             **dict.fromkeys(CONCERNS, self.link),
         }
-        super().__init__(faults, seed, effects)
+        super().__init__(faults, seed, components)
         # whether there was no fault and none is scheduled
-        self.quiet = not any(fault.what in effects for fault in faults)
+        self.quiet = not any(fault.what in components for fault in faults)
 
     @property
     def next_ns(self) -> int:

@@ -22,7 +22,7 @@ from flightstack.core.types import TargetSample, Vec3
 from flightstack.onboard.runner import NOTHING, Arrived
 from sim.clock import TickGrid
 from sim.faults.samples import SampleFaults, Shape
-from sim.faults.schedule import Change, Running, ScheduledFaults
+from sim.faults.schedule import Change, Component, ScheduledFaults
 from sim.plant.sensors import NS
 from sim.robot import Sample, TargetModel, TargetOdometry, wrap
 from sim.scenarios.fault_spec import After, Fault, What
@@ -50,20 +50,6 @@ def _move(sample: Sample, offset: Vec3, turn: float) -> Sample:
 SHAPE: Shape[Sample] = Shape(_move, lambda first, now: (now[0], *first[1:]))
 
 
-class Wheels:
-    """Faults that lock the robot's wheels."""
-
-    locked = 0  # number of active faults that lock the wheels
-
-    def begin(self, running: Running) -> None:
-        del running
-        self.locked += 1
-
-    def end(self, running: Running, now_ns: int) -> None:
-        del running, now_ns
-        self.locked -= 1
-
-
 class TargetFaults(ScheduledFaults):
     """Schedule and effects of the robot's faults; a delayed sample is returned by a later call.
 
@@ -71,13 +57,13 @@ class TargetFaults(ScheduledFaults):
     """
 
     def __init__(self, faults: Iterable[Fault], seed: int) -> None:
-        self._samples, self._wheels = SampleFaults(SHAPE), Wheels()
+        self._samples, self._wheels = SampleFaults(SHAPE), Component()
         super().__init__(faults, seed, {What.ROBOT: self._wheels, What.TARGET_ODOMETRY: self._samples})
 
     @property
     def locked(self) -> bool:
         """Whether a fault locks the robot's wheels."""
-        return self._wheels.locked > 0
+        return bool(self._wheels.running)
 
     def quiet_until(self, until_ns: int) -> bool:
         """Whether no fault is active and none starts until ``until_ns``."""
