@@ -17,13 +17,13 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from importlib import import_module
 from multiprocessing import process
 from multiprocessing.context import ForkProcess
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Any
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PR_SET_NAME = 15
@@ -74,34 +74,23 @@ def socket_folder() -> Path:
     raise LaunchError(f"no folder for sockets ({'; '.join(reasons)}); set TMPDIR to a short one")
 
 
-class Running(Protocol):
-    """A running process, as its launcher uses it."""
-
-    @property
-    def name(self) -> str: ...
-
-    def alive(self) -> bool: ...
-
-    def errors(self) -> str:
-        """Return the last lines of the process's standard error."""
-
-    def end(self, within_s: float) -> int:
-        """End the process by SIGTERM, after ``within_s`` by SIGKILL; return its exit status."""
-
-
 class Child:
     """One process of the run; its standard error is written to the file ``name``.txt in ``folder``.
 
     A command is forked from this process and need not load its modules again (``Forked``); if a fork is not
     possible, the command is started as a program.
 
-    ``program``: command before the arguments, None for ``flightstack``; ``works_in``: working folder, None
-    for that of this process.
+    ``program``: command before the arguments, None for ``flightstack``; ``works_in``, ``environment``:
+    working folder and variables of a program, None for those of this process.
     """
 
+    end_signal = signal.SIGTERM  # signal to a program when this process ends
+    lines_max = 5  # number of lines in ``errors``
+
     def __init__(
-        self, name: str, arguments: Sequence[str], folder: Path, *, program: Sequence[str] | None = None,
-        works_in: Path | None = None,
+        self, name: str, arguments: Sequence[str], folder: Path, *,
+        program: Sequence[str | Path] | None = None, works_in: Path | None = None,
+        environment: Mapping[str, str] | None = None,
     ) -> None:  # fmt: skip
         self.name = name
         self.output = folder / f"{name}.txt"
@@ -111,8 +100,9 @@ class Child:
                 self.process: subprocess.Popen[bytes] | Forked = Forked(name, run, errors)
             else:
                 self.process = subprocess.Popen(
-                    [*tied(program or [sys.executable, *_path(), "-m", CLI]), *arguments],
+                    [*tied(program or [sys.executable, *_path(), "-m", CLI], self.end_signal), *arguments],
                     cwd=works_in,
+                    env=environment,
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.PIPE,
                     stderr=errors,
@@ -165,7 +155,7 @@ class Child:
 
     def errors(self) -> str:
         """Return the last lines of the process's standard error."""
-        lines = self.output.read_text(errors="replace").strip().splitlines()[-5:]
+        lines = self.output.read_text(errors="replace").strip().splitlines()[-self.lines_max :]
         return "\n".join(lines) or "no reason given"
 
     def alive(self) -> bool:

@@ -23,7 +23,6 @@ from flightstack.common.processes import (
     END_TIME_MAX_S,
     Child,
     Port,
-    Running,
     socket_folder,
 )
 from flightstack.common.text import failed_code, named
@@ -52,7 +51,7 @@ class Followed:
     aborted: bool = False  # whether the process aborted or failed, so that the autopilot lands the vehicle
 
 
-def _verb(child: Running) -> str:
+def _verb(child: Child) -> str:
     """Return the command of a child: its name without that of a vehicle."""
     return child.name.partition("-")[0]
 
@@ -68,7 +67,7 @@ class Launcher:
     def __init__(self, folder: Path, console: Console, *, tells: bool, real: bool = False) -> None:
         self.folder, self.console = folder, console  # folder for the output of the children
         # running processes of this flight, in the order in which they were started
-        self.children: list[Running] = []
+        self.children: list[Child] = []
         self.interrupted = False  # whether the operator requested the end of the run
         self._tells, self._real = tells, real
         # reserved ports, released after all children have ended

@@ -78,7 +78,7 @@ def _run_px4(
         speed=options.speed,
     )  # fmt: skip
     launcher.children.append(program)
-    program.wait_ready()
+    program.boot()
     for name in program.absent:
         text = f"PX4: this release has no {name}; the pre-flight check uses those that it has"
         launcher.console.print(text, markup=False, soft_wrap=True)

@@ -14,13 +14,12 @@ from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
 
-from flightstack.common.processes import LaunchError, ended, tied
+from flightstack.common.processes import END_TIME_MAX_S, Child, LaunchError
 from sim.autopilot.telemetry import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 
 INSTANCES = range(10)  # instance numbers; above 9, PX4 sends all MAVLink to one port (px4-rc.mavlink)
-BOOT_MAX_S = 90.0  # default time-out of ``wait_ready``, s of wall time
+BOOT_MAX_S = 90.0  # default time-out of ``boot``, s of wall time
 CONSOLE_MAX_S = 10.0  # time-out of one command at PX4's console, s
-END_MAX_S = 5.0  # time-out of PX4's orderly end, s
 # latitude and longitude, degrees, altitude, m: the floor of px4-sim, origin of HIL_GPS and barometer
 ROOM_WGS84 = (ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, 0.0)
 _BOOTED = "Startup script returned successfully"
@@ -28,19 +27,19 @@ _POSITIONED = "Ready for takeoff!"  # PX4 prints this when all its estimators ha
 _CHECKED = "Preflight check: OK"
 _LOOK_S = 0.05  # time between two reads of the output, s
 _ASK_S = 0.2  # time between two repeated console commands, s
-_LAST_LINES = 12
 _SAME_PLACE_DEG = 1e-5  # tolerance of the origin, 1 m; PX4 prints its reference with six decimals
 _REFERENCE = re.compile(r"^\s*(ref_lat|ref_lon): (\S+)", re.MULTILINE)
 _ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
 # rcS multiplies these time-outs by the speed, for clients in real time; our clients run at the simulation's
 # speed. PX4 1.18 has a fixed value of 5 s instead of COM_OBC_LOSS_T.
 _SCALED_WITH_SPEED = ("COM_DL_LOSS_T", "COM_RC_LOSS_T", "COM_OF_LOSS_T", "COM_OBC_LOSS_T")
-# Waits for the program. SIGHUP, sent when this process is killed, immediately kills the whole group: during
-# its start script PX4 ignores SIGTERM, and the script's commands would wait for a killed PX4 without end.
+# Waits for the program, whose output becomes that of the errors. SIGHUP, sent when this process is killed,
+# immediately kills the whole group: during its start script PX4 ignores SIGTERM, and the script's commands
+# would wait for a killed PX4 without end.
 _END_TOGETHER = """
 trap 'kill -KILL 0' HUP
 trap : TERM INT
-"$@" &
+"$@" >&2 &
 while wait $!; status=$?; kill -0 $! 2>/dev/null; do :; done
 exit $status
 """
@@ -107,27 +106,21 @@ def _instance_runs(number: int) -> bool:
     return True
 
 
-class Px4Program:
-    """One PX4 SITL process; a launcher manages it as a ``Running``.
+class Px4Program(Child):
+    """One PX4 SITL process.
 
     ``parameters``: PX4's parameters by name, with integers for PX4's integers; ``speed``: ratio of simulated
     to real time for ``SIHSIM_QUADX`` (with ``NONE_IRIS`` the simulator sets it); ``origin_wgs84``: origin of
     the room, degrees, degrees, m; None keeps PX4's origin.
     """
 
-    name = "px4"  # name of the process in a run
+    end_signal, lines_max = signal.SIGHUP, 12
 
     def __init__(
-        self,
-        binary: Path,
-        folder: Path,
-        model: Px4Model,
-        *,
-        instance: int = 0,
-        parameters: Mapping[str, float] | None = None,
-        speed: float = 1.0,
+        self, binary: Path, folder: Path, model: Px4Model, *, instance: int = 0,
+        parameters: Mapping[str, float] | None = None, speed: float = 1.0,
         origin_wgs84: tuple[float, float, float] | None = ROOM_WGS84,
-    ) -> None:
+    ) -> None:  # fmt: skip
         if instance not in INSTANCES:
             raise ValueError(f"PX4 instance {instance}: allowed are 0 to {INSTANCES.stop - 1}")
         files = find_px4(binary)
@@ -137,26 +130,14 @@ class Px4Program:
         self.onboard_port = 14540 + instance
         self._parameters = dict(parameters or {})
         self._speed, self._model, self._origin = speed, model, origin_wgs84
-        self.absent: list[str] = []  # requested parameters that this release lacks; set by wait_ready
+        self.absent: list[str] = []  # requested parameters that this release lacks; set by ``boot``
         self._bin = self.folder / "bin"
-        self.output = self.folder / "px4.txt"
         self._lay_out(files)
-        with self.output.open("wb") as output:
-            program: list[str | Path] = [
-                self._bin / "px4",
-                "-d",
-                "-w",
-                self.folder,
-                files.etc,
-                "-i",
-                str(instance),
-            ]
-            self.process = subprocess.Popen(
-                tied(["sh", "-c", _END_TOGETHER, "sh", *program], signal.SIGHUP),
-                cwd=self.folder, env=self._environment(),
-                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-                start_new_session=True,  # the children of the start script end with PX4
-            )  # fmt: skip
+        super().__init__(
+            "px4", ["-d", "-w", str(self.folder), str(files.etc), "-i", str(instance)], self.folder,
+            program=["sh", "-c", _END_TOGETHER, "sh", self._bin / "px4"], works_in=self.folder,
+            environment=self._environment(),
+        )  # fmt: skip
 
     def _lay_out(self, files: Px4Files) -> None:
         """Link the program under the names of its modules, and delete the parameters of an earlier run."""
@@ -181,7 +162,7 @@ class Px4Program:
                 ours["PX4_SIM_SPEED_FACTOR"] = f"{self._speed:g}"
         return ours
 
-    def wait_ready(self, timeout_s: float = BOOT_MAX_S) -> None:
+    def boot(self, timeout_s: float = BOOT_MAX_S) -> None:
         """Wait until PX4 can arm, with the requested parameters and the room's origin.
 
         The simulator must run, because PX4 waits for it. The origin is set after PX4 has a position, because
@@ -203,7 +184,7 @@ class Px4Program:
             time.sleep(_ASK_S)
 
     def _wait_for(self, text: str, until_s: float) -> None:
-        while text not in self._output():
+        while text not in self.output.read_text(errors="replace"):
             self._keep_waiting(until_s, repr(text))
             time.sleep(_LOOK_S)
 
@@ -250,8 +231,7 @@ class Px4Program:
     def _client(
         self, module: str, words: tuple[str, ...], timeout_s: float
     ) -> subprocess.CompletedProcess[str]:
-        if not self.alive():
-            raise Px4Error(f"PX4 has ended with status {self.process.returncode}:\n{self.errors()}")
+        self._check_alive()
         try:
             return subprocess.run(
                 [self._bin / f"px4-{module}", "--instance", str(self.instance), *words],
@@ -264,23 +244,16 @@ class Px4Program:
             command = " ".join((module, *words))
             raise Px4Error(f"PX4 did not answer {command!r} in {timeout_s:g} s:\n{self.errors()}") from error
 
-    def _keep_waiting(self, until_s: float, what: str) -> None:
+    def _check_alive(self) -> None:
         if not self.alive():
-            raise Px4Error(f"PX4 ended with status {self.process.returncode}:\n{self.errors()}")
+            raise Px4Error(f"PX4 has ended with status {self.process.returncode}:\n{self.errors()}")
+
+    def _keep_waiting(self, until_s: float, what: str) -> None:
+        self._check_alive()
         if time.monotonic() > until_s:
             raise Px4Error(f"PX4 did not come to {what} in time; its last lines:\n{self.errors()}")
 
-    def _output(self) -> str:
-        return self.output.read_text(errors="replace")
-
-    def errors(self) -> str:
-        lines = [line for line in self._output().splitlines() if line.strip()]
-        return "\n".join(lines[-_LAST_LINES:]) or "(no output)"
-
-    def alive(self) -> bool:
-        return self.process.poll() is None
-
-    def end(self, within_s: float = END_MAX_S) -> int:
+    def end(self, within_s: float = END_TIME_MAX_S) -> int:
         """Terminate PX4; after ``within_s`` kill it and its children. Return the exit status."""
         if self.alive():
             self._signal(signal.SIGCONT)  # a stopped process does not receive SIGTERM
@@ -288,8 +261,8 @@ class Px4Program:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(within_s)
         self._signal(signal.SIGKILL)
-        return ended(self.process)
+        return super().end(within_s)
 
     def _signal(self, number: signal.Signals) -> None:
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.process.pid, number)
+            os.killpg(self.pid, number)

@@ -218,7 +218,7 @@ def on_px4(
             parameters=parameters(params.load(scenario.vehicle.airframe), poses),
         )  # fmt: skip
         stack.callback(px4.end)
-        px4.wait_ready()
+        px4.boot()
         target = start("target", "--listen", target_at, "--connect", onboard_at, *(clock or paced))
         yield Room(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,

@@ -60,7 +60,7 @@ def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, ins
     try:
         wait_for(lambda: "Waiting for simulator" in px4.output.read_text(), "PX4 that waits")
         with pytest.raises(Px4Error, match="Waiting for simulator"):
-            px4.wait_ready(1.0)
+            px4.boot(1.0)
         os.killpg(px4.process.pid, signal.SIGSTOP)  # a stopped process must also end within the time-out
         began_s = time.monotonic()
         px4.end()

@@ -41,7 +41,7 @@ def second_member(kind, folder, robots, place):
     with verb("px4-sim", *words, "--mocap", "--once", "--tcp", "127.0.0.1:4561"):
         px4 = Px4Program(px4_or_skip(), folder, Px4Model.NONE_IRIS, instance=1, parameters=wanted)
         try:
-            px4.wait_ready(READY_S)
+            px4.boot(READY_S)
             yield
         finally:
             px4.end()

@@ -229,7 +229,7 @@ def test_what_the_release_has_is_set_and_what_it_has_not_is_named(build, speed):
         build, build / "run", Px4Model.SIHSIM_QUADX, parameters=wanted, speed=speed, origin_wgs84=None
     )
     try:
-        px4.wait_ready(20.0)
+        px4.boot(20.0)
         found = {file.name: file.read_text().strip() for file in (build / "run" / "values").iterdir()}
     finally:
         px4.end()
