@@ -16,7 +16,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
@@ -89,18 +88,17 @@ def _end_after(parent: BaseProcess) -> None:
     os._exit(1)
 
 
-def results(
-    executor: Executor, work: Callable[[T], R], waiting: deque[T], ahead: Callable[[], int],
-    limit_s: float | None = None,
-) -> Iterator[tuple[T, Future[R]]]:  # fmt: skip
-    """Yield each item of ``waiting`` with its finished future, in any order.
+def _results(
+    executor: Executor, work: Callable[[T], R], waiting: deque[T], ahead: int, limit_s: float | None
+) -> Iterator[R]:
+    """Yield the result of each item of ``waiting``, in any order.
 
     ``ahead``: number of items that the executor has at a time; ``limit_s``: time-out without a result.
     """
     running: dict[Future[R], T] = {}
     try:
         while waiting or running:
-            while waiting and len(running) < ahead():
+            while waiting and len(running) < ahead:
                 future = executor.submit(work, waiting[0])
                 running[future] = waiting.popleft()
             done = wait(running, limit_s, FIRST_COMPLETED).done
@@ -109,7 +107,8 @@ def results(
             for future in done:
                 if isinstance(future.exception(), BrokenProcessPool):
                     raise BrokenProcessPool
-            yield from [(running.pop(future), future) for future in done]
+                del running[future]
+                yield future.result()
     except BrokenProcessPool:
         raise _LostError(running.values(), "ended its worker") from None
 
@@ -136,10 +135,7 @@ def in_processes(
         most = 1 if alone else min(number, len(waiting))
         try:
             with _started(most, start, arguments) as pool:
-                for _, future in results(
-                    pool, work, suspects if alone else waiting, partial(int, most), limit_s
-                ):
-                    yield future.result()
+                yield from _results(pool, work, suspects if alone else waiting, most, limit_s)
         except _LostError as lost:
             if alone:
                 yield from (failed(item, f"{lost} twice") for item in lost.items)

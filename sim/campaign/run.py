@@ -40,7 +40,7 @@ from sim.campaign.rows import (
     write_rows,
 )
 from sim.campaign.summary import apart, lines, repeat_command, summary
-from sim.campaign.workers import code_fingerprint, fly_here, fly_on_cluster
+from sim.campaign.workers import code_fingerprint, fly_here
 from sim.robot import try_out
 from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Scenario, load, text
@@ -140,13 +140,12 @@ def _known_rows(wanted: Plan, now: dict[str, Any], folder: Path) -> list[Row]:
     return rows
 
 
-def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row: OnRow) -> Flown:
+def fly(wanted: Plan, folder: Path, *, workers: int, on_row: OnRow) -> Flown:
     """Fly the missing landings and write the summary; after an interrupt the rows so far are kept.
 
-    ``workers``: number of processes, unused on a cluster; ``cluster``: address of a Dask scheduler, None:
-    this machine; ``on_row``: called with each row, including rows of earlier calls. Raises RowsError: the
-    folder has other content, or another campaign runs there; WorkersError: workers end before they fly;
-    ClusterError: the cluster cannot be used.
+    ``workers``: number of processes; ``on_row``: called with each row, including rows of earlier calls.
+    Raises RowsError: the folder has other content, or another campaign runs there; WorkersError: workers end
+    before they fly.
     """
     began_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
@@ -161,10 +160,9 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
         try:
             if todo:
                 with RowsFile(folder / ROWS) as file:
-                    if cluster is None:
-                        warm_up(wanted.scenario)  # compile once for all workers
+                    warm_up(wanted.scenario)  # compile once for all workers
                     began_s = time.monotonic()  # the reported speed does not include compilation
-                    for row in _rows(wanted, todo, workers, cluster):
+                    for row in fly_here(wanted.scenario_toml, todo, workers, wanted.duration_max_s):
                         file.add([row])
                         flown_s += row.simulated_s or 0.0
                         on_row(row)
@@ -185,12 +183,6 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
             )
             (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
         return Flown(rows, wanted.runs - len(rows), told)
-
-
-def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> Iterator[Row]:
-    if cluster is not None:
-        return fly_on_cluster(cluster, wanted.scenario_toml, todo)
-    return fly_here(wanted.scenario_toml, todo, workers, wanted.duration_max_s)
 
 
 def identity(wanted: Plan) -> dict[str, Any]:

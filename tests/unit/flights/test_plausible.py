@@ -76,9 +76,7 @@ def test_other_units_and_signs_are_noticed_and_named(tmp_path, names, factor, sa
         load(written(tmp_path, columns))
 
 
-@pytest.mark.parametrize(
-    ("order", "says"), [("xwyz", "tilted by 1.. degrees"), ("xyzw", "or the attitude")]
-)
+@pytest.mark.parametrize(("order", "says"), [("xwyz", "tilted by 1.. degrees"), ("xyzw", "or the attitude")])
 def test_a_quaternion_in_another_order_is_noticed(tmp_path, order, says):
     columns = wobbling()
     columns["qw"], columns["qx"], columns["qy"], columns["qz"] = (columns[f"q{c}"] for c in order)
