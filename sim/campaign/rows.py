@@ -11,6 +11,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import takewhile
@@ -269,33 +270,22 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
     beside.replace(path)
 
 
-class RowsFile:
-    """Appends rows to a file; after ``add`` has returned, its rows survive any crash."""
+@contextmanager
+def appending(path: Path) -> Iterator[Callable[[Row], None]]:
+    """Open a file of rows, remove a truncated last line, and yield the function that appends a row.
 
-    def __init__(self, path: Path) -> None:
-        """Open the file, and remove a truncated last line."""
-        known = path.read_bytes() if path.exists() else b""
-        whole = known.rfind(b"\n") + 1
-        self._file = path.open("r+b" if path.exists() else "w+b")
-        self._file.truncate(whole)
-        self._file.seek(whole)
+    After this function has returned, the row survives any crash.
+    """
+    with path.open("a+b") as file:
+        file.seek(0)
+        whole = file.read().rfind(b"\n") + 1
+        file.truncate(whole)
         if not whole:
-            self._file.write(_HEADER.encode())
+            file.write(_HEADER.encode())
 
-    def add(self, rows: Iterable[Row]) -> None:
-        """Append rows and wait until they are on the disk."""
-        self._file.writelines(_text(row).encode() for row in rows)
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        def add(row: Row) -> None:
+            file.write(_text(row).encode())
+            file.flush()
+            os.fsync(file.fileno())
 
-    def __enter__(self) -> RowsFile:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-
-def missing(rows: Iterable[Row], first_seed: int, runs: int) -> Iterator[int]:
-    """Return the seeds without a row, in order."""
-    have = {row.seed for row in rows}
-    return (seed for seed in range(first_seed, first_seed + runs) if seed not in have)
+        yield add

@@ -12,6 +12,7 @@ import hashlib
 import inspect
 import json
 import platform
+import shlex
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -33,13 +34,12 @@ from sim.campaign.rows import (
     E_Z_LOW_M,
     Row,
     RowsError,
-    RowsFile,
+    appending,
     cell_map,
-    missing,
     read_rows,
     write_rows,
 )
-from sim.campaign.summary import apart, lines, repeat_command, summary
+from sim.campaign.summary import apart, lines, summary
 from sim.campaign.workers import code_fingerprint, fly_here
 from sim.robot import try_out
 from sim.runners.landing import warm_up
@@ -49,13 +49,8 @@ from sim.vehicle.declared import judged_apart
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-ROWS, ABOUT, SUMMARY, LOCK, PAGE = (
-    "rows.csv",
-    "campaign.json",
-    "summary.json",
-    "campaign.lock",
-    "campaign.html",
-)
+ROWS, ABOUT, SUMMARY = "rows.csv", "campaign.json", "summary.json"
+LOCK, PAGE = "campaign.lock", "campaign.html"
 _PACKAGES = ("numpy", "osqp", "mujoco", "numba", "pymavlink")
 
 OnRow = Callable[[Row], None]
@@ -78,7 +73,8 @@ class Plan:
     @property
     def command(self) -> str:
         """Command that repeats one seed, with ``{seed}`` as placeholder."""
-        return repeat_command(self.scenario_name, self.filter_name)
+        name = shlex.quote(self.scenario_name).replace("{", "{{").replace("}", "}}")
+        return f"flightstack sitl --scenario {name} --seed {{seed}} --filter {self.filter_name} --lockstep"
 
     @property
     def filter_name(self) -> str:
@@ -156,31 +152,30 @@ def fly(wanted: Plan, folder: Path, *, workers: int, on_row: OnRow) -> Flown:
         for row in rows:
             on_row(row)
         flown_s = 0.0
-        todo = list(missing(rows, wanted.first_seed, wanted.runs))
+        have = {row.seed for row in rows}
+        todo = [
+            seed for seed in range(wanted.first_seed, wanted.first_seed + wanted.runs) if seed not in have
+        ]
         try:
             if todo:
-                with RowsFile(folder / ROWS) as file:
+                with appending(folder / ROWS) as add:
                     warm_up(wanted.scenario)  # compile once for all workers
                     began_s = time.monotonic()  # the reported speed does not include compilation
                     for row in fly_here(wanted.scenario_toml, todo, workers, wanted.duration_max_s):
-                        file.add([row])
+                        add(row)
                         flown_s += row.simulated_s or 0.0
                         on_row(row)
         except KeyboardInterrupt:
             pass  # the result reports the number of missing rows
         if todo:  # landings were flown: an interrupt may have lost a row of the list
-            rows.clear()
             rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)
         write_rows(folder / ROWS, rows)
         told = None
         if rows:
             told = summary(
-                rows,
-                wanted.command,
-                wall_s=time.monotonic() - began_s,
-                flown_s=flown_s,
+                rows, wanted.command, wall_s=time.monotonic() - began_s, flown_s=flown_s,
                 judged_apart=judged_apart(wanted.scenario),
-            )
+            )  # fmt: skip
             (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
         return Flown(rows, wanted.runs - len(rows), told)
 
@@ -280,38 +275,31 @@ def campaign_page(wanted: Plan, flown: Flown) -> Page:
                 "result", "Result", _JUDGED, table(("result", "value", "unit"), shown, numbers=(1,))
             ),
             Panel("worst", "Worst seeds", _ALONE, table(("seed", "why", "command"), worst, numbers=(0,))),
-            *_histograms(flown.rows),
+            *(_histogram(flown.rows, *each) for each in _HISTOGRAMS),
             Panel("scenario", "", "", details("Scenario", wanted.scenario_toml, "scenario.toml")),
         ],
         apart(summary),
     )  # fmt: skip
 
 
-def _histograms(rows: Sequence[Row]) -> list[Panel]:
-    found = []
-    for key, title, axis, scale, column in _HISTOGRAMS:
-        values = [scale * v for row in rows if (v := getattr(row, column)) is not None]
-        figure = histogram(values, axis, 1e3 * VIOLATION_LIMIT_M if key == "h" else None) if values else None
-        found.append(Panel(key, title, f"{len(values)} of {len(rows)} landings have this value.", figure))
-    return found
-
-
-def histogram(values: Sequence[float], axis: str, limit: float | None) -> go.Figure:
-    """Return the histogram of a campaign value, with the limit of the value as a line."""
+def _histogram(rows: Sequence[Row], key: str, title: str, axis: str, scale: float, column: str) -> Panel:
+    """Return the panel of one row of ``_HISTOGRAMS``, with the limit of a violation as a line."""
     import plotly.graph_objects as go
 
     from logs.curves import BOUNDARY, TRUE
     from logs.report.style import layout
 
-    counts, edges = np.histogram(values, bins=_BINS)
-    bars = go.Bar(x=0.5 * (edges[:-1] + edges[1:]), y=counts, width=np.diff(edges), marker={"color": TRUE})
-    figure = layout(go.Figure(bars), 300)
-    figure.update_layout(bargap=0.0, showlegend=False)
-    figure.update_xaxes(title_text=axis)
-    figure.update_yaxes(title_text="landings")
-    if limit is not None:
-        figure.add_vline(x=limit, line={"color": BOUNDARY, "dash": "dash"})
-    return figure
+    figure, values = None, [scale * v for row in rows if (v := getattr(row, column)) is not None]
+    if values:
+        counts, edges = np.histogram(values, bins=_BINS)
+        middles, marker = 0.5 * (edges[:-1] + edges[1:]), {"color": TRUE}
+        figure = layout(go.Figure(go.Bar(x=middles, y=counts, width=np.diff(edges), marker=marker)), 300)
+        figure.update_layout(bargap=0.0, showlegend=False)
+        figure.update_xaxes(title_text=axis)
+        figure.update_yaxes(title_text="landings")
+        if column == "h_min_outside_pad_m":
+            figure.add_vline(x=scale * VIOLATION_LIMIT_M, line={"color": BOUNDARY, "dash": "dash"})
+    return Panel(key, title, f"{len(values)} of {len(rows)} landings have this value.", figure)
 
 
 def h_map(wanted: Plan, rows: Sequence[Row]) -> go.Figure:

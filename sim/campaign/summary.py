@@ -7,7 +7,6 @@ violation is a violation.
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -178,12 +177,3 @@ def lines(told: dict[str, Any]) -> list[tuple[str, str, str]]:
             )
             found.append((name, shown, unit))
     return found
-
-
-def repeat_command(scenario: str, filter_name: str) -> str:
-    """Return the command that repeats one seed, with ``{seed}`` as placeholder.
-
-    ``scenario``: name or file; ``filter_name``: name of the safety filter.
-    """
-    name = shlex.quote(scenario).replace("{", "{{").replace("}", "}}")
-    return f"flightstack sitl --scenario {name} --seed {{seed}} --filter {filter_name} --lockstep"

@@ -60,15 +60,16 @@ class _Row(NamedTuple):
         change = f"to {_rounded_up(needed):g} or more, or lower {self.there.rstrip(',')}"
         if self.near is not None:
             room, change = self.near - abs(declared - found), f"to {found:.3g}"
-        return Check(
-            f"declared, {self.key}",
-            f"the configuration declares the values of the scenario ({self.there})",
-            (room if self.room is None else self.room) + 1e-12,
-            self.unit,
+        return _check(
+            self.key, f"the configuration declares the values of the scenario ({self.there})",
+            (room if self.room is None else self.room) + 1e-12, self.unit,
             f"onboard.{self.key} is {declared:.3g}, {self.there} is {found:.3g}",
             self.remedy or f"set onboard.{self.key} {change}",
-            Need.PROOF,
-        )
+        )  # fmt: skip
+
+
+def _check(name: str, what: str, room: float, unit: str, worst: str, remedy: str) -> Check:
+    return Check(f"declared, {name}", what, room, unit, worst, remedy, Need.PROOF)
 
 
 def declared(scenario: Scenario) -> list[Check]:
@@ -166,15 +167,12 @@ def _judged(scenario: Scenario) -> Check:
     flown, judge = scenario.onboard.barrier, scenario.judged_by
     distances = (scenario.target.pad_radius_m + k * STEP_M for k in range(int(FAR_M / STEP_M)))
     below_m, at_m = max((judge.height(d) - flown.height(d), d) for d in distances)
-    return Check(
-        "declared, barrier",
-        "the barrier that is flown is nowhere below that of the verdict (judge)",
-        HELD_M - below_m,
-        "m",
+    return _check(
+        "barrier", "the barrier that is flown is nowhere below that of the verdict (judge)",
+        HELD_M - below_m, "m",
         f"onboard.barrier is {1000.0 * below_m:.3g} mm below judge at {at_m:.3g} m from the landing spot",
         "remove the table [judge]: the verdict then uses the barrier that is flown",
-        Need.PROOF,
-    )
+    )  # fmt: skip
 
 
 def _feet(scenario: Scenario) -> Check:
@@ -186,16 +184,13 @@ def _feet(scenario: Scenario) -> Check:
     geometry, pad_m = load(scenario.vehicle.airframe).geometry, scenario.target.pad_radius_m
     foot_m, (reach_m, where) = DIAGONAL * geometry.foot_offset_m, _reach_m(scenario.onboard)
     needed_m = foot_m + reach_m
-    return Check(
-        "declared, feet",
-        "the pad has room for all feet around the usual places of a touchdown",
-        pad_m - needed_m,
-        "m",
+    return _check(
+        "feet", "the pad has room for all feet around the usual places of a touchdown",
+        pad_m - needed_m, "m",
         f"the feet are {1000.0 * foot_m:.3g} mm from the vehicle's centre, and the touchdown needs "
         f"{1000.0 * reach_m:.3g} mm ({where}); the pad has {1000.0 * pad_m:g} mm",
         f"set target.pad_radius_m to {_rounded_up(needed_m):g} or more",
-        Need.PROOF,
-    )
+    )  # fmt: skip
 
 
 def _reach_m(config: FlightConfig) -> tuple[float, str]:
@@ -218,15 +213,10 @@ def _starts(scenario: Scenario) -> Check:
     starts_m = scenario.start.h_m[0] if offset_m is None else scenario.judged_by.h(offset_m)
     if scenario.start.kind is not StartKind.HOVER:
         starts_m = math.inf  # the vehicle takes off from the floor
-    return Check(
-        "declared, start",
-        "the vehicle starts above the barrier",
-        starts_m,
-        "m",
-        f"start: h is {starts_m:.3g} m",
+    return _check(
+        "start", "the vehicle starts above the barrier", starts_m, "m", f"start: h is {starts_m:.3g} m",
         "raise start.h_m or start.offset_m: below the barrier it only recovers",
-        Need.PROOF,
-    )
+    )  # fmt: skip
 
 
 def _flown(scenario: Scenario) -> list[Check]:
@@ -250,17 +240,14 @@ def _flown(scenario: Scenario) -> list[Check]:
         ("vehicle.ground_effect_gain", spec.ground_effect_gain, 1.0, ""),
     ]
     return [
-        Check(
-            f"declared, {key}",
-            "the scenario is no worse here than the tiers, of which the campaigns show that they land",
-            most - value,
-            unit,
+        _check(
+            key, "the scenario is no worse here than the tiers, of which the campaigns show that they land",
+            most - value, unit,
             f"{key}: {abs(value):g}, flown {'up' if most >= 0.0 else 'down'} to {abs(most):g}",
             f"{'lower' if most >= 0.0 else 'raise'} {key}",
-            Need.PROOF,
         )
         for key, value, most, unit in rows
-    ]
+    ]  # fmt: skip
 
 
 def _acceleration_m_s2(target: TargetSpec) -> float:

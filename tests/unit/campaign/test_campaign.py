@@ -1,6 +1,7 @@
 """Tests counts, bounds and limits of a campaign; unknown results count as failures."""
 
 import codecs
+import contextlib
 import io
 import math
 from dataclasses import replace
@@ -16,8 +17,8 @@ from sim.campaign.rows import (
     E_Z_LOW_M,
     Row,
     RowsError,
-    RowsFile,
     _cells,
+    appending,
     cell_map,
     error_row,
     read_rows,
@@ -146,15 +147,15 @@ def test_rows_read_back_the_same_to_the_last_bit(tmp_path):
 
 def test_appended_rows_survive_and_a_cut_line_is_dropped(tmp_path):
     path = tmp_path / "rows.csv"
-    with RowsFile(path) as file:
-        file.add([FULL])
-        file.add([replace(FULL, seed=8, reason="plain")])
+    with appending(path) as add:
+        add(FULL)
+        add(replace(FULL, seed=8, reason="plain"))
     whole = path.read_bytes()
     for cut in range(1, 40):
         path.write_bytes(whole[:-cut])
         assert [r.seed for r in read_rows(path)] == [7]
-        with RowsFile(path) as file:
-            file.add([replace(FULL, seed=9, reason="plain")])
+        with appending(path) as add:
+            add(replace(FULL, seed=9, reason="plain"))
         assert [r.seed for r in read_rows(path)] == [7, 9]
 
 
@@ -251,16 +252,19 @@ def landed(seed):
 
 
 def interrupted(monkeypatch, *, written):
-    add = RowsFile.add
+    @contextlib.contextmanager
+    def appending_until(path):
+        with appending(path) as add:
 
-    def add_then_interrupt(self, rows):
-        last = rows[-1].seed == AT_ROW
-        if written or not last:
-            add(self, rows)
-        if last:
-            raise KeyboardInterrupt
+            def add_then_interrupt(row):
+                if written or row.seed != AT_ROW:
+                    add(row)
+                if row.seed == AT_ROW:
+                    raise KeyboardInterrupt
 
-    monkeypatch.setattr(RowsFile, "add", add_then_interrupt)
+            yield add_then_interrupt
+
+    monkeypatch.setattr(campaign, "appending", appending_until)
 
 
 @pytest.mark.parametrize("written", [True, False])
