@@ -4,56 +4,45 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Axes, Quaternion, Record, Vector, cell, scalars
-from flightstack.core.types import Vec3
+from flightstack.core.types import ZERO, Vec3
 
 ROOM = 256  # maximum number of set-points in transit: twice the number at 0.1 s of delay and 1 kHz
 WIDTH = 12  # values per row: arrival time, then the fields of a set-point
 _ROW = struct.Struct(f"={WIDTH}d")
 
 
-class Setpoint(NamedTuple):
-    """A velocity or position set-point in the world (ENU, m/s, m) with a yaw.
-
-    ``stop``: motors off, the firmware's null set-point.
-    """
-
-    vx: float = 0.0
-    vy: float = 0.0
-    vz: float = 0.0
-    yaw_rad: float = 0.0
-    stop: bool = False
-    position: Vec3 | None = None
-
-    def fields(self) -> tuple[float, float, float, float, bool, float, float, bool, float, float, float]:
-        """Return all fields in the form of ``SetpointRecord``."""
-        vx, vy, vz, yaw_rad, stop, position = self
-        x, y, z = position or (0.0, 0.0, 0.0)
-        return (
-            vx, vy, vz, yaw_rad, stop, math.cos(yaw_rad), math.sin(yaw_rad), position is not None, x, y, z
-        )  # fmt: skip
-
-
-STOP = Setpoint(stop=True)
-
-
 class SetpointRecord(Record):
-    """A ``Setpoint`` for compiled code, with cosine and sine of the yaw."""
+    """A velocity or position set-point in the world (ENU, m/s, m) with a yaw."""
 
     vx: float
     vy: float
     vz: float
     yaw_rad: float
-    stop: bool
+    stop: bool  # whether the motors are off: the firmware's null set-point
     cos_yaw: float
     sin_yaw: float
     by_position: bool  # whether the set-point is a position
     x: float
     y: float
     z: float
+
+
+Setpoint = tuple[float, ...]  # values of a ``SetpointRecord``
+
+
+def set_point(
+    velocity: Vec3 = ZERO, yaw_rad: float = 0.0, *, position: Vec3 | None = None, stop: bool = False
+) -> Setpoint:
+    """Return the values of a set-point, which with ``position`` is a position."""
+    yaw = yaw_rad, stop, math.cos(yaw_rad), math.sin(yaw_rad)
+    return *velocity, *yaw, position is not None, *(position or ZERO)
+
+
+STOP = set_point(stop=True)
 
 
 class SensedState(Record):
@@ -103,11 +92,11 @@ class Inbox:
         end = self._end[0]
         if end - self._first[0] >= ROOM:
             end -= 1
-        _ROW.pack_into(self._rows, _ROW.size * (end % ROOM), arrives_ms, *setpoint.fields())
+        _ROW.pack_into(self._rows, _ROW.size * (end % ROOM), arrives_ms, *setpoint)
         self._end[0] = end + 1
 
     def set(self, setpoint: Setpoint, since_ms: int) -> None:
         """Apply a set-point now and drop the set-points in transit."""
         self._first[0] = self._end[0]
         self._taken_ms[0] = since_ms
-        self._setpoint[0] = setpoint.fields()
+        self._setpoint[0] = setpoint

@@ -12,7 +12,7 @@ from sim.firmware.estimator import Estimator, EstimatorRecord
 from sim.firmware.geometric import PaperRecord, paper_reset, paper_trim, paper_update, set_up_paper
 from sim.firmware.mixer import OFF, MapRecord, counts_per_n, moments_of, motor_speeds, set_up_map
 from sim.firmware.pid import CascadeRecord, cascade_reset, cascade_trim, cascade_update, set_up_cascade
-from sim.firmware.setpoint import STOP, Inbox, InboxRecord, Setpoint, SetpointRecord, receive
+from sim.firmware.setpoint import STOP, Inbox, InboxRecord, Setpoint, SetpointRecord, set_point
 from sim.firmware.supervisor import STATES, State, SupervisorRecord, flies, supervise
 from sim.plant.params import Params
 from sim.plant.rotors import Four
@@ -43,12 +43,6 @@ class FirmwareRecord(Record):
 def running(commands: F64) -> bool:
     """Whether any motor has a speed command."""
     return bool(commands[0] != 0.0 or commands[1] != 0.0 or commands[2] != 0.0 or commands[3] != 0.0)
-
-
-@jitted
-def listen(f: FirmwareRecord, now_ms: int) -> None:
-    """Receive the set-points that have arrived."""
-    receive(f.inbox, f.setpoint, now_ms)
 
 
 @jitted
@@ -128,7 +122,7 @@ class Firmware:
             shares_n = (thrust_n / share for share in motors)
             each = [counts_per_n(self._params, share_n, battery_v) * share_n for share_n in shares_n]
             cascade_trim(r.pid, force, per_n, moments_of(each))
-        self._inbox.set(Setpoint(*trim), 0)
+        self._inbox.set(set_point(trim), 0)
         supervisor.start_flying(r.supervisor)
         return trim
 

@@ -10,7 +10,7 @@ In flight, compiled code evaluates the table in numeric form, where a state is i
 
 from __future__ import annotations
 
-from enum import Enum, IntFlag, auto
+from enum import Enum
 
 import numpy as np
 
@@ -40,37 +40,29 @@ class State(Enum):
     CRASHED = "crashed: tumbled; disarm first"
 
 
-class Condition(IntFlag):
-    TIMEOUT = auto()
-    WARNING = auto()
-    FRESH = auto()
-    TUMBLED = auto()
-    FLYING = auto()
-    NOT_FLYING = auto()
-    STAYED_READY = auto()
-    STAYED_LANDED = auto()
-
+# conditions of transitions, one bit each
+TIMEOUT, WARNING, FRESH, TUMBLED, FLYING, NOT_FLYING, STAYED_READY, STAYED_LANDED = (1 << n for n in range(8))
 
 # transitions of each state; the first true condition applies
-TRANSITIONS: dict[State, tuple[tuple[Condition, State], ...]] = {
+TRANSITIONS: dict[State, tuple[tuple[int, State], ...]] = {
     State.DISARMED: (),
     State.READY: (
-        (Condition.TUMBLED, State.DISARMED),
-        (Condition.FLYING, State.FLYING),
-        (Condition.STAYED_READY, State.DISARMED),
+        (TUMBLED, State.DISARMED),
+        (FLYING, State.FLYING),
+        (STAYED_READY, State.DISARMED),
     ),
     State.FLYING: (
-        (Condition.TIMEOUT, State.LOCKED),
-        (Condition.TUMBLED, State.CRASHED),
-        (Condition.WARNING, State.LEVEL_OUT),
-        (Condition.NOT_FLYING, State.LANDED),
+        (TIMEOUT, State.LOCKED),
+        (TUMBLED, State.CRASHED),
+        (WARNING, State.LEVEL_OUT),
+        (NOT_FLYING, State.LANDED),
     ),
     State.LEVEL_OUT: (
-        (Condition.TIMEOUT, State.LOCKED),
-        (Condition.TUMBLED, State.LOCKED),
-        (Condition.FRESH, State.FLYING),
+        (TIMEOUT, State.LOCKED),
+        (TUMBLED, State.LOCKED),
+        (FRESH, State.FLYING),
     ),
-    State.LANDED: ((Condition.STAYED_LANDED, State.DISARMED), (Condition.FLYING, State.FLYING)),
+    State.LANDED: ((STAYED_LANDED, State.DISARMED), (FLYING, State.FLYING)),
     State.LOCKED: (),
     State.CRASHED: (),
 }
@@ -78,19 +70,12 @@ MOTORS_ALLOWED = frozenset({State.READY, State.FLYING, State.LEVEL_OUT, State.LA
 
 STATES = tuple(State)
 _WIDEST = max(map(len, TRANSITIONS.values()))
-_NEVER = (Condition(0), State.DISARMED)  # a condition that is never true fills the shorter rows of the table
-_TABLE = np.array(
-    [
-        [(condition.value, STATES.index(to)) for condition, to in (*row, *[_NEVER] * (_WIDEST - len(row)))]
-        for row in map(TRANSITIONS.__getitem__, STATES)
-    ]
-)
+_TABLE = np.zeros((len(STATES), _WIDEST, 2), dtype=np.int64)  # condition (0: never) and next state
+for _state, _row in TRANSITIONS.items():
+    for _n, (_condition, _to) in enumerate(_row):
+        _TABLE[STATES.index(_state), _n] = _condition, STATES.index(_to)
 _ALLOWED = np.array([state in MOTORS_ALLOWED for state in STATES])
 _LEVEL_OUT, _IN_FLIGHT = STATES.index(State.LEVEL_OUT), STATES.index(State.FLYING)
-_FLYING, _NOT_FLYING = Condition.FLYING.value, Condition.NOT_FLYING.value
-_WARNING, _FRESH, _TIMEOUT = Condition.WARNING.value, Condition.FRESH.value, Condition.TIMEOUT.value
-_TUMBLED, _STAYED_READY = Condition.TUMBLED.value, Condition.STAYED_READY.value
-_STAYED_LANDED = Condition.STAYED_LANDED.value
 # value of ``tilted_since_ms`` without a tilt
 _UPRIGHT = -1 << 62
 
@@ -142,17 +127,17 @@ def supervise(
     if motors_running:
         s.motors_last_ms = now_ms
     flying = now_ms - s.motors_last_ms < FLYING_HYSTERESIS_MS
-    holds = _FLYING if flying else _NOT_FLYING
-    holds |= _WARNING if setpoint_age_ms > WARNING_MS else _FRESH
+    holds = FLYING if flying else NOT_FLYING
+    holds |= WARNING if setpoint_age_ms > WARNING_MS else FRESH
     if setpoint_age_ms > TIMEOUT_MS:
-        holds |= _TIMEOUT
+        holds |= TIMEOUT
     if tumbled(s, now_ms, ax, ay, az):
-        holds |= _TUMBLED
+        holds |= TUMBLED
     stayed_ms = now_ms - s.since_ms
     if stayed_ms > READY_TIMEOUT_MS:
-        holds |= _STAYED_READY
+        holds |= STAYED_READY
     if stayed_ms > LANDED_TIMEOUT_MS:
-        holds |= _STAYED_LANDED
+        holds |= STAYED_LANDED
     for i in range(_WIDEST):
         if _TABLE[s.state, i, 0] & holds:
             enter(s, _TABLE[s.state, i, 1], now_ms)

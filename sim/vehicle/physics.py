@@ -19,7 +19,8 @@ from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
 from logs.schema.rows import TrueStateRow
 from sim.firmware.estimator import predict
-from sim.firmware.stack import FirmwareRecord, control, listen, oversee, running
+from sim.firmware.setpoint import receive
+from sim.firmware.stack import FirmwareRecord, control, oversee, running
 from sim.firmware.supervisor import PERIOD_MS
 from sim.plant.air import (
     DownwashRecord,
@@ -174,7 +175,7 @@ def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
     """
     v = vehicle[0]
     for now_ms in range(begin_ms, end_ms):
-        listen(v.firmware, now_ms)
+        receive(v.firmware.inbox, v.firmware.setpoint, now_ms)
         measure_pose(v.mocap, v.world.body, now_ms)
         if not v.mocap.diverted:
             correct_estimate(v.mocap, v.firmware.estimator, v.world.body, now_ms)

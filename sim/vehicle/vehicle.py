@@ -16,7 +16,7 @@ from sim.faults.vehicle_faults import BatteryFaults, Faults, MotorFaults
 from sim.firmware.estimator import correct
 from sim.firmware.geometric import axes_from_force
 from sim.firmware.mixer import OFF
-from sim.firmware.setpoint import STOP, Setpoint
+from sim.firmware.setpoint import STOP, set_point
 from sim.firmware.stack import Firmware
 from sim.firmware.supervisor import PERIOD_MS, STATES, State
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
@@ -176,12 +176,11 @@ class VehicleSim(Physics):
 
     def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
         """Send a velocity set-point; it takes effect, and its age starts, after the radio's delay."""
-        vx, vy, vz = velocity_enu_m_s
-        self.firmware.send(Setpoint(vx, vy, vz, yaw_rad), self._ms - self.sent_before_ms)
+        self.firmware.send(set_point(velocity_enu_m_s, yaw_rad), self._ms - self.sent_before_ms)
 
     def set_position(self, position_enu_m: Vec3, yaw_rad: float) -> None:
         """Send a position set-point to the PID loop; it is delayed as in ``set_velocity``."""
-        setpoint = Setpoint(yaw_rad=yaw_rad, position=position_enu_m)
+        setpoint = set_point(yaw_rad=yaw_rad, position=position_enu_m)
         self.firmware.send(setpoint, self._ms - self.sent_before_ms)
 
     def stop_setpoint(self) -> None:

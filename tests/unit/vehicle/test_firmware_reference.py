@@ -14,7 +14,7 @@ from flightstack.compiled.records import new
 from sim.firmware.geometric import K_V_N_S_M, PaperRecord, paper_update, set_up_paper
 from sim.firmware.mixer import COUNTS_MAX, cap, spread
 from sim.firmware.pid import CascadeRecord, cascade_update, set_up_cascade
-from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
+from sim.firmware.setpoint import SensedState, SetpointRecord, set_point
 from sim.firmware.supervisor import (
     PERIOD_MS,
     STATES,
@@ -70,7 +70,7 @@ def sensed(axes, gyro_deg_s, velocity=(0.0, 0.0, 0.0)):
 
 
 def setpoint(velocity, yaw_deg):
-    return new(SetpointRecord, Setpoint(*map(float, velocity), float(np.radians(float(yaw_deg)))).fields())
+    return new(SetpointRecord, set_point(tuple(map(float, velocity)), float(np.radians(float(yaw_deg)))))
 
 
 def mellinger_port(rows):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from flightstack.compiled.records import new
 from sim.firmware.pid import TILT_MAX_DEG, CascadeRecord, cascade_update, set_up_cascade
-from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
+from sim.firmware.setpoint import SensedState, SetpointRecord, set_point
 from sim.plant.params import load
 from sim.scenarios.tables import Start, StartKind, VehicleSpec, VelocityLoop
 from tests.unit.vehicle.vehicle_sim_helpers import vehicle
@@ -26,7 +26,7 @@ def sensed_at(position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), yaw=0.0):
 
 
 def record(setpoint):
-    return new(SetpointRecord, setpoint.fields())
+    return new(SetpointRecord, setpoint)
 
 
 def cascade():
@@ -50,7 +50,7 @@ class TestPidPosition:
         at = (1.0, -2.0, 0.5)
         wanted = tuple(a + e for a, e in zip(at, error, strict=True))
         thrust, _, pitch, roll = pid(
-            loop, sensed_at(at, velocity, yaw), Setpoint(position=wanted, yaw_rad=yaw)
+            loop, sensed_at(at, velocity, yaw), set_point(position=wanted, yaw_rad=yaw)
         )
         asked = [2.0 * e - v for e, v in zip(error[:2], velocity[:2], strict=True)]
         ahead = math.cos(yaw) * asked[0] + math.sin(yaw) * asked[1]
@@ -63,17 +63,17 @@ class TestPidPosition:
 
     def test_the_speed_is_limited_before_the_tilt(self):
         _, _, pitch, _ = pid(
-            cascade(), sensed_at(velocity=(1.0, 0.0, 0.0)), Setpoint(position=(9.0, 0.0, 0.0))
+            cascade(), sensed_at(velocity=(1.0, 0.0, 0.0)), set_point(position=(9.0, 0.0, 0.0))
         )
         assert pitch == pytest.approx(25.01 * (1.1 - 1.0))
 
     def test_another_kind_of_set_point_resets_the_integrals(self):
         loop = cascade()
         for _ in range(50):
-            pid(loop, sensed_at(), Setpoint(position=(0.0, 0.0, 0.1)))
+            pid(loop, sensed_at(), set_point(position=(0.0, 0.0, 0.1)))
         assert loop.z.integral == pytest.approx(10 * 0.01 * 0.1)
         assert loop.vz.integral > 0.0
-        pid(loop, sensed_at(), Setpoint())
+        pid(loop, sensed_at(), set_point())
         assert (loop.z.integral, loop.vz.integral) == (0.0, 0.0)
 
 

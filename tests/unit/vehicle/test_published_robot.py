@@ -12,7 +12,7 @@ from flightstack.common.pacing import EPOCH_NS, PAIR, RUN_AHEAD_TICKS
 from flightstack.compiled.records import new
 from logs.recorder.feed import Feed
 from sim.clock import TickGrid
-from sim.firmware.setpoint import ROOM, STOP, Inbox, InboxRecord, Setpoint, SetpointRecord, receive
+from sim.firmware.setpoint import ROOM, STOP, Inbox, InboxRecord, SetpointRecord, receive, set_point
 from sim.runners import published_robot
 from sim.runners.log import EventLog
 from sim.runners.published_robot import LockstepRobot
@@ -94,31 +94,31 @@ class Radio:
 
 def test_a_set_point_arrives_whole_and_on_time():
     radio = Radio()
-    sent = Setpoint(0.1, 0.2, 0.3, 0.4)
+    sent = set_point((0.1, 0.2, 0.3), 0.4)
     radio.inbox.send(sent, 7)
     assert radio.at(6) == (0.0, 0)
     assert bool(radio.present.stop)
     assert radio.at(7) == (0.1, 7)
-    assert tuple(radio.present.tolist()) == sent.fields()
+    assert tuple(radio.present.tolist()) == sent
 
 
 def test_the_ring_goes_round():
     radio = Radio()
     for k in range(3 * ROOM):
-        radio.inbox.send(Setpoint(float(k)), k)
+        radio.inbox.send(set_point((float(k), 0.0, 0.0)), k)
         assert radio.at(k) == (float(k), k)
 
 
 def test_without_room_the_newest_takes_the_last_place():
     radio = Radio()
     for k in range(ROOM + 5):
-        radio.inbox.send(Setpoint(float(k)), k)
+        radio.inbox.send(set_point((float(k), 0.0, 0.0)), k)
     assert radio.at(ROOM - 2) == (float(ROOM - 2), ROOM - 2)
     assert radio.at(10_000) == (float(ROOM + 4), ROOM + 4)
 
 
 def test_what_is_set_holds_at_once_and_forgets_what_is_under_way():
     radio = Radio()
-    radio.inbox.send(Setpoint(1.0), 5)
+    radio.inbox.send(set_point((1.0, 0.0, 0.0)), 5)
     radio.inbox.set(STOP, 3)
     assert radio.at(100) == (0.0, 3)
