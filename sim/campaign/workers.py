@@ -33,17 +33,9 @@ def loaded(scenario_toml: str) -> Scenario:
     return scenario
 
 
-@lru_cache(maxsize=4)
-def prepared(scenario_toml: str) -> Scenario:
-    """Return the scenario of a text; compile all code and exclude present objects from garbage collection."""
-    scenario = loaded(scenario_toml)
-    quiet_garbage_collector()
-    return scenario
-
-
 def fly_seed(scenario_toml: str, seed: int) -> Row:
     """Fly one landing; an exception becomes a row, so that the other seeds are still flown."""
-    scenario = prepared(scenario_toml)
+    scenario = loaded(scenario_toml)
     try:
         return replace(row_of(land(scenario, seed)), outside_envelope=outside(scenario.members))
     except ConfigError as error:
@@ -87,4 +79,5 @@ def fly_here(
 def _prepare(scenario_toml: str, given: bytes) -> None:
     if given:
         give(pickle.loads(given))
-    prepared(scenario_toml)
+    loaded(scenario_toml)
+    quiet_garbage_collector()

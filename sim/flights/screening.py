@@ -218,15 +218,13 @@ def screen(recording: Recording) -> Screened:
     flying = ~_spread(~flying, START_S, r.step_s)
     reasons: list[Reason] = []
     ill, good = np.zeros_like(flying), flying.copy()
-    for text, bad in _damage(r):
-        spoiled = _spread(bad, MARGIN_S, r.step_s) & flying
-        ill |= spoiled
-        _tell(reasons, text, spoiled, r.step_s)
-    for text, bad in _gaps(r, flying):
+    for text, damages, bad in _checks(r, flying):
         spoiled = _spread(bad, MARGIN_S, r.step_s) & flying
         good &= ~spoiled
-        _tell(reasons, text, spoiled, r.step_s)
-    pieces = tuple(p for p in _runs(good & ~ill) if (p.stop - p.start) * r.step_s >= PIECE_MIN_S)
+        ill |= spoiled & damages
+        if spoiled.any():
+            reasons.append(Reason(text, float(spoiled.sum() * r.step_s)))
+    pieces = tuple(p for p in _runs(good) if (p.stop - p.start) * r.step_s >= PIECE_MIN_S)
     air_s, ill_s = float(flying.sum() * r.step_s), float(ill.sum() * r.step_s)
     left_s = float(sum(p.stop - p.start for p in pieces) * r.step_s)
     whole = None
@@ -246,51 +244,38 @@ def screen(recording: Recording) -> Screened:
     return Screened(r, pieces, tuple(reasons))
 
 
-def _tell(reasons: list[Reason], text: str, mask: Mask, step_s: float) -> None:
-    if mask.any():
-        reasons.append(Reason(text, float(mask.sum() * step_s)))
-
-
 def _highest_m(r: Recording) -> float:
     height_m = r.position_m[np.isfinite(r.position_m[:, 2]), 2]
     return float(np.ptp(height_m)) if len(height_m) else 0.0
 
 
-def _damage(r: Recording) -> Iterator[tuple[str, Mask]]:
-    """Yield failures of the vehicle's link or estimator, each with the samples that show the failure."""
-    with np.errstate(invalid="ignore"):
-        yield "motor commands outside 0 to 65535", np.any((r.duty < 0.0) | (r.duty > 1.0 + 1e-6), axis=1)
-        low, high = VOLTAGE_V
-        yield f"battery outside {low:g} to {high:g} V", (r.battery_v < low) | (r.battery_v > high)
-        step = np.linalg.norm(np.diff(r.position_m, axis=0, prepend=r.position_m[:1]), axis=1)
-        yield "motion capture jumps", step > SPEED_MAX_M_S * np.maximum(r.step_s, _steps(r))
-        if r.estimate_position_m is not None:
-            off = np.linalg.norm(r.estimate_position_m - r.position_m, axis=1)
-            yield f"estimate more than {ESTIMATE_OFF_M:g} m from motion capture", off > ESTIMATE_OFF_M
+def _checks(r: Recording, flying: Mask) -> Iterator[tuple[str, bool, Mask]]:
+    """Yield failures and gaps of the recording, each with its samples and whether it is damage.
 
-
-def _gaps(r: Recording, flying: Mask) -> Iterator[tuple[str, Mask]]:
-    """Yield gaps of the recording during the flight, each with its samples."""
+    Damage shows that the link or the estimator of the vehicle failed.
+    """
+    steps = np.diff(r.time_s, prepend=r.time_s[0] - r.step_s)
     needed = [r.position_m, r.velocity_m_s, r.attitude, r.rates_rad_s, r.duty, r.battery_v[:, None]]
-    if r.estimate_position_m is not None:
-        needed.append(r.estimate_position_m)
-    yield "values missing (NaN)", np.any(~np.isfinite(np.concatenate(needed, axis=1)), axis=1)
-    yield "samples missing", np.diff(r.time_s, prepend=r.time_s[0]) > GAP_FACTOR * r.step_s
-    yield "motion capture frozen", _frozen(r)
+    with np.errstate(invalid="ignore"):
+        outside = np.any((r.duty < 0.0) | (r.duty > 1.0 + 1e-6), axis=1)
+        yield "motor commands outside 0 to 65535", True, outside
+        low, high = VOLTAGE_V
+        yield f"battery outside {low:g} to {high:g} V", True, (r.battery_v < low) | (r.battery_v > high)
+        step = np.linalg.norm(np.diff(r.position_m, axis=0, prepend=r.position_m[:1]), axis=1)
+        yield "motion capture jumps", True, step > SPEED_MAX_M_S * np.maximum(r.step_s, steps)
+        if r.estimate_position_m is not None:
+            needed.append(r.estimate_position_m)
+            off = np.linalg.norm(r.estimate_position_m - r.position_m, axis=1) > ESTIMATE_OFF_M
+            yield f"estimate more than {ESTIMATE_OFF_M:g} m from motion capture", True, off
+    yield "values missing (NaN)", False, np.any(~np.isfinite(np.concatenate(needed, axis=1)), axis=1)
+    late = np.diff(r.time_s, prepend=r.time_s[0]) > GAP_FACTOR * r.step_s
+    yield "samples missing", False, late
+    same = np.concatenate([[False], np.all(np.diff(r.position_m, axis=0) == 0.0, axis=1)])
+    yield "motion capture frozen", False, _lasting(same, FROZEN_S, r.step_s)
     lag_s = clock_lag_s(r)
     apart = _lasting((np.abs(lag_s) > CLOCKS_OFF_S + 0.5 * r.step_s) & flying, CLOCKS_S, r.step_s)
     worst_ms = 1000.0 * float(np.max(np.abs(lag_s[apart]), initial=0.0))
-    yield f"clocks of log and motion capture differ by up to {worst_ms:.0f} ms", apart
-
-
-def _steps(r: Recording) -> NDArray[np.float64]:
-    return np.diff(r.time_s, prepend=r.time_s[0] - r.step_s)
-
-
-def _frozen(r: Recording) -> Mask:
-    """Return the samples at which the pose does not change for ``FROZEN_S``."""
-    same = np.concatenate([[False], np.all(np.diff(r.position_m, axis=0) == 0.0, axis=1)])
-    return _lasting(same, FROZEN_S, r.step_s)
+    yield f"clocks of log and motion capture differ by up to {worst_ms:.0f} ms", False, apart
 
 
 def _lasting(mask: Mask, seconds: float, step_s: float) -> Mask:

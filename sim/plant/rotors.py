@@ -16,6 +16,7 @@ Over the pad's edge, the fraction of a rotor's disc that is over the pad is line
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Motors, Record
@@ -160,11 +161,8 @@ def speed_limit(b: BatteryRecord) -> float:
 def set_up_battery(b: BatteryRecord, battery: Battery, hover_rpm: float, charge: float) -> None:
     """Initialise the record; ``hover_rpm``: rotor speed at the hover current; ``charge``: 0 to 1."""
     b.hover_power = 4.0 * hover_rpm**3
-    b.charge_a_s, b.full_v, b.empty_v = battery.charge_a_s, battery.full_v, battery.empty_v
-    b.resistance_ohm = battery.resistance_ohm
-    b.idle_current_a, b.hover_current_a = battery.idle_current_a, battery.hover_current_a
-    b.speed_at_zero_v_rpm = battery.speed_at_zero_v_rpm
-    b.speed_per_volt_rpm = battery.speed_per_volt_rpm
+    for field in fields(battery):
+        setattr(b, field.name, getattr(battery, field.name))
     b.used_a_s = (1.0 - charge) * battery.charge_a_s
     rest_v = battery.full_v - (battery.full_v - battery.empty_v) * (1.0 - charge)
     b.sag_v = battery.resistance_ohm * battery.idle_current_a

@@ -9,17 +9,19 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Record, Vector, cell, new
+from flightstack.compiled.records import F64, I64, Record, Vector, cell, new
 from flightstack.core.types import Vec3
 from sim.chance import stream
 from sim.plant.params import Imu as ImuParams
 from sim.plant.states import Nine
 from sim.scenarios.tables import OdometryLink
+
+Time = TypeVar("Time", int, I64)
 
 NS = 1_000_000_000
 NS_PER_MS = 1_000_000
@@ -28,8 +30,8 @@ NO_NOISE = -0.0  # zero noise; adding -0.0 does not change the sign of a zero
 BLOCK = 1024  # count of numbers in one draw; single draws of numpy take twenty times as long for each number
 
 
-def ms_from(time_ns: int) -> int:
-    """Return a time in whole milliseconds, rounded up."""
+def ms_from(time_ns: Time) -> Time:
+    """Return times in whole milliseconds, rounded up."""
     return -(-time_ns // NS_PER_MS)
 
 
@@ -247,7 +249,6 @@ class Imu:
         self, imu: ImuParams, gravity_m_s2: float, step_s: float, seed: int, record: ImuRecord | None = None
     ) -> None:
         self.record = r = new(ImuRecord) if record is None else record
-        self._gyro, self._accel = r.gyro, r.accel
         rng = stream(seed, "imu.bias")
         r.gyro_bias[:] = imu.gyro_bias_rad_s * rng.standard_normal(3)
         r.accel_bias[:] = imu.accel_bias_m_s2 * rng.standard_normal(3)
@@ -272,19 +273,3 @@ class Imu:
     def top_up(self) -> None:
         """Draw noise for at least 170 measurements."""
         self._tape.top_up()
-
-    def measure(self, velocity: Vec3, rates: Vec3, axes: Nine) -> None:
-        self.top_up()
-        measure(self.record, np.array(velocity), np.array(rates), axes)
-
-    @property
-    def gyro(self) -> Vec3:
-        """Measured angular velocity, rad/s, body FLU."""
-        x, y, z = self._gyro.tolist()
-        return (x, y, z)
-
-    @property
-    def accel(self) -> Vec3:
-        """Measured specific force, m/s^2, body FLU."""
-        x, y, z = self._accel.tolist()
-        return (x, y, z)

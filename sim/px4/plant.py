@@ -26,9 +26,10 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Cell
 from flightstack.core.types import Vec3
 from sim.autopilot.telemetry import degrees_e7
+from sim.faults.samples import turned
 from sim.plant.params import Params
 from sim.plant.rotors import speed_limit
-from sim.plant.sensors import Imu, MeasurementChannel, NoiseRows
+from sim.plant.sensors import Imu, MeasurementChannel, NoiseRows, measure
 from sim.plant.states import Body, rotation_axes
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.tables import OdometryLink, StartKind
@@ -153,9 +154,10 @@ def pressure_altitude_m(hpa: float) -> float:
     return float(SEA_LEVEL_K / LAPSE_K_M * (1.0 - (hpa / SEA_LEVEL_HPA) ** (1.0 / EXPONENT)))
 
 
-def _within(v: Vec3, limit: float) -> Vec3:
-    x, y, z = (max(-limit, min(limit, c)) for c in v)
-    return (x, y, z)
+def _within(flu: F64, limit: float) -> Vec3:
+    """Return a vector of the body in FRD, each component limited."""
+    x, y, z = (max(-limit, min(limit, c)) for c in flu.tolist())
+    return frd_from_flu((x, y, z))
 
 
 class Px4Sensors:
@@ -186,11 +188,11 @@ class Px4Sensors:
             messages = self._poses.poll(body, count * STEP_MS * 1_000_000, now_us)
         elif count % GPS_EVERY == GPS_EVERY - 1:  # PX4's clock runs by then
             messages = [self._fix(body, now_us)]
-        self._imu.measure(
-            body.velocity_enu_m_s, body.angular_velocity_flu_rad_s, rotation_axes(body.quaternion)
-        )
-        accel = _within(frd_from_flu(self._imu.accel), ACCEL_MAX_M_S2)
-        gyro = _within(frd_from_flu(self._imu.gyro), GYRO_MAX_RAD_S)
+        velocity, rates = np.array(body.velocity_enu_m_s), np.array(body.angular_velocity_flu_rad_s)
+        self._imu.top_up()
+        measure(self._imu.record, velocity, rates, rotation_axes(body.quaternion))
+        accel = _within(self._imu.record.accel, ACCEL_MAX_M_S2)
+        gyro = _within(self._imu.record.gyro, GYRO_MAX_RAD_S)
         fields: int = ACCEL | GYRO
         slow: tuple[float, ...] = (0.0,) * 7
         if count % SLOW_EVERY == 0:
@@ -251,8 +253,7 @@ class Px4Mocap:
         return [self._odometry(row[1:], now_us) for row in rows.tolist()]
 
     def _odometry(self, values: Sequence[float], now_us: int) -> Message:
-        x, y, z, yaw, w, i, j, k = values
-        c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)  # a yaw error rotates the whole attitude
-        attitude = (c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w)
+        x, y, z, yaw, *q = values
+        attitude = turned((q[0], q[1], q[2], q[3]), yaw)  # a yaw error rotates the whole attitude
         pose = Pose(now_us * 1000, "", (x, y, z), attitude, self._covariance)
         return odometry(Passed(pose, now_us * 1e-6, 0), now_us)

@@ -23,7 +23,7 @@ from sim.clock import NS_PER_S, run_process
 from sim.options import Px4SimOptions
 from sim.px4.link import SLICE_S, LinkClosedError, Px4Link, parse_endpoint
 from sim.px4.plant import STEP_MS, Px4Plant, Px4Sensors
-from sim.px4.session import STEP_S, Event, Px4Session
+from sim.px4.session import STEP_S, Px4Session
 from sim.runners.log import VehicleLog
 from sim.runners.published_robot import RealTimeDeck
 from sim.scenarios.scenario import Scenario
@@ -91,11 +91,11 @@ def _warn(text: str) -> None:
     print(f"px4-sim: WARNING: {text}", file=sys.stderr, flush=True)
 
 
-def _tell(event: Event, *, paced: bool) -> None:
+def _tell(event: str, *, paced: bool) -> None:
     """Print an event; a paced simulation has priority over other programs while PX4 is armed."""
-    print(event.value, flush=True)
+    print(event, flush=True)
     if paced:
-        (ask_for_priority if event is Event.ARMED else give_up_priority)()
+        (ask_for_priority if event == "armed" else give_up_priority)()
 
 
 def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:

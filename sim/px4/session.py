@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -64,21 +63,12 @@ NUDGE_S = 1.0  # wall time after which one step runs without an answer, s; PX4 m
 _BEHIND_MAX_S = 0.1  # largest delay that simulated time catches up, s
 
 
-class Event(Enum):
-    """Events that are reported to the launcher."""
-
-    CONNECTED = "connected"
-    LOCKSTEP = "lockstep"
-    ARMED = "armed"
-    DISARMED = "disarmed"
-
-
 class Px4Session:
     """Vehicle, sensors and the connection to one PX4.
 
     ``stop`` ends every wait. ``speed``: ratio of simulated to wall time; 0: as fast as PX4 replies.
-    ``silent_max_s``: wall time without an answer after which PX4 counts as dead. ``tell``: called at every
-    event.
+    ``silent_max_s``: wall time without an answer after which PX4 counts as dead. ``tell``: called with a
+    word for the launcher: connected, lockstep, armed or disarmed.
     """
 
     def __init__(
@@ -90,7 +80,7 @@ class Px4Session:
         *,
         speed: float,
         silent_max_s: float,
-        tell: Callable[[Event], None],
+        tell: Callable[[str], None],
     ) -> None:
         self._link, self.plant, self._sensors, self._stop = link, plant, sensors, stop
         self.lockstep = Lockstep()
@@ -117,7 +107,7 @@ class Px4Session:
             messages = self._link.receive(min(left_s, SLICE_S))
             if messages:
                 self._note(messages)
-                self._tell(Event.CONNECTED)
+                self._tell("connected")
                 self._start_s = self._connected_s = self._answered_s = time.monotonic()
                 return
 
@@ -140,7 +130,7 @@ class Px4Session:
             if self.lockstep.started:
                 self._answered_s = time.monotonic()
                 self._start_s = self._answered_s - self.steps * self._step_wall_s
-                self._tell(Event.LOCKSTEP)
+                self._tell("lockstep")
                 return answer if answer is not None else self._wait()
             if left_s <= 0.0:
                 break
@@ -196,7 +186,7 @@ class Px4Session:
         self.plant.wanted[:] = rotor_speeds(answer.controls, armed, self.plant.params.rotor)
         if armed is not self._armed:
             self._armed = armed
-            self._tell(Event.ARMED if armed else Event.DISARMED)
+            self._tell("armed" if armed else "disarmed")
 
     @property
     def _step_wall_s(self) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Record, scalars
 from sim.firmware.estimator import EstimatorRecord, correct, correct_tilt, replace_estimate
-from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows
+from sim.plant.sensors import NS, NS_PER_MS, Losses, NoiseRows, ms_from
 from sim.plant.state_error import TURN, WIDTH, ErrorRows, PastRecord, mismeasure
 from sim.plant.states import rotation_axes
 from sim.scenarios.tables import OdometryLink, StateError
@@ -133,10 +133,10 @@ class MocapTape:
     def _fill(self, first: int) -> None:
         counts = np.arange(self._count, self._count + ROWS - first)
         self._count += len(counts)
-        measured_ms = _ms_from(np.rint(counts * NS / self._rate_hz).astype(np.int64))
+        measured_ms = ms_from(np.rint(counts * NS / self._rate_hz).astype(np.int64))
         measured_ns = measured_ms * NS_PER_MS
         self._measured_ms[first:] = measured_ms
-        self._arrives_ms[first:] = _ms_from(measured_ns + self._delay_ns)
+        self._arrives_ms[first:] = ms_from(measured_ns + self._delay_ns)
         if self._losses.possible:
             lost = [self._losses.lost(time_ns) for time_ns in measured_ns.tolist()]
             self._arrives_ms[first:][lost] = LOST
@@ -163,8 +163,3 @@ class MocapTape:
         measuring, arriving = int(self._measuring[0]), int(self._arriving[0])
         measured_ms = int(self._measured_ms[measuring])
         return min(measured_ms, int(self._arrives_ms[arriving])) if arriving < measuring else measured_ms
-
-
-def _ms_from(times_ns: I64) -> I64:
-    """Return times in whole milliseconds, rounded up, as ``ms_from`` does."""
-    return -(-times_ns // NS_PER_MS)

@@ -14,7 +14,7 @@ from sim.px4 import session as px4_session
 from sim.px4.link import LinkClosedError, Px4Link
 from sim.px4.plant import Px4Plant, Px4Sensors
 from sim.px4.program import Px4Program
-from sim.px4.session import STEP_S, Event, Px4Session
+from sim.px4.session import STEP_S, Px4Session
 from sim.scenarios.tables import Start
 from tests.processes.bounded import AT_ONCE_S
 from tests.unit.px4.px4_fakes import FakePx4
@@ -92,7 +92,7 @@ def test_steps_with_each_answer_and_tells_what_happens(pair):
     assert min(pair.session.plant.truth().rotor_rpm) > 5000.0
     pair.answering([(0.7,) * 4] * 200, armed=False)  # outputs of a disarmed PX4 have no effect
     assert max(pair.session.plant.truth().rotor_rpm) < 1.0
-    assert pair.events == [Event.CONNECTED, Event.LOCKSTEP, Event.ARMED, Event.DISARMED]
+    assert pair.events == ["connected", "lockstep", "armed", "disarmed"]
     assert pair.session.nudges == 0
 
 
