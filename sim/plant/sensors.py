@@ -145,20 +145,15 @@ class MeasurementChannel:
     """Samples a quantity at the link's rate and releases the samples after the link's delay, in order.
 
     Sample k is measured at time k / rate and can be lost (``Losses``). Times are integer nanoseconds.
-    ``due_ns`` is the time of the next measurement, ``release_ns`` of the next release. ``sigmas``: standard
-    deviation of the noise of each value; ``purpose``: name of the random stream.
+    ``sigmas``: standard deviation of the noise of each value; ``purpose``: name of the random stream.
     """
 
     def __init__(self, link: OdometryLink, sigmas: Sequence[float], seed: int, purpose: str) -> None:
         self._losses, self._width = Losses(link, seed, purpose + ".loss"), len(sigmas)
         self._noise = NoiseRows(sigmas, seed, purpose + ".noise")
-        self._rate = link.rate_hz
-        self._delay_ns = round(link.delay_s * NS)
-        self._queue: deque[tuple[int, int, Sequence[float]]] = deque()
-        self.due_ns = 0
-        self.release_ns = NEVER_NS
-        self.taken = 0
-        self.lost = 0
+        self._rate, self._delay_ns = link.rate_hz, round(link.delay_s * NS)
+        self._queue: deque[tuple[int, tuple[float, ...]]] = deque()  # time of release, row of the sample
+        self._taken = self._due_ns = 0  # number of measurements, time of the next one
 
     def run(self, times_ns: Sequence[int], measure: Callable[[list[int]], F64]) -> tuple[list[int], F64]:
         """Measure the samples that are due at these times, in increasing order, and release samples.
@@ -169,41 +164,20 @@ class MeasurementChannel:
         """
         due: list[int] = []
         for n, now_ns in enumerate(times_ns):
-            if now_ns >= self.due_ns:
+            if now_ns >= self._due_ns:
                 due.append(n)
-                self.taken += 1
-                self.due_ns = round(self.taken * NS / self._rate)
-        noisy: list[list[float]] = []
-        if due:
-            noisy = (measure(due) + [self._noise.take() for _ in due]).tolist()
-        released, rows, at = [], [], 0
+                self._taken += 1
+                self._due_ns = round(self._taken * NS / self._rate)
+        noisy = (measure(due) + [self._noise.take() for _ in due]).tolist() if due else []
+        sent, queue = dict(zip(due, noisy, strict=True)), self._queue
+        released, rows = [], []
         for n, now_ns in enumerate(times_ns):
-            if at < len(due) and due[at] == n:
-                self._send(now_ns, noisy[at])
-                at += 1
-            if now_ns >= self.release_ns:
-                for measured_ns, row in self._release(now_ns):
-                    released.append(n)
-                    rows.append((measured_ns, *row))
+            if n in sent and not self._losses.lost(now_ns):
+                queue.append((now_ns + self._delay_ns, (now_ns, *sent[n])))
+            while queue and queue[0][0] <= now_ns:
+                released.append(n)
+                rows.append(queue.popleft()[1])
         return released, np.array(rows, dtype=np.float64).reshape(len(rows), 1 + self._width)
-
-    def _send(self, now_ns: int, noisy: Sequence[float]) -> None:
-        if self._losses.lost(now_ns):
-            self.lost += 1
-            return
-        if not self._queue:
-            self.release_ns = now_ns + self._delay_ns
-        self._queue.append((now_ns + self._delay_ns, now_ns, noisy))
-
-    def _release(self, now_ns: int) -> list[tuple[int, Sequence[float]]]:
-        """Return ``(measured_ns, values)`` of all samples whose delay has passed, oldest first."""
-        queue = self._queue
-        out = []
-        while queue and queue[0][0] <= now_ns:
-            _, measured_ns, values = queue.popleft()
-            out.append((measured_ns, values))
-        self.release_ns = queue[0][0] if queue else NEVER_NS
-        return out
 
 
 class ImuRecord(Record):

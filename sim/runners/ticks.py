@@ -241,7 +241,7 @@ def fly_ticks(
         told[6], told[7] = own.yaw_rad, own.source_time_s
         plan[5] = n + 1
         _place_deck(v, decks[n])
-        write_truth(v, now_ms, truths[n])
+        write_truth(vehicle, now_ms, truths[n])
         ahead_ms = min(end_ms - now_ms, radio_ms)
         fly(vehicle, now_ms, now_ms + ahead_ms)
         if _needs_autopilot(p, v, now_ms + ahead_ms, now_s):

@@ -63,6 +63,11 @@ class Number:
     high: float
     default: float
 
+    @property
+    def range(self) -> str:
+        """Return the allowed range and the meaning as text."""
+        return f"{self.low:g} to {self.high:g} {self.unit}".removesuffix(" 1") + f" ({self.meaning})"
+
 
 @dataclass(frozen=True, slots=True)
 class Cell:
@@ -217,20 +222,28 @@ class Fault:
             names = ", ".join(sorted(k.value for k in kinds))
             raise ConfigError(f"kind: found '{self.kind.value}', {self.what.value} allows: {names}")
         cell = self.cell
-        _check_number("value", self.value, cell.value, self.name)
-        _check_number("period_s", self.period_s, cell.period, self.name)
+        for key, found, number in (
+            ("value", self.value, cell.value),
+            ("period_s", self.period_s, cell.period),
+        ):
+            if found is None:
+                continue
+            if number is None:
+                raise ConfigError(f"{key}: {self.name} takes none")
+            if not number.low <= found <= number.high:
+                raise ConfigError(f"{key}: found {found:g}, {self.name} allows {number.range}")
         if self.kind is Kind.INTERMITTENT and self.amount >= self.period:
             raise ConfigError(
                 f"period_s: found {self.period:g}, it must exceed the pause's length, value = {self.amount:g}"
             )
-        if not cell.offset and (self.offset_m is not None or self.yaw_rad is not None):
+        given = self.offset_m is not None or self.yaw_rad is not None
+        if given and not cell.offset:
             raise ConfigError(f"offset_m, yaw_rad: {self.name} takes neither; kind 'wrong' of a state does")
-        if cell.offset and self.offset_m is None and self.yaw_rad is None:
+        if cell.offset and not given:
             raise ConfigError(f"{self.name}: offset_m, yaw_rad or both are needed")
-        if self.what is not What.MOTOR and self.motor is not None:
-            raise ConfigError(f"motor: {self.name} takes none")
-        if self.what is What.MOTOR and self.motor is None:
-            raise ConfigError("motor: missing; which one, 1 to 4?")
+        if (self.what is What.MOTOR) is (self.motor is None):
+            what = "missing; which one, 1 to 4?" if self.motor is None else f"{self.name} takes none"
+            raise ConfigError(f"motor: {what}")
         allowed = ALLOWED_AFTER[self.of_the_robot]
         if self.after not in allowed:
             names = ", ".join(a.value for a in allowed)
@@ -251,12 +264,14 @@ class Fault:
     @property
     def amount(self) -> float:
         """``value``, or its default; 0 without a default."""
-        return _or_default(self.value, self.cell.value)
+        number = self.cell.value
+        return self.value if self.value is not None else number.default if number is not None else 0.0
 
     @property
     def period(self) -> float:
         """``period_s``, or its default, s."""
-        return _or_default(self.period_s, self.cell.period)
+        number = self.cell.period
+        return self.period_s if self.period_s is not None else number.default if number is not None else 0.0
 
     @property
     def offset(self) -> Vec3:
@@ -281,22 +296,3 @@ class Fault:
             x, y, z = self.offset
             parts.append(f"({x:g}, {y:g}, {z:g}) m, {self.yaw_rad or 0.0:g} rad")
         return " ".join(parts)
-
-
-def _check_number(key: str, found: float | None, allowed: Number | None, name: str) -> None:
-    if found is None:
-        return
-    if allowed is None:
-        raise ConfigError(f"{key}: {name} takes none")
-    if not allowed.low <= found <= allowed.high:
-        unit = "" if allowed.unit == "1" else f" {allowed.unit}"
-        raise ConfigError(
-            f"{key}: found {found:g}, {name} allows {allowed.low:g} to {allowed.high:g}{unit} "
-            f"({allowed.meaning})"
-        )
-
-
-def _or_default(found: float | None, number: Number | None) -> float:
-    if found is not None:
-        return found
-    return number.default if number is not None else 0.0

@@ -25,6 +25,7 @@ from sim.world.step import GROUND, PAD, WorldRecord, tumbled
 
 GAP_MS = 30  # shortest gap that ends a contact, ms; a bounce is shorter
 NONE_MS = -1_000_000
+BESIDE_M, ABOVE_M = 2.0 * RADIUS_BESIDE_M, 2.0 * RADIUS_ABOVE_M  # half axes of the ellipsoid
 
 
 class JudgeRecord(Record):
@@ -115,12 +116,6 @@ class Shape:
 
 
 @jitted
-def ellipsoid_distance(x: float, y: float, z: float, beside_m: float, above_m: float) -> float:
-    """Return the norm of an offset (m) from the centre of an ellipsoid; the norm is 1 on the surface."""
-    return math.sqrt((x * x + y * y) / (beside_m * beside_m) + z * z / (above_m * above_m))
-
-
-@jitted
 def _nearest(
     before: F64, after: F64, steps: int, radii_m: float, down_m: float, up_m: float
 ) -> tuple[float, float, int]:
@@ -134,7 +129,8 @@ def _nearest(
         y = a * before[1] + b * before[4] + c * after[1] + d * after[4]
         z = a * before[2] + b * before[5] + c * after[2] + d * after[5]
         nearest_m = min(nearest_m, math.sqrt(x * x + y * y + z * z))
-        ellipsoid = min(ellipsoid, ellipsoid_distance(x, y, z, 2.0 * RADIUS_BESIDE_M, 2.0 * RADIUS_ABOVE_M))
+        norm = math.sqrt((x * x + y * y) / (BESIDE_M * BESIDE_M) + z * z / (ABOVE_M * ABOVE_M))
+        ellipsoid = min(ellipsoid, norm)
         if overlap < 0 and x * x + y * y < radii_m * radii_m and down_m < z < up_m:
             overlap = step
     return nearest_m, ellipsoid, overlap

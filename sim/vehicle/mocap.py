@@ -114,11 +114,6 @@ class MocapTape:
         self._count = 0  # number of samples whose random numbers are drawn
         self._fill(0)
 
-    @property
-    def drawn_until_ms(self) -> int:
-        """Time of the last filled row."""
-        return int(self._measured_ms[-1])
-
     def top_up(self) -> None:
         """Fill the rows for at least the next half second and at most ten minutes."""
         if self._measuring[0] < ROWS // 2:
@@ -145,10 +140,6 @@ class MocapTape:
         self._values[first:], self._noise_left = np.split(self._noise_left, [len(counts)])
         if self._errors is not None:
             self._error_rows[first:] = self._errors.take(len(counts))
-
-    def divert(self, diverted: bool) -> None:
-        """Choose whether arriving samples go to ``take`` or to the estimator."""
-        self._record.diverted = diverted
 
     def take(self, now_ms: int) -> list[tuple[float, ...]]:
         """Measure due samples; return the samples that have arrived."""

@@ -101,14 +101,6 @@ class VehicleRecord(Record):
 
 
 @jitted
-def sense(vehicle: Cell[VehicleRecord]) -> None:
-    """Run sensors and estimator (500 Hz)."""
-    v = vehicle[0]
-    measure(v.imu, v.world.body.velocity, v.world.body.rates, rotation_axes(v.world.body.quaternion))
-    predict(v.firmware.estimator, v.imu.gyro, v.imu.accel)
-
-
-@jitted
 def apply_ground_effect(v: VehicleRecord) -> None:
     """Update the ground effect's factors on the four thrusts."""
     p, d = v.world.body.position, v.world.deck.position
@@ -180,7 +172,9 @@ def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
         if not v.mocap.diverted:
             correct_estimate(v.mocap, v.firmware.estimator, v.world.body, now_ms)
         if now_ms % CONTROL_EVERY_MS == 0:
-            sense(vehicle)
+            axes = rotation_axes(v.world.body.quaternion)
+            measure(v.imu, v.world.body.velocity, v.world.body.rates, axes)
+            predict(v.firmware.estimator, v.imu.gyro, v.imu.accel)
             if now_ms % PERIOD_MS == 0:
                 oversee(v.firmware, now_ms, v.imu.accel)
             v.firmware.thrust_map.no_duty_rpm = speed_at_no_duty(v.battery)
@@ -205,8 +199,9 @@ _wrapped, _h = twin(_turned_back, jitted), twin(barrier_h, jitted)
 
 
 @jitted
-def write_truth(v: VehicleRecord, now_ms: int, row: F64) -> None:
+def write_truth(vehicle: Cell[VehicleRecord], now_ms: int, row: F64) -> None:
     """Write the true state, and the extremes and contacts since the last call, to the ``TRUTH`` elements."""
+    v = vehicle[0]
     body, deck, j, c = v.world.body, v.world.deck, v.judge, v.contact
     p, d = body.position, deck.position
     h = _h(j.alpha_1_m, j.beta_m, (p[0] - d[0], p[1] - d[1], p[2] - d[2]))
@@ -232,12 +227,6 @@ def write_truth(v: VehicleRecord, now_ms: int, row: F64) -> None:
     j.h_min = j.h_min_outside = math.inf
     j.tumbled = False
     c.bits = 0
-
-
-@jitted
-def read_truth(vehicle: Cell[VehicleRecord], now_ms: int, row: F64) -> None:
-    """Call ``write_truth``."""
-    write_truth(vehicle[0], now_ms, row)
 
 
 class Physics(ABC):
@@ -334,7 +323,7 @@ class Physics(ABC):
 
     def truth(self) -> TrueStateRow:
         """Return the current true state, and extremes and contacts since the last call."""
-        read_truth(self.cell, self._ms, self._row)
+        write_truth(self.cell, self._ms, self._row)
         found = truth_of(self._read_row())
         return found._replace(
             stamp_ns=self._ms * NS_PER_MS,

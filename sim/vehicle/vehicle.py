@@ -127,7 +127,8 @@ class VehicleSim(Physics):
     def _supply(self) -> int:
         self._imu.top_up()
         self._mocap.top_up()
-        return min(super()._supply(), self._mocap.drawn_until_ms)
+        drawn_until_ms = int(self.record.mocap.measured_ms[-1])
+        return min(super()._supply(), drawn_until_ms)
 
     def _fail(self) -> int:
         """Start and end faults, and apply the faults of vehicle state and motion capture.
@@ -143,7 +144,7 @@ class VehicleSim(Physics):
         if now_ns >= faults.own_state.due_ns:
             faults.own_state.sample(now_ns, self._newest_estimate())
         next_ms = (now_ms // PERIOD_MS + 1) * PERIOD_MS
-        mocap.divert(faults.mocap.active)
+        self.record.mocap.diverted = faults.mocap.active
         if faults.mocap.active:
             for x, y, z, yaw in faults.mocap.deliver(now_ns, mocap.take(now_ms)):
                 correct(self.record.firmware.estimator, x, y, z, yaw)
