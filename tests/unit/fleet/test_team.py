@@ -83,6 +83,9 @@ def test_nothing_collides_and_the_others_land(way, moment):
 BUSY = (Phase.LAND, Phase.TOUCHDOWN)
 
 
+turns = pytest.mark.xdist_group("turns")  # one worker runs these tests, so the team flies once
+
+
 @pytest.fixture(scope="module")
 def flown():
     return land(load("turns_4"), 1)
@@ -94,6 +97,7 @@ def phases(landing):
     return [(Phase(steps.phase[n]), float(steps.t_s[n])) for n in at]
 
 
+@turns
 def test_all_land_and_nobody_is_hit(flown):
     verdict = judge_landing(flown)
     assert [landing.verdict.outcome for landing in flown.members] == [Outcome.LANDED] * 4
@@ -101,14 +105,16 @@ def test_all_land_and_nobody_is_hit(flown):
     assert [landing.verdict.violation for landing in flown.members] == [False] * 4
 
 
+@turns
 def test_three_take_off_again_and_the_last_one_stays(flown):
-    turns = sorted((phases(landing) for landing in flown.members), key=lambda each: len(each), reverse=True)
-    assert [[phase for phase, _ in each][-3:] for each in turns] == [
+    ways = sorted((phases(landing) for landing in flown.members), key=lambda each: len(each), reverse=True)
+    assert [[phase for phase, _ in each][-3:] for each in ways] == [
         *[[Phase.LANDED, Phase.LEAVE, Phase.LANDED]] * 3,
         [Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED],
     ]
 
 
+@turns
 def test_the_next_one_lands_when_the_one_before_has_left(flown):
     """No vehicle is above the pad as long as another vehicle stands on it."""
     stays, lands = [], []
