@@ -100,8 +100,6 @@ def ned_covariance_from_enu(covariance: Sequence[float]) -> list[float]:
     ``covariance`` is 6 x 6, row by row, in the order x, y, z and rotations about x, y, z (geometry_msgs). The
     result has the axes north, east and down, and only the 21 upper entries, row by row, as in MAVLink.
     """
-    if len(covariance) != 36:
-        raise ValueError(f"covariance has {len(covariance)} entries: 6 x 6 are needed")
     return [
         _NED_SIGN[i] * _NED_SIGN[j] * covariance[6 * _NED_AXIS[i] + _NED_AXIS[j]]
         for i in range(6)

@@ -68,9 +68,6 @@ class Endpoint:
         ``allow_unsigned``: permit listening on a network without a key.
         A refused TCP connection is no error: the endpoint retries, and ``take_notices`` reports it.
         """
-        for name, value in (("system", system_id), ("component", component_id)):
-            if not 1 <= value <= 255:
-                raise ValueError(f"MAVLink {name} id is {value}: allowed is 1 to 255")
         kind, host, port = parse_url(url)
         address = (host, port) if kind == "serial" else resolve(f"MAVLink URL {url!r}", host, port)
         configured = tuple(dict.fromkeys(always))

@@ -7,7 +7,6 @@ Odometry is ``nav_msgs/msg/Odometry``; poses without a velocity are ``PoseStampe
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -51,15 +50,8 @@ class Odometry(NamedTuple):
         w, x, y, z = self.orientation_wxyz
         header, pose = (self.stamp_ns, self.frame_id), (self.position_m, (x, y, z, w))
         twist = (self.linear_m_s, self.angular_rad_s)
-        pose_cov, twist_cov = self.pose_covariance, self.twist_covariance
-        try:
-            return _pack_odometry((header, self.child_frame_id, (pose, pose_cov), (twist, twist_cov)))
-        except struct.error as error:
-            raise OdometryError(
-                f"odometry cannot be encoded: {error}; allowed are a stamp of 32-bit seconds "
-                f"({self.stamp_ns // 1_000_000_000} s given) and covariances of 36 numbers "
-                f"({len(pose_cov)} and {len(twist_cov)} given)"
-            ) from error
+        poses, twists = (pose, self.pose_covariance), (twist, self.twist_covariance)
+        return _pack_odometry((header, self.child_frame_id, poses, twists))
 
     def shifted(self, offset_m: Vec3) -> Odometry:
         """Return the odometry of the point at ``offset_m`` in child axes: v + w x r, same covariances."""

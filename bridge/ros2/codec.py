@@ -178,10 +178,6 @@ class _Generator:
         kind, number = field.kind, field.kind in CODES
         if field.length == 0:
             return self._sequence(kind, value)
-        if field.length and not number:
-            raise TypeError(
-                f"field {field.name}: an array of {kind}; arrays of fixed length hold numbers only"
-            )
         if kind == HEADER_TYPE:
             return self._header(value)
         if kind in TIME_TYPES:

@@ -322,8 +322,6 @@ _ATTACHMENT = struct.Struct("<qqB16s")  # "B" is the length of the id (attachmen
 
 def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
     """Return the 33-byte attachment: sequence from 1, Unix time of sending, publisher id (16 bytes)."""
-    if len(gid) != GID_BYTES:
-        raise ValueError(f"publisher id has {len(gid)} bytes: rmw_zenoh needs {GID_BYTES}")
     return _ATTACHMENT.pack(sequence, source_time_ns, GID_BYTES, gid)
 
 

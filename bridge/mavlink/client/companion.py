@@ -195,8 +195,6 @@ class CommandSequencer:
     def __init__(
         self, profile: Profile, target_system: int, target_component: int, takeoff_height_m: float
     ) -> None:
-        if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
-            raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
         self._profile = profile
         self._target = (target_system, target_component)
         self._height_m = takeoff_height_m

@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.companion import CommandSequencer, Origin, OriginSender, StreamRequests
+from bridge.mavlink.client.companion import Origin, OriginSender, StreamRequests
 from bridge.mavlink.client.texts import TextAssembler
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, PROFILES, PX4
 from flightstack.core.types import Landed, Mode, Request
@@ -177,12 +177,6 @@ def test_an_old_heartbeat_does_not_prove_a_new_request():
     assert s.step(DOWN, status(0.0, armed=True, mode=Mode.LAND), 0.5) == []
     assert not s.reached
     assert commands(s.step(DOWN, status(0.6, armed=True, mode=Mode.EXTERNAL), 0.6)) == [LAND]
-
-
-@pytest.mark.parametrize("height", [0.0, -1.0, math.nan, math.inf])
-def test_senseless_takeoff_height_is_refused(height):
-    with pytest.raises(ValueError, match="take-off height"):
-        CommandSequencer(PX4, 1, 1, height)
 
 
 @pytest.mark.parametrize(
