@@ -128,7 +128,7 @@ class Node(Server[Vehicle]):
     def streamed(self, snapshot: Snapshot[Vehicle]) -> list[Message]:
         """Return the messages of the states since the last call; without states, those of the condition."""
         messages, self._streamed = self._streamed, []
-        return messages + self.stream(snapshot) if self._gap(snapshot.now_s) else messages
+        return messages + super().streamed(snapshot) if self._gap(snapshot.now_s) else messages
 
     def hidden(self, now_s: float) -> frozenset[int]:
         """Hide the position if its estimate is bad, and all messages of a state that is too old."""
@@ -184,4 +184,4 @@ class Node(Server[Vehicle]):
         self.vehicle.take_state(state, at_s, restarted=restarts != self.clock.restarts)
         snapshot = self.snapshot(state.at_s)  # the bridge's clock does not drift against the Crazyflie's
         if snapshot is not None:
-            self._streamed += self.stream(snapshot)
+            self._streamed += super().streamed(snapshot)

@@ -163,19 +163,14 @@ class Vehicle(Condition, Commander):
         reason = stuck(state.info)
         if reason is not None and (before is None or stuck(before.info) != reason):
             self.texts.say(CRITICAL, reason)
-        stays = self._stays_armed(state)
-        if self.armed and (reason is not None or not stays):
-            self._stop("by the firmware", now_s)
-
-    def _stays_armed(self, state: CrazyflieState) -> bool:
-        """Whether the vehicle remains armed; firmware that arms itself is disarmed for 0.12 s every 30 s."""
         if state.info & Info.ARMED:
             self._armed_state = state
-            return True
         last = self._armed_state
-        on_ground = last is not None and not last.info & Info.FLYING
-        rearms = on_ground and bool(state.info & Info.AUTO_ARM)
-        return rearms and last is not None and state.at_s - last.at_s <= limits.REARM_S
+        on_ground = last is not None and not last.info & Info.FLYING and state.info & Info.AUTO_ARM
+        # firmware that arms itself is disarmed for 0.12 s every 30 s
+        rearms = on_ground and last is not None and state.at_s - last.at_s <= limits.REARM_S
+        if self.armed and (reason is not None or not (state.info & Info.ARMED or rearms)):
+            self._stop("by the firmware", now_s)
 
     def terminate(self, now_s: float) -> str | None:
         """Stop the motors, even if disarmed; the stop is latched until a restart."""

@@ -9,6 +9,7 @@ comparison share one store.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -51,10 +52,6 @@ _OURS = (TARGET_SAMPLE, RECEIVED_STATUS, FLEET_ECHO, MAVLINK, *(name for name in
 _MAVLINK_MSGS = "mavlink_msgs/msg/"
 
 
-class UnknownSchemaError(ValueError):
-    """A message type that is neither a ROS 2 standard type nor one of this stack."""
-
-
 @cache
 def typestore() -> Typestore:
     """Return the store of all types, except for those that :func:`store_for` adds."""
@@ -74,7 +71,7 @@ def fields_of(name: str) -> tuple[Field, ...]:
     known = standard(name)
     if known is not None:
         return known
-    return fields_of_text(_known(name).generate_msgdef(name, ros_version=2)[0].split(SEPARATOR)[0])
+    return fields_of_text(store_for(name).generate_msgdef(name, ros_version=2)[0].split(SEPARATOR)[0])
 
 
 def same_fields(name: str, text: str) -> bool:
@@ -96,15 +93,18 @@ def packer(schema: str, frame_id: str | None = MAP) -> Pack:
 
 
 def store_for(name: str) -> Typestore:
-    """Return the store, with a decoded MAVLink type registered if the name is one."""
+    """Return the store that has a type; a decoded MAVLink type is added. Raises ValueError: unknown type."""
     store = typestore()
     if name not in store.fielddefs and name.startswith(_MAVLINK_MSGS):
         from rosbags.typesys import get_types_from_msg
 
-        try:
+        with suppress(KeyError):  # not in the dialect
             store.register(get_types_from_msg(_own_text(name), name))
-        except KeyError as error:
-            raise UnknownSchemaError(f"unknown message type {name!r}: not in the MAVLink dialect") from error
+    if name not in store.fielddefs:
+        raise ValueError(
+            f"unknown message type {name!r}; allowed are ROS 2 Jazzy standard types, {_MAVLINK_MSGS}* of the "
+            f"dialect and {', '.join(_OURS)}"
+        )
     return store
 
 
@@ -114,7 +114,7 @@ def schema_text(name: str) -> str:
 
     This stack's types keep their comments, since viewers show them.
     """
-    generated: str = _known(name).generate_msgdef(name, ros_version=2)[0]
+    generated: str = store_for(name).generate_msgdef(name, ros_version=2)[0]
     if name not in _OURS and not name.startswith(_MAVLINK_MSGS):
         return generated
     _, separator, used = generated.partition(SEPARATOR)
@@ -124,17 +124,7 @@ def schema_text(name: str) -> str:
 @cache
 def type_hash(name: str) -> str:
     """Return the ROS 2 type hash (``RIHS01_...``) of a type."""
-    return str(_known(name).hash_rihs01(name))
-
-
-def _known(name: str) -> Typestore:
-    store = store_for(name)
-    if name not in store.fielddefs:
-        raise UnknownSchemaError(
-            f"unknown message type {name!r}; allowed are ROS 2 Jazzy standard types, "
-            f"{_MAVLINK_MSGS}* and {', '.join(_OURS)}"
-        )
-    return store
+    return str(store_for(name).hash_rihs01(name))
 
 
 def _own_text(name: str) -> str:

@@ -176,9 +176,6 @@ class Server(ABC, Generic[V]):
         return snapshot if shown else None
 
     def streamed(self, snapshot: Snapshot[V]) -> list[Message]:
-        return self.stream(snapshot)
-
-    def stream(self, snapshot: Snapshot[V]) -> list[Message]:
         self.streams.hide(self.hidden(snapshot.now_s))
         return self.streams.due(snapshot)
 
