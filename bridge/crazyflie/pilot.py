@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from bridge.crazyflie.packets import ArmReply, CrazyflieState, Info, Order, Packet, Velocity
-from bridge.crazyflie.rules import TAKEOFF_MAX_S
 from bridge.frames import wrap_angle, yaw_from_quaternion
-from bridge.mavlink.server.profile import FlightMode
-from flightstack.core.types import ZERO, Vec3
+from flightstack.core.types import Vec3
 
 REPEAT_S = 0.05  # time between two repeats of a request, s: the period of two state packets
 ARM_MAX_S = 0.6  # time-out of an arming request without an answer, s
@@ -169,12 +167,6 @@ class Stopped:
         return now_s - self._since_s
 
 
-class Done(Enum):
-    ARRIVED = auto()  # the take-off height is reached
-    LANDED = auto()
-    STUCK = auto()  # the take-off height was not reached in time
-
-
 class Pilot:
     """Flies take-off, hold and landing; a take-off starts with the velocity of a moving deck."""
 
@@ -187,53 +179,30 @@ class Pilot:
         self._clear_z_m = -math.inf  # height above which a take-off keeps its horizontal position
         self._stopped = Stopped()
 
-    def step(
-        self,
-        mode: FlightMode,
-        takeoff_z_m: float,
-        state: CrazyflieState | None,
-        now_s: float,
-        *,
-        standing: bool,
-        placed: bool,
-    ) -> tuple[Velocity | None, Done | None]:
-        """Return the velocity to send, and the result if the mode is finished.
-
-        ``mode`` is any mode except OFFBOARD. If ``state`` is None (too old), the vehicle stops in the air or
-        continues to descend. ``standing``: whether the vehicle has not moved yet. ``placed``: whether its
-        position is known; with an unknown position a landing descends vertically.
-        """
-        if state is None:
-            if mode is FlightMode.LAND:
-                return Velocity((0.0, 0.0, -DESCENT_M_S), 0.0), None
-            return (None if standing else Velocity(ZERO, 0.0)), None
-        takes_off = mode is FlightMode.TAKEOFF
+    def velocity(self, state: CrazyflieState, takeoff_z_m: float | None) -> Velocity:
+        """Return the velocity to the point to hold; ``takeoff_z_m``: its height in a take-off, else None."""
+        takes_off = takeoff_z_m is not None
         x, y, z = (
             p + v / GAIN_1_S for p, v in zip(state.position_enu_m, state.velocity_enu_m_s, strict=True)
         )
+        target_z_m = z if takeoff_z_m is None else takeoff_z_m
         if self._anchor is None:
-            self._anchor = ((x, y, takeoff_z_m if takes_off else z), yaw_from_quaternion(state.quaternion))
+            self._anchor = ((x, y, target_z_m), yaw_from_quaternion(state.quaternion))
             self._clear_z_m = state.position_enu_m[2] + CLEAR_M
+        elif takes_off and state.position_enu_m[2] < self._clear_z_m:
+            self._anchor = ((x, y, target_z_m), self._anchor[1])
         point_enu_m, yaw_rad = self._anchor
-        if takes_off and state.position_enu_m[2] < self._clear_z_m:
-            point_enu_m = (x, y, takeoff_z_m)
-            self._anchor = (point_enu_m, yaw_rad)
         speed_max_m_s = CARRIED_MAX_M_S if takes_off else SPEED_XY_M_S
-        vx, vy, vz = _towards(point_enu_m, state.position_enu_m, speed_max_m_s)
-        turn_rad_s = yaw_rate(yaw_rad, state)
-        if mode is FlightMode.LAND:
-            stopped_s = self._stopped.lasts_s(-DESCENT_M_S, state, now_s)
-            if stopped_s >= STOPPED_TIME_S and now_s - self.since_s > LANDING_MIN_S:
-                return None, Done.LANDED
-            return Velocity((vx, vy, -DESCENT_M_S) if placed else (0.0, 0.0, -UNPLACED_M_S), turn_rad_s), None
-        done: Done | None = None
-        if takes_off:
-            high = abs(point_enu_m[2] - state.position_enu_m[2]) < ARRIVED_M
-            if high and abs(state.velocity_enu_m_s[2]) < ARRIVED_M_S:
-                done = Done.ARRIVED
-            elif now_s - self.since_s > TAKEOFF_MAX_S:
-                done = Done.STUCK
-        return Velocity((vx, vy, vz), turn_rad_s), done
+        velocity_enu_m_s = _towards(point_enu_m, state.position_enu_m, speed_max_m_s)
+        return Velocity(velocity_enu_m_s, yaw_rate(yaw_rad, state))
+
+    def arrived(self, state: CrazyflieState, takeoff_z_m: float) -> bool:
+        high = abs(takeoff_z_m - state.position_enu_m[2]) < ARRIVED_M
+        return high and abs(state.velocity_enu_m_s[2]) < ARRIVED_M_S
+
+    def landed(self, state: CrazyflieState, now_s: float) -> bool:
+        stopped_s = self._stopped.lasts_s(-DESCENT_M_S, state, now_s)
+        return stopped_s >= STOPPED_TIME_S and now_s - self.since_s > LANDING_MIN_S
 
 
 def _towards(point_enu_m: Vec3, position_enu_m: Vec3, speed_max_m_s: float) -> Vec3:

@@ -25,7 +25,7 @@ from bridge.crazyflie.packets import (
     ParamValue,
     Velocity,
 )
-from bridge.crazyflie.pilot import DESCENT_M_S, REFUSED, Arming, Done, Pilot, Stopped, yaw_rate
+from bridge.crazyflie.pilot import DESCENT_M_S, REFUSED, UNPLACED_M_S, Arming, Pilot, Stopped, yaw_rate
 from bridge.crazyflie.rules import Settings
 from bridge.mavlink.profiles import CRAZYFLIE_MARK
 from bridge.mavlink.server.commander import Commander, Setpoint
@@ -368,17 +368,27 @@ class Vehicle(Condition, Commander):
         if state is not None and not placed and self.mode is not FlightMode.LAND:
             self._fall_back("No position estimate", now_s)
             return
-        velocity, done = self._pilot.step(
-            self.mode, self.takeoff_z_m, state, now_s, standing=self.standing, placed=placed
-        )
-        if done is Done.LANDED:
-            self._motors_off(now_s, "Landed, disarmed", forced=False)
-        elif done is Done.STUCK:
+        if state is None:  # stop in the air, or continue to descend
+            if self.mode is FlightMode.LAND or not self.standing:
+                sink_m_s = -DESCENT_M_S if self.mode is FlightMode.LAND else 0.0
+                self._command(Velocity((0.0, 0.0, sink_m_s), 0.0))
+            return
+        takes_off = self.mode is FlightMode.TAKEOFF
+        velocity = self._pilot.velocity(state, self.takeoff_z_m if takes_off else None)
+        if self.mode is FlightMode.LAND:
+            if self._pilot.landed(state, now_s):
+                self._motors_off(now_s, "Landed, disarmed", forced=False)
+                return
+            (vx, vy, _), turn_rad_s = velocity
+            # without a position the landing descends vertically
+            descent = (vx, vy, -DESCENT_M_S) if placed else (0.0, 0.0, -UNPLACED_M_S)
+            velocity = Velocity(descent, turn_rad_s)
+        elif takes_off and self._pilot.arrived(state, self.takeoff_z_m):
+            self._change(FlightMode.HOLD)
+        elif takes_off and now_s - self._pilot.since_s > limits.TAKEOFF_MAX_S:
             self._fall_back("Take-off height not reached", now_s)
-        elif velocity is not None:
-            if done is Done.ARRIVED:
-                self._change(FlightMode.HOLD)
-            self._command(velocity)
+            return
+        self._command(velocity)
 
     def _fly_offboard(self, now_s: float) -> None:
         """Send no set-point; report and handle the end of the client's stream."""
