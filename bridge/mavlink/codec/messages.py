@@ -67,12 +67,6 @@ def message_id(frame: bytes) -> int:
     return frame[7] | frame[8] << 8 | frame[9] << 16
 
 
-def parameter_name(field: str | bytes) -> str:
-    """Return a parameter's name up to its first zero byte; bytes that are not ASCII become U+FFFD."""
-    raw = field.encode("latin-1", "replace") if isinstance(field, str) else bytes(field)
-    return raw.partition(b"\x00")[0].decode("ascii", "replace")
-
-
 def decode(frame: bytes) -> Message:
     """Decode one frame of ``split_frames``. Raises the error of a message class that rejects its values."""
     return _DECODER.decode(bytearray(frame))

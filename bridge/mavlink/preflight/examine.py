@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import companion_heartbeat, request_message
 from bridge.mavlink.client.senders import Senders, why_silent
-from bridge.mavlink.codec.messages import Message, parameter_name
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import table as rules
 from bridge.mavlink.preflight.table import Asked, Choice, Finding, Level, Needs, Release
@@ -73,7 +73,7 @@ class ParameterReader:
 
     def take(self, message: Message) -> None:
         """Handle a message of the vehicle; ignore messages that answer no request."""
-        kind, name = message.get_msgId(), parameter_name(getattr(message, "param_id", ""))
+        kind, name = message.get_msgId(), getattr(message, "param_id", "")
         if name not in self._asked:
             return
         if kind == dialect.MAVLINK_MSG_ID_PARAM_ERROR:

@@ -12,7 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.messages import Message, parameter_name
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.commander import Sender
 
 INT32 = dialect.MAV_PARAM_TYPE_INT32
@@ -101,7 +101,7 @@ class Parameters:
 
     def read(self, request: Any, sender: Sender) -> Message:
         """Return the value that PARAM_REQUEST_READ requests by index or, with index -1, by name."""
-        name = parameter_name(request.param_id)
+        name = request.param_id
         if request.param_index < 0:
             return self._message(name) if name in self.table else _error(name, _UNKNOWN, sender)
         found = next(islice(self.table, request.param_index, None), None)
@@ -111,7 +111,7 @@ class Parameters:
         self, request: Any, sender: Sender, forbidden: str | None, *, armed: bool
     ) -> tuple[list[Message], str | None]:
         """Handle PARAM_SET, unless ``forbidden`` is a reason; return the replies and the reason, or None."""
-        name, type_, value = parameter_name(request.param_id), request.param_type, request.param_value
+        name, type_, value = request.param_id, request.param_type, request.param_value
         parameter = self.table.get(name)
         if parameter is None:
             return [_error(name, _UNKNOWN, sender)], None
