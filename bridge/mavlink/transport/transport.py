@@ -302,58 +302,49 @@ _REASONS = {
 }
 
 
-class _TcpChannel:
+class _TcpChannel(socket.socket):
     """A connecting or established TCP connection. Raises OSError: it is refused immediately."""
 
     def __init__(self, address: Peer) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        super().__init__(socket.AF_INET, socket.SOCK_STREAM)
         self._established = False
         self._until_s = time.monotonic() + _CONNECT_MAX_S
         try:
-            self._socket.setblocking(False)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+            self.setblocking(False)
+            self.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
             if hasattr(socket, "TCP_USER_TIMEOUT"):
-                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MAX_MS)
-            number = self._socket.connect_ex(address)
-            if number not in (0, errno.EINPROGRESS):
-                raise OSError(number, os.strerror(number))
+                self.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNANSWERED_MAX_MS)
+            _raise_for(self.connect_ex(address))
         except OSError:
-            self._socket.close()
+            self.close()
             raise
-
-    def fileno(self) -> int:
-        return self._socket.fileno()
 
     def established(self) -> bool:
         if self._established:
             return True
-        _, writable, _ = select.select((), (self._socket,), (), 0)
-        if not writable:
-            if time.monotonic() > self._until_s:
-                raise OSError(errno.ETIMEDOUT, f"no answer within {_CONNECT_MAX_S:g} s")
-            return False
-        number = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-        if number:
-            raise OSError(number, os.strerror(number))
-        self._established = True
-        return True
+        if select.select((), (self,), (), 0)[1]:
+            _raise_for(self.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR))
+            self._established = True
+        elif time.monotonic() > self._until_s:
+            raise OSError(errno.ETIMEDOUT, f"no answer within {_CONNECT_MAX_S:g} s")
+        return self._established
 
     def read(self, size: int) -> bytes | None:
         try:
-            data = self._socket.recv(size)
+            data = self.recv(size)
         except BlockingIOError:
             return None
         if not data:
             raise OSError(errno.ECONNRESET, "the other side has closed it")
         return data
 
-    def write(self, data: bytearray) -> int:
-        return self._socket.send(data)
+    write = socket.socket.send
 
-    def close(self) -> None:
-        with contextlib.suppress(OSError):
-            self._socket.close()
+
+def _raise_for(number: int) -> None:
+    if number not in (0, errno.EINPROGRESS):
+        raise OSError(number, os.strerror(number))
 
 
 Channel = _SerialChannel | _TcpChannel
