@@ -93,16 +93,13 @@ def check_policy(
         raise ValueError("a signing key and --allow-unsigned exclude each other: give one of them")
     if always and not listens:
         raise ValueError(f"MAVLink URL {url!r} has one address and no other peers: use udpin")
-    if kind == "serial":  # the peer of a cable has physical access anyway
-        return None
-    if is_local(address):
-        for host, port in [peer for peer in always if not is_local(peer)]:
-            raise ValueError(
-                f"MAVLink peer {host}:{port} is on the network and {url!r} listens on loopback only: listen "
-                "on an address of the network, with --signing-key FILE"
-            )
-        return None
-    if signed:
+    local = kind == "serial" or is_local(address)  # the peer of a cable has physical access anyway
+    for host, port in [peer for peer in always if local and not is_local(peer)]:
+        raise ValueError(
+            f"MAVLink peer {host}:{port} is on the network and {url!r} listens on loopback only: listen "
+            "on an address of the network, with --signing-key FILE"
+        )
+    if local or signed:
         return None
     if listens and not allow_unsigned:
         raise ValueError(
@@ -138,10 +135,9 @@ class PeerTable:
         if peer not in self._beating:
             if not heartbeat:
                 return True
-            for other, heard_s in list(self._beating.items()):
-                if len(self._beating) >= PEERS_MAX and now_s - heard_s > EXPIRY_S:
-                    del self._beating[other]
-            if peer not in self._configured and len(self._beating) >= PEERS_MAX:
+            alive = {one: heard_s for one, heard_s in self._beating.items() if now_s - heard_s <= EXPIRY_S}
+            if peer not in self._configured and len(alive) >= PEERS_MAX:
                 return False
+            self._beating = alive
         self._beating[peer] = now_s
         return True
