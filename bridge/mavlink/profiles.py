@@ -35,16 +35,14 @@ class Encoding(Enum):
     C_CAST = "converted to a float"
 
 
-Params = tuple[float | None, ...]  # seven parameters; None is sent as the profile's ``unset`` value
-
-
 @dataclass(frozen=True, slots=True)
 class Step:
     """A command of a sequence, and the status that makes it unnecessary."""
 
     command: int  # MAV_CMD number
     name: str
-    params: Callable[[float], Params]  # function of the take-off altitude in the profile's convention, m
+    # first parameters; later ones are sent as the profile's ``unset`` value, except the height of a take-off
+    params: tuple[float, ...]
     done: Callable[[VehicleStatus], bool]
     prestream: bool = False  # the command requires streaming set-points
     blind: bool = False  # the command is also sent to a vehicle without status, and after any reply
@@ -112,21 +110,12 @@ def _may_arm_in_its_mode(status: VehicleStatus) -> bool:
     return not (standing and status.mode in (Mode.EXTERNAL, Mode.LAND))
 
 
-def _given(*params: float) -> Callable[[float], Params]:
-    """Return a function that returns seven parameters of a command: ``params``, then None (unset)."""
-    return lambda _altitude_m: (*params, *(None,) * (7 - len(params)))
+def _to(mode: FlightMode) -> tuple[float, ...]:
+    return (_CUSTOM_MODE_ENABLED, PX4_CODES[mode].main, PX4_CODES[mode].sub)
 
 
-def _to(mode: FlightMode) -> Callable[[float], Params]:
-    return _given(_CUSTOM_MODE_ENABLED, PX4_CODES[mode].main, PX4_CODES[mode].sub)
-
-
-def _takeoff(altitude_m: float) -> Params:
-    return (None, None, None, None, None, None, altitude_m)
-
-
-_ARM = Step(_ARM_DISARM, "arm", _given(1.0, 0.0), attrgetter("armed"))
-_LAND = Step(_NAV_LAND, "land", _given(), _landing)
+_ARM = Step(_ARM_DISARM, "arm", (1.0, 0.0), attrgetter("armed"))
+_LAND = Step(_NAV_LAND, "land", (), _landing)
 _OFFBOARD = Step(
     _DO_SET_MODE,
     "switch to OFFBOARD",
@@ -139,10 +128,10 @@ _HOLD = Step(
 )
 _OWN_TAKEOFF = (
     _ARM,
-    Step(_NAV_TAKEOFF, "take off", _takeoff, lambda s: _airborne(s) or (s.armed and s.mode is Mode.TAKEOFF)),
+    Step(_NAV_TAKEOFF, "take off", (), lambda s: _airborne(s) or (s.armed and s.mode is Mode.TAKEOFF)),
 )
 # A forced disarm is repeated for a minute.
-_KILL = Step(_ARM_DISARM, "force disarm", _given(0.0, FORCE), lambda s: not s.armed, blind=True, tries=120)
+_KILL = Step(_ARM_DISARM, "force disarm", (0.0, FORCE), lambda s: not s.armed, blind=True, tries=120)
 PX4 = Profile(
     name="px4",
     title="PX4, OFFBOARD",
@@ -194,7 +183,7 @@ CRAZYFLIE = replace(
 _GUIDED = Step(
     _DO_SET_MODE,
     "switch to GUIDED",
-    _given(_CUSTOM_MODE_ENABLED, 4.0, 0.0),
+    (_CUSTOM_MODE_ENABLED, 4.0, 0.0),
     lambda s: s.mode is Mode.EXTERNAL,
 )
 ARDUPILOT = Profile(
@@ -214,7 +203,7 @@ ARDUPILOT = Profile(
             replace(_GUIDED, done=_guided_or_airborne),
             _ARM,
             # A repeated take-off restarts the spool-up of the motors, so the time between tries is longer.
-            Step(_NAV_TAKEOFF, "take off", _takeoff, _airborne, period_s=4.0, tries=4),
+            Step(_NAV_TAKEOFF, "take off", (), _airborne, period_s=4.0, tries=4),
         ),
         Request.EXTERNAL: (_GUIDED,),
         Request.LAND: (_LAND,),

@@ -314,8 +314,9 @@ class CommandSequencer:
         if self._tries == 1:
             stands_m = self.above_home[1] if self.above_home is not None else 0.0
             self._offset_m = (self.home_amsl_m or 0.0) if self._counts_from_sea_level else stands_m
-        params = step.params(self._height_m + self._offset_m)
-        values = [self._profile.unset if value is None else value for value in params]
+        values = [*step.params, *(self._profile.unset,) * (7 - len(step.params))]
+        if step.command == _NAV_TAKEOFF:
+            values[6] = self._height_m + self._offset_m
         confirmation = min(self._tries - 1, 255)
         return dialect.MAVLink_command_long_message(*self._target, step.command, confirmation, *values)
 
