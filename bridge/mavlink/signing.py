@@ -14,6 +14,7 @@ import secrets
 import stat
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -151,7 +152,6 @@ class Signer:
         ValueError: the state file is bad; OSError: the state cannot be read or written.
         """
         self.warning: str | None = None  # text for the operator about the clock, or None
-        self.state_errors = 0  # number of failed writes of the state; a failed write is repeated after 10 s
         self._own = bytes((system_id, component_id))
         self._keyed = hashlib.sha256(key.secret)
         self._unix_ns, self._monotonic_ns = unix_ns, monotonic_ns
@@ -207,12 +207,10 @@ class Signer:
             self.save()
 
     def save(self) -> None:
-        """Write the state now; a failure is counted and does not end a flight."""
-        try:
+        """Write the state now; a failure does not end a flight, and the next write follows after 10 s."""
+        with suppress(OSError):
             if self._path is not None:
                 save_state(self._path, self._snapshot())
-        except OSError:
-            self.state_errors += 1
 
     def _snapshot(self) -> SigningState:
         """Return the state; frames of an older stream are rejected for their age alone."""

@@ -42,7 +42,6 @@ class Senders:
 
     known: Peer | None = None  # address of the vehicle; None before its first frame
     ignored: int = 0  # number of rejected frames with the vehicle's ids
-    repeated: int = 0  # number of frames that arrived a second time
     doubled: str | None = None  # error text as long as a second address with the same ids is alive
     _now_s: float = -math.inf  # arrival of the newest frame
     _known_s: float = -math.inf  # arrival of the newest frame from the known address
@@ -120,7 +119,6 @@ class Senders:
             return False
         self._number = header.seq
         if frame in newest:
-            self.repeated += 1
             return True
         newest[frame] = None
         if len(newest) > _FRAMES:

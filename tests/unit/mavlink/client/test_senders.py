@@ -55,7 +55,6 @@ def test_a_path_that_delivers_all_once_more_and_later_says_nothing_new(late_s):
             said.append(senders.admits(decode(path.pop(0)[1]), HERE, now_s, armed=k > 300))
     assert said
     assert not any(said)
-    assert senders.repeated == len(said)
     assert senders.ignored == 0  # no other sender conflicts with the vehicle
 
 
