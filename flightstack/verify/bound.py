@@ -1,8 +1,8 @@
-"""Proven bounds: the largest value of a function over a box, and the ranges of a barrier's derivatives.
+"""Proven bounds: the largest value of a function over an interval, and the ranges of a barrier's derivatives.
 
-Samples can miss the worst point. This module bounds a function over any cell from above, with the exact
-ranges of its monotone pieces (``Shape``: slope and curvature). The cell with the largest bound is halved
-until no bound exceeds the largest computed value by more than ``TOLERANCE``. Cells may reach to infinity.
+Samples can miss the worst point. This module bounds a function over any interval from above, with the exact
+ranges of its monotone pieces (``Shape``: slope and curvature). The interval with the largest bound is halved
+until no bound exceeds the largest computed value by more than ``TOLERANCE``. It may reach to infinity.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import NamedTuple
 from flightstack.core.safety.barrier import Barrier
 
 TOLERANCE = 1e-4  # allowed excess of a bound over the maximum, in the unit of the value: m/s, m/s^2 or mm
-CELLS_MAX = 20_000  # maximum number of cells, 100 times the usual one; the bound is valid at this number, too
+PIECES_MAX = 20_000  # maximum number of intervals, 100 times the usual one; the bound is valid at this number
 EQUAL = 1e-9  # difference below which two values count as equal
 ROUNDING = 1e-12  # assumed relative rounding error; that of a dozen operations is below 3e-15
 
@@ -29,83 +29,47 @@ class Span(NamedTuple):
 
     def middle(self) -> float:
         """Return the point that halves the interval; for an unbounded one, a multiple of its lower end."""
-        if math.isinf(self.high):
-            return 2.0 * self.low + 1.0
-        return 0.5 * (self.low + self.high)
-
-    def width(self) -> float:
-        """Return the length; it is infinite for an unbounded interval."""
-        return self.high - self.low
+        return 2.0 * self.low + 1.0 if math.isinf(self.high) else 0.5 * (self.low + self.high)
 
 
-def wider(span: Span) -> Span:
-    """Return the span, widened by the rounding errors of its computation."""
-    return Span(span.low - ROUNDING * (1.0 + abs(span.low)), span.high + ROUNDING * (1.0 + abs(span.high)))
+def wider(low: float, high: float) -> Span:
+    """Return an interval, widened by the rounding errors of its computation."""
+    return Span(low - ROUNDING * (1.0 + abs(low)), high + ROUNDING * (1.0 + abs(high)))
 
 
 class Most(NamedTuple):
-    """Result of ``most``: the function is at most ``bound``, and equals ``found`` at the point ``at``."""
+    """Result of ``most``: the function is at most ``bound``; its largest computed value is at ``at``."""
 
     bound: float
-    found: float
-    at: tuple[float, ...]
+    at: float
 
 
-def most(
-    upper: Callable[[Cell], float], value: Callable[[tuple[float, ...]], float], domain: Cell,
-    likely: tuple[tuple[float, ...], ...] = (),
-) -> Most:  # fmt: skip
-    """Bound a function from above over a box.
+def most(function: Callable[[Span], float], domain: Span, likely: tuple[float, ...] = ()) -> Most:
+    """Bound a function from above over an interval.
 
-    ``upper``: upper bound of the function in a cell; ``value``: the function at a point with finite
-    coordinates; ``domain``: the box, one span per coordinate; ``likely``: points to evaluate first. Of points
-    with equal values the first is returned. Raises ValueError: the function is not a number somewhere.
+    ``function``: upper bound in an interval; in an interval of one point it is the value. ``likely``: points
+    to evaluate first. Of points with equal values the first is returned.
+    Raises ValueError: the function is not a number somewhere.
     """
-
-    def point(cell: Cell) -> tuple[float, ...]:
-        return tuple(span.middle() for span in cell)
-
-    best, best_at = -math.inf, point(domain)
-    for start in (*likely, best_at, *_corners(domain)):
-        found = value(start)
-        if found > best + EQUAL:
-            best, best_at = found, start
-    heap = [(-upper(domain), 0, domain)]
-    for number in range(1, CELLS_MAX):
-        bound = -heap[0][0]
-        if math.isnan(bound) or math.isnan(best):
+    ends = domain if math.isfinite(domain.high) else (domain.low,)
+    points = [*likely, domain.middle(), *ends]
+    best, best_at = -math.inf, points[0]
+    heap = [(-function(domain), 0, domain)]
+    for number in range(1, PIECES_MAX):
+        for at in points:
+            if (value := function(Span(at, at))) > best + EQUAL:
+                best, best_at = value, at
+        if math.isnan(heap[0][0]):
             raise ValueError(f"the bound is not a number near {best_at}: a parameter is out of any range")
-        if bound - best <= TOLERANCE:
+        if -heap[0][0] - best <= TOLERANCE:
             break
-        _, _, cell = heapq.heappop(heap)
-        widest = max(range(len(cell)), key=lambda i: _weight(cell[i], domain[i]))
-        span = cell[widest]
-        cut = span.middle()
-        for part in (Span(span.low, cut), Span(cut, span.high)):
-            piece = (*cell[:widest], part, *cell[widest + 1 :])
-            centre = point(piece)
-            for at in (centre, (*centre[:widest], cut, *centre[widest + 1 :])):
-                found = value(at)
-                if found > best + EQUAL:
-                    best, best_at = found, at
-            heapq.heappush(heap, (-upper(piece), 2 * number + (part.low == cut), piece))
-    return Most(max(best, -heap[0][0]), best, best_at)
-
-
-def _weight(span: Span, whole: Span) -> float:
-    """Return the fraction of the coordinate's range that the cell covers; unbounded cells come first."""
-    if math.isinf(span.high):
-        return math.inf
-    return span.width() / (whole.width() if math.isfinite(whole.high) else 1.0)
-
-
-def _corners(domain: Cell) -> list[tuple[float, ...]]:
-    """Return the corners of a box that have finite coordinates."""
-    points: list[tuple[float, ...]] = [()]
-    for span in domain:
-        ends = (span.low, span.high) if math.isfinite(span.high) else (span.low,)
-        points = [(*p, end) for p in points for end in ends]
-    return points
+        low, high = heapq.heappop(heap)[2]
+        cut = Span(low, high).middle()
+        halves = Span(low, cut), Span(cut, high)
+        points = [halves[0].middle(), cut, halves[1].middle()]
+        for side, half in enumerate(halves):
+            heapq.heappush(heap, (-function(half), 2 * number + 1 - side, half))
+    return Most(max(best, -heap[0][0]), best_at)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +82,24 @@ class Shape:
 
     def slope(self, d: Span) -> Span:
         """Return the range of the boundary's slope over distances ``d``, m."""
-        return _sum(_range(self.barrier.slope, d, 2.0 / self.barrier.alpha_1_m), self._fade_slope(d))
+        w = self.fade_radius_m
+        return self._with_margin(
+            _range(self.barrier.slope, d, 2.0 / self.barrier.alpha_1_m),
+            _range(lambda x: _fade_slope(x, w), d, w / math.sqrt(2.0)),
+        )
 
     def curvature_1_m(self, d: Span) -> Span:
         """Return the range of the slope's derivative, 1/m: the curvature for a radial motion."""
-        return _sum(_range(self._bend_1_m, d, 3.0 / self.barrier.alpha_1_m), self._fade_curvature_1_m(d))
+        a, beta_m, w = self.barrier.alpha_1_m, self.barrier.beta_m, self.fade_radius_m
+
+        def bend(x: float) -> float:
+            return a * a * beta_m * (a * x - 2.0) * math.exp(-a * x)
+
+        def fade_bend(x: float) -> float:
+            q = (x / w) ** 2
+            return 2.0 / (w * w) * (1.0 - 2.0 * q) * math.exp(-q)
+
+        return self._with_margin(_range(bend, d, 3.0 / a), _range(fade_bend, d, w * math.sqrt(1.5)))
 
     def turn_1_m(self, d: Span) -> float:
         """Return the largest slope/d, 1/m, at least 0: the curvature for a tangential motion.
@@ -133,24 +110,13 @@ class Shape:
         if near <= 0.0:
             return math.inf
         fade = _fade_slope(near, self.fade_radius_m) * self.margin_m.high
-        return wider(Span(0.0, max(0.0, self.barrier.slope(near)) / near + fade / near)).high
+        return wider(0.0, max(0.0, self.barrier.slope(near)) / near + fade / near).high
 
-    def _bend_1_m(self, d_m: float) -> float:
-        a = self.barrier.alpha_1_m
-        return a * a * self.barrier.beta_m * (a * d_m - 2.0) * math.exp(-a * d_m)
-
-    def _fade_slope(self, d: Span) -> Span:
-        w = self.fade_radius_m
-        return _times(self.margin_m, _range(lambda x: _fade_slope(x, w), d, w / math.sqrt(2.0)))
-
-    def _fade_curvature_1_m(self, d: Span) -> Span:
-        w = self.fade_radius_m
-
-        def bend(x: float) -> float:
-            q = (x / w) ** 2
-            return 2.0 / (w * w) * (1.0 - 2.0 * q) * math.exp(-q)
-
-        return _times(self.margin_m, _range(bend, d, w * math.sqrt(1.5)))
+    def _with_margin(self, bare: Span, fading: Span) -> Span:
+        """Return the range of a boundary's derivative plus the margin times its factor ``fading``."""
+        products = [margin_m * factor for margin_m in self.margin_m for factor in fading]
+        margin = wider(min(products), max(products))
+        return Span(bare.low + margin.low, bare.high + margin.high)
 
 
 def _fade_slope(d_m: float, w_m: float) -> float:
@@ -162,16 +128,4 @@ def _range(function: Callable[[float], float], d: Span, extreme: float) -> Span:
     values = [function(d.low), 0.0 if math.isinf(d.high) else function(d.high)]
     if d.low < extreme < d.high:
         values.append(function(extreme))
-    return wider(Span(min(values), max(values)))
-
-
-def _sum(a: Span, b: Span) -> Span:
-    return Span(a.low + b.low, a.high + b.high)
-
-
-def _times(a: Span, b: Span) -> Span:
-    products = [x * y for x in a for y in b]
-    return wider(Span(min(products), max(products)))
-
-
-Cell = tuple[Span, ...]
+    return wider(min(values), max(values))

@@ -28,31 +28,24 @@ def any_filter(config: FlightConfig, descent_m_s: float, key: str) -> list[Check
     lag_s, memory_s = checks.follow_lag_max_s, checks.follow_memory_s
     speed = math.sqrt(2.0 * GRAVITY_M_S2 * gap_m)
     return [
-        Check(
-            "contact.speed_m_s", "a vehicle that descends as commanded is not taken for one that stands",
-            descent_m_s - touches_m_s, "m/s", f"found {touches_m_s:g}, {key} is {descent_m_s:g}",
-            f"lower contact.speed_m_s or raise {key}",
-        ),
+        Check("contact.speed_m_s", "a vehicle that descends as commanded is not taken for one that stands",
+              descent_m_s - touches_m_s, "m/s", f"found {touches_m_s:g}, {key} is {descent_m_s:g}",
+              f"lower contact.speed_m_s or raise {key}"),
         # the tracking lag of a standing vehicle converges to the commanded speed times the decay time
-        Check(
-            "checks.follow_lag_max_s", "a vehicle that does not move at a full-speed command is detected",
-            memory_s - lag_s, "s", f"found {lag_s:g}, the tracking lag converges to {memory_s:g} s of flight",
-            "raise checks.follow_memory_s or lower checks.follow_lag_max_s",
-        ),
+        Check("checks.follow_lag_max_s", "a vehicle that does not move at a full-speed command is detected",
+              memory_s - lag_s, "s",
+              f"found {lag_s:g}, the tracking lag converges to {memory_s:g} s of flight",
+              "raise checks.follow_memory_s or lower checks.follow_lag_max_s"),
         # The tracking lag of a velocity error e converges to e times the decay time. A vehicle that does not
         # follow lands at its position, which is below the barrier if it is beside the pad.
-        Check(
-            "checks.follow_memory_s",
-            "a steady error of the velocity is not taken for a vehicle that does not follow",
-            lag_s / memory_s - STEADY_ERROR, "of the full speed",
-            f"found {memory_s:g} s, which allows an error of {lag_s / memory_s:.3g} of the full speed",
-            f"lower checks.follow_memory_s to {lag_s / STEADY_ERROR:.3g}, or raise checks.follow_lag_max_s",
-            PROOF,
-        ),
-        Check(
-            "contact.gap_m",
-            f"a vehicle taken for standing, motors off, falls with {FALL_MAX_M_S:g} m/s at most",
-            FALL_MAX_M_S - speed, "m/s", f"found {gap_m:g} m, from which it falls with {speed:.3g} m/s",
-            "lower contact.gap_m", PROOF,
-        ),
+        Check("checks.follow_memory_s",
+              "a steady error of the velocity is not taken for a vehicle that does not follow",
+              lag_s / memory_s - STEADY_ERROR, "of the full speed",
+              f"found {memory_s:g} s, which allows an error of {lag_s / memory_s:.3g} of the full speed",
+              f"lower checks.follow_memory_s to {lag_s / STEADY_ERROR:.3g}, or raise checks.follow_lag_max_s",
+              PROOF),
+        Check("contact.gap_m",
+              f"a vehicle taken for standing, motors off, falls with {FALL_MAX_M_S:g} m/s at most",
+              FALL_MAX_M_S - speed, "m/s", f"found {gap_m:g} m, from which it falls with {speed:.3g} m/s",
+              "lower contact.gap_m", PROOF),
     ]  # fmt: skip

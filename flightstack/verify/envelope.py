@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.robust import TargetLink
@@ -44,14 +43,13 @@ def extremes(config: FlightConfig) -> Extremes:
     barrier, robust, loop = config.barrier, config.robust, config.velocity_loop
     strategy = RobustFilter(config, barrier)
     envelope, pad_radius_m = config.envelope, config.touchdown.pad_radius_m
-    errors = estimate_errors(config.target, envelope.target_rate_hz, config.checks.target_age_max_s)
-    fresh, near, far = (_margin_m(strategy, motion) for motion in errors)
-    usual, own_m = errors.usual, config.own.position_noise_m
+    errors = _estimates(config.target, envelope.target_rate_hz, config.checks.target_age_max_s)
+    fresh, near, far = (strategy.margin_m(each.position_sigma_m, each.position_sigma_z_m) for each in errors)
+    (_, usual, _), own_m = errors, config.own.position_noise_m
     vx, vy, _ = config.limits.velocity_max_m_s
     acceleration = envelope.target_acceleration_max_m_s2
-    velocity_error = robust.sigma_factor * math.hypot(
-        usual.velocity_sigma_m_s, own_velocity_sigma_m_s(config)
-    )
+    own_m_s = _own_velocity_sigma_m_s(config)
+    velocity_error = robust.sigma_factor * math.hypot(usual.velocity_sigma_m_s, own_m_s)
     slower = 1.0 + envelope.lag_spread
     return Extremes(
         barrier=barrier,
@@ -74,7 +72,7 @@ def extremes(config: FlightConfig) -> Extremes:
     )
 
 
-def own_velocity_sigma_m_s(config: FlightConfig) -> float:
+def _own_velocity_sigma_m_s(config: FlightConfig) -> float:
     """Return the noise of a vehicle velocity whose error is estimated without the velocity loop's model.
 
     White noise of the positions passes s w^2 / (s + w)^2, w = 1 / T: the variance is noise^2 period w^3 / 4.
@@ -86,38 +84,24 @@ def own_velocity_sigma_m_s(config: FlightConfig) -> float:
     return 0.5 * own.position_noise_m * math.sqrt(period_s / time_s) / time_s
 
 
-def _margin_m(strategy: RobustFilter, motion: TargetMotion) -> float:
-    """Return the margin that the filter computes for this uncertainty."""
-    return strategy.margin_m(motion.position_sigma_m, motion.position_sigma_z_m)
-
-
-class Errors(NamedTuple):
-    """Standard deviations of the target's estimate at three ages of its newest sample."""
-
-    fresh: TargetMotion  # estimate when a sample has just arrived; the sample is ``delay_s`` old
-    usual: TargetMotion  # estimate just before the next sample, one period later
-    lost: TargetMotion  # estimate when the newest sample reaches the age limit
-
-
-def estimate_errors(link: TargetLink, rate_hz: float, age_max_s: float) -> Errors:
-    """Return standard deviations of the target's estimate at several ages of its newest sample.
+def _estimates(link: TargetLink, rate_hz: float, age_max_s: float) -> tuple[TargetMotion, ...]:
+    """Return the target estimate when a sample has just arrived, just before the next, and at the age limit.
 
     The estimator's covariance is independent of the measured values, so running it on zeros is exact. The
     estimate at the age limit is the worse one of the first and a later sample, on each axis.
     """
     estimator, period_s = TargetEstimator(link), 1.0 / rate_hz
-    first: TargetMotion | None = None
-    for number in range(SETTLE_SAMPLES):
+    estimator.update(0.0, ZERO, ZERO)
+    first = estimator.at(age_max_s)
+    for number in range(1, SETTLE_SAMPLES):
         estimator.update(number * period_s, ZERO, ZERO)
-        if first is None:
-            first = estimator.at(age_max_s)
-    assert first is not None
     newest_s = estimator.memory.time_s
-    fresh = estimator.at(newest_s + min(age_max_s, link.delay_s))
-    usual = estimator.at(newest_s + min(age_max_s, link.delay_s + period_s))
-    later = estimator.at(newest_s + age_max_s)
+    fresh, usual, later = (
+        estimator.at(newest_s + age_s)
+        for age_s in (min(age_max_s, link.delay_s), min(age_max_s, link.delay_s + period_s), age_max_s)
+    )
     lost = later._replace(
         position_sigma_m=max(first.position_sigma_m, later.position_sigma_m),
         position_sigma_z_m=max(first.position_sigma_z_m, later.position_sigma_z_m),
     )
-    return Errors(fresh, usual, lost)
+    return fresh, usual, lost

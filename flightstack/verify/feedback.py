@@ -44,75 +44,47 @@ MIN_DECAY_1_S = 0.1  # required proven decay rate: half of an error in seven sec
 def linear(config: FlightConfig, faster: float, damped: float | None = None) -> F64:
     """Return the loop's matrix for a vehicle whose velocity loop is ``faster`` than the declared one.
 
-    Its D is ``damped`` times the declared one; the default is the factor of w.
+    Its D is ``damped`` times the declared one; the default is the factor of w. The gains of the estimator of
+    the vehicle state act once a tick.
 
     States: position relative to the target, velocity, acceleration; state of the delay; velocity,
-    acceleration and disturbance of the observer; smoothed derivative of the velocity command.
+    acceleration and disturbance of the observer; smoothed derivative of the velocity command. With an
+    estimated vehicle state: states of the delay for position and velocity; the five states of the estimator,
+    at the time of the measurement; smoothed derivative.
     """
-    damped = faster if damped is None else damped
-    if config.own.learns:
-        return _estimated(config, faster, damped)
     loop, feedback, period_s = config.velocity_loop, config.velocity_feedback, 1.0 / config.loop.rate_hz
-    gain, delay_s = config.robust.gain_over_pad_1_s, config.own.delay_s
+    gain, delay_s, learns = config.robust.gain_over_pad_1_s, config.own.delay_s, config.own.learns
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
     late_s = delay_s + TICKS_LATE * period_s
-    p, v, a, late, m, dm, f, s = np.eye(8)
-    measured = late - v
-    observed = measured + delay_s * (dm + f)
-    missed = measured - m
-    wanted, wanted_slope = -gain * p, -gain * v
-    now = m + delay_s * (dm + f)
+    if learns:
+        p, v, a, late_p, late_v, q, m, dm, e, f, s = np.eye(11)
+        now = m + delay_s * (dm + f)
+        wanted, slope = -gain * (q + delay_s * m), -gain * now
+    else:
+        p, v, a, late_v, m, dm, f, s = np.eye(8)
+        now, e = m + delay_s * (dm + f), 0.0 * p  # the reported velocity has no error
+        wanted, slope = -gain * p, -gain * v
     aim = s + feedback.error_rate_1_s * (wanted - now) - f
-    u = now + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)
-    observer = feedback.observer_rate_1_s
-    return np.array(
-        [
-            v,
-            a,
-            (faster * w) ** 2 * (u - v) - damped * drag * a,
-            (2.0 * v - late) * 2.0 / late_s,
-            dm + f + 2.0 * observer * missed,
-            w * w * (u - observed) - drag * dm,
-            observer * observer * missed,
-            (wanted_slope - s) / max(loop.slope_time_s, period_s),
-        ]
-    )
-
-
-def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
-    """Return the matrix of ``linear`` with the estimator of the vehicle state, whose gains act once a tick.
-
-    States: position relative to the target, velocity, acceleration; states of the delay for position and
-    velocity; the five states of the estimator, at the time of the measurement; smoothed derivative of the
-    velocity command.
-    """
-    loop, feedback, period_s = config.velocity_loop, config.velocity_feedback, 1.0 / config.loop.rate_hz
-    gain, delay_s = config.robust.gain_over_pad_1_s, config.own.delay_s
-    w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
-    late_s = delay_s + TICKS_LATE * period_s
-    p, v, a, late_p, late_v, q, m, dm, e, f, s = np.eye(11)
+    u = now + e + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)  # set-point of the velocity
+    flown = (faster * w) ** 2 * (u - v) - (faster if damped is None else damped) * drag * a
+    held = (2.0 * v - late_v) * 2.0 / late_s
+    smoothed = (slope - s) / max(loop.slope_time_s, period_s)
+    if not learns:
+        measured = late_v - v
+        observed, missed = measured + delay_s * (dm + f), measured - m
+        observer = feedback.observer_rate_1_s
+        model = w * w * (u - observed) - drag * dm
+        observes = (dm + f + 2.0 * observer * missed, model, observer * observer * missed)
+        return np.array([v, a, flown, held, *observes, smoothed])
     position, velocity = late_p - p - q, late_v - v - m - e  # innovations of the measurements
-    now_p, now_m = q + delay_s * m, m + delay_s * (dm + f)
-    aim = s + feedback.error_rate_1_s * (-gain * now_p - now_m) - f
-    u = now_m + e + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)  # set-point of the velocity
     gains = steady_gains(loop, config.own, period_s)
     added = [(k * position + j * velocity) / period_s for k, j in zip(*gains, strict=True)]
-    fades_1_s, push_fades_1_s = 1.0 / config.own.velocity_error_time_s, 1.0 / PUSH_TIME_S
-    return np.array(
-        [
-            v,
-            a,
-            (faster * w) ** 2 * (u - v) - damped * drag * a,
-            (2.0 * p - late_p) * 2.0 / late_s,
-            (2.0 * v - late_v) * 2.0 / late_s,
-            m + added[0],
-            dm + f + added[1],
-            w * w * (u - m - e) - drag * dm + added[2],
-            added[3] - fades_1_s * e,
-            added[4] - push_fades_1_s * f,
-            (-gain * now_m - s) / max(loop.slope_time_s, period_s),
-        ]
-    )
+    moves = (
+        m, dm + f, w * w * (u - m - e) - drag * dm, -1.0 / config.own.velocity_error_time_s * e,
+        -1.0 / PUSH_TIME_S * f,
+    )  # fmt: skip
+    learned = [move + more for move, more in zip(moves, added, strict=True)]
+    return np.array([v, a, flown, (2.0 * p - late_p) * 2.0 / late_s, held, *learned, smoothed])
 
 
 def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float, float]:
@@ -168,45 +140,33 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
     tilted_m_s2 = loop.error_max_m_s * loop.rate_xy_1_s / (2.0 * loop.damping)
     least, where = min(decay_1_s(one, 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)) for one in flown)
     return [
-        Check(
-            "velocity feedback", "the feedback loop is stable for the declared vehicle",
-            decay - MIN_DECAY_1_S, "1/s", f"decays at {decay:.3g} 1/s at least, {MIN_DECAY_1_S:g} are needed",
-            remedy,
-        ),
-        Check(
-            "velocity feedback, spread", "the feedback loop is stable for each vehicle of the spread",
-            least - MIN_DECAY_1_S, "1/s",
-            f"decays at {least:.3g} 1/s at least, with a velocity loop {where:.3g} times as fast as declared",
-            f"lower envelope.lag_spread, or {remedy}", PROOF,
-        ),
-        Check(
-            "velocity feedback, model",
-            "the feedback is no faster than the model of the velocity loop is valid",
-            BANDWIDTH - fastest + 1e-9, "times",
-            f"{fastest:.3g} times as fast as velocity_loop.rate_xy_1_s, {BANDWIDTH:g} are allowed",
-            "lower velocity_feedback.tilt_rate_1_s or error_rate_1_s, and the far ones", PROOF,
-        ),
-        Check(
-            "velocity_feedback.observer_rate_1_s", "the observer is quick enough beside the velocity loop",
-            observer - OBSERVER + 1e-9, "times",
-            f"{observer:.3g} times velocity_loop.rate_xy_1_s, {OBSERVER:g} are required",
-            "raise velocity_feedback.observer_rate_1_s", PROOF,
-        ),
-        Check(
-            "velocity_feedback.acceleration_max_m_s2",
-            "the feedback allows the acceleration of the commanded velocity", most_m_s2 - wanted_m_s2,
-            "m/s^2",
-            f"found {most_m_s2:g}, robust.acceleration_max_m_s2 allows {wanted_m_s2:g}",
-            "raise velocity_feedback.acceleration_max_m_s2, or lower robust.acceleration_max_m_s2", PROOF,
-        ),
-        Check(
-            "velocity_loop.error_max_m_s, feedback",
-            "the vehicle tilts no more than the model of the velocity loop is valid for",
-            ACCELERATION_MAX_M_S2 - tilted_m_s2, "m/s^2",
-            f"found {loop.error_max_m_s:g}, which accelerates with {tilted_m_s2:.3g} m/s^2; "
-            f"{ACCELERATION_MAX_M_S2:g} are allowed",
-            "lower velocity_loop.error_max_m_s", PROOF,
-        ),
+        Check("velocity feedback", "the feedback loop is stable for the declared vehicle",
+              decay - MIN_DECAY_1_S, "1/s",
+              f"decays at {decay:.3g} 1/s at least, {MIN_DECAY_1_S:g} are needed", remedy),
+        Check("velocity feedback, spread", "the feedback loop is stable for each vehicle of the spread",
+              least - MIN_DECAY_1_S, "1/s",
+              f"decays at {least:.3g} 1/s at least, with a velocity loop {where:.3g} times as fast as "
+              "declared",
+              f"lower envelope.lag_spread, or {remedy}", PROOF),
+        Check("velocity feedback, model",
+              "the feedback is no faster than the model of the velocity loop is valid",
+              BANDWIDTH - fastest + 1e-9, "times",
+              f"{fastest:.3g} times as fast as velocity_loop.rate_xy_1_s, {BANDWIDTH:g} are allowed",
+              "lower velocity_feedback.tilt_rate_1_s or error_rate_1_s, and the far ones", PROOF),
+        Check("velocity_feedback.observer_rate_1_s",
+              "the observer is quick enough beside the velocity loop", observer - OBSERVER + 1e-9, "times",
+              f"{observer:.3g} times velocity_loop.rate_xy_1_s, {OBSERVER:g} are required",
+              "raise velocity_feedback.observer_rate_1_s", PROOF),
+        Check("velocity_feedback.acceleration_max_m_s2",
+              "the feedback allows the acceleration of the commanded velocity", most_m_s2 - wanted_m_s2,
+              "m/s^2", f"found {most_m_s2:g}, robust.acceleration_max_m_s2 allows {wanted_m_s2:g}",
+              "raise velocity_feedback.acceleration_max_m_s2, or lower robust.acceleration_max_m_s2", PROOF),
+        Check("velocity_loop.error_max_m_s, feedback",
+              "the vehicle tilts no more than the model of the velocity loop is valid for",
+              ACCELERATION_MAX_M_S2 - tilted_m_s2, "m/s^2",
+              f"found {loop.error_max_m_s:g}, which accelerates with {tilted_m_s2:.3g} m/s^2; "
+              f"{ACCELERATION_MAX_M_S2:g} are allowed",
+              "lower velocity_loop.error_max_m_s", PROOF),
     ]  # fmt: skip
 
 
@@ -232,22 +192,20 @@ def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     """
     if config.own.learns:
         return math.inf, 1.0
+
+    def piece(low: float, high: float) -> tuple[float, float, float, float]:
+        own_m, beside_m = _piece_m(config, x, low, high)
+        return -(own_m + beside_m), own_m, low, high
+
     spread = config.envelope.lag_spread
-    low, high = 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)
-    pieces = [(*_reach_m(config, x, low, high), low, high)]
+    pieces = [piece(1.0 / (1.0 + spread), 1.0 / (1.0 - spread))]
     while True:  # the interval with the largest bound is first
         least, own_m, low, high = heapq.heappop(pieces)
-        if -least <= (1.0 + SLACK) * own_m or high - low < FOLLOW_PIECE_MIN:
-            return -least, 0.5 * (low + high)
         middle = 0.5 * (low + high)
+        if -least <= (1.0 + SLACK) * own_m or high - low < FOLLOW_PIECE_MIN:
+            return -least, middle
         for half in ((low, middle), (middle, high)):
-            heapq.heappush(pieces, (*_reach_m(config, x, *half), *half))
-
-
-def _reach_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
-    """Return minus the largest distance of all vehicles of an interval, and that of its central vehicle."""
-    own_m, beside_m = _piece_m(config, x, low, high)
-    return -(own_m + beside_m), own_m
+            heapq.heappush(pieces, piece(*half))
 
 
 def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
@@ -330,9 +288,7 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
 
 def matrix_exp(matrix: F64) -> F64:
     """Return the exponential of a square matrix."""
-    from scipy.linalg import (
-        expm,
-    )  # a late import: it takes 0.5 s, and every process of a flight loads this module
+    from scipy.linalg import expm  # late import of 0.5 s: every process of a flight loads this module
 
     result: F64 = expm(matrix)
     return result

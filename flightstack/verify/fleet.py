@@ -25,7 +25,7 @@ from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.strategies.strategy import strategy_class, strategy_of
 from flightstack.core.types import Vec3
 from flightstack.verify import paper, touchdown
-from flightstack.verify.bound import Cell, Shape, Span, most
+from flightstack.verify.bound import Most, Shape, Span, most
 from flightstack.verify.envelope import extremes
 from flightstack.verify.types import PROOF, Check
 
@@ -250,7 +250,7 @@ def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
     return min(vx, vy, (vz - c.climb_m_s) / c.steepest - config.touchdown.target_speed_max_m_s)
 
 
-def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: float) -> tuple[float, float]:
+def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: float) -> Most:
     """Return the largest violation of one neighbour's constraint at h = 0, and the elevation of its g (rad).
 
     ``aside_m_s``: largest horizontal speed of evasion; ``lowest``: smallest elevation of g; -pi / 2 is a
@@ -261,18 +261,13 @@ def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: floa
     def length(angle: float) -> float:
         return math.hypot(math.cos(angle), c.flat * math.sin(angle))
 
-    def value(at: tuple[float, ...]) -> float:
-        away = aside_m_s * math.cos(at[0]) + c.flat * vz * math.sin(at[0])
-        return c.speed_m_s * length(at[0]) + c.growth_m_s - away
-
-    def upper(cell: Cell) -> float:  # each term is monotone above and below the horizontal plane
-        low, high = cell[0]
+    def upper(span: Span) -> float:  # each term is monotone above and below the horizontal plane
+        low, high = span
         at = (low, high, 0.0) if low < 0.0 < high else (low, high)
         pushed, aside = max(map(length, at)), max(-aside_m_s * math.cos(each) for each in at)
         return c.speed_m_s * pushed + c.growth_m_s + aside - c.flat * vz * math.sin(low)
 
-    worst = most(upper, value, (Span(lowest, math.pi / 2.0),), ((0.0,),))
-    return worst.bound, worst.at[0]
+    return most(upper, Span(lowest, math.pi / 2.0), (0.0,))
 
 
 def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:

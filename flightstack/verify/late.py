@@ -137,25 +137,19 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
     )
     remedy = "lower robust.{} or velocity_loop.gain_xy, or identify the loop again (flightstack identify)"
     return [
-        Check(
-            "position loop",
-            f"the descent's position loop is damped by {DAMPING_MIN:g} at least with the slowest vehicle",
-            damping - DAMPING_MIN, "",
-            f"gain {over:.3g} 1/s at a lag of {lag_s:.3g} s: damping {damping:.3g}",
-            f"lower robust.{key}", PROOF,
-        ),
-        Check(
-            "lead", "the loop of position and lead is stable for the declared vehicle", slack, "1/s",
-            f"an error decays at {slack + least_1_s[slack_gain]:.3g} 1/s, least: {least_1_s[slack_gain]:g}",
-            remedy.format(gains[slack_gain]),
-        ),
-        Check(
-            "lead, spread", "the loop of position and lead is stable for each vehicle of the spread", room,
-            "1/s",
-            f"an error decays at {room + needed:.3g} 1/s with {slower:.3g} times the lag and "
-            f"{response:.3g} times the velocity commanded, {needed:g} are needed",
-            remedy.format(gains[gain]), PROOF,
-        ),
+        Check("position loop",
+              f"the descent's position loop is damped by {DAMPING_MIN:g} at least with the slowest vehicle",
+              damping - DAMPING_MIN, "",
+              f"gain {over:.3g} 1/s at a lag of {lag_s:.3g} s: damping {damping:.3g}",
+              f"lower robust.{key}", PROOF),
+        Check("lead", "the loop of position and lead is stable for the declared vehicle", slack, "1/s",
+              f"an error decays at {slack + least_1_s[slack_gain]:.3g} 1/s, least: {least_1_s[slack_gain]:g}",
+              remedy.format(gains[slack_gain])),
+        Check("lead, spread", "the loop of position and lead is stable for each vehicle of the spread", room,
+              "1/s",
+              f"an error decays at {room + needed:.3g} 1/s with {slower:.3g} times the lag and "
+              f"{response:.3g} times the velocity commanded, {needed:g} are needed",
+              remedy.format(gains[gain]), PROOF),
     ]  # fmt: skip
 
 

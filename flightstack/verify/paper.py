@@ -2,9 +2,9 @@
 
 At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box gives
 ``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target takes ``|s| w + w_z``. The difference must not be
-negative at any distance and in any direction. Near the apex the filter's gradient is smaller than s. The
-difference is linear in |s|, and the check at the peak includes s = 0. Therefore the bound also holds at the
-apex.
+negative at any distance and in any direction; it is smallest along the slower axis of the box. Near the apex
+the filter's gradient is smaller than s. The difference is linear in |s|, and the check at the peak includes
+s = 0. Therefore the bound also holds at the apex.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import math
 
 from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
 from flightstack.core.types import Vec3
-from flightstack.verify.bound import Cell, Most, Shape, Span, most
+from flightstack.verify.bound import Most, Shape, Span, most
 from flightstack.verify.types import PROOF, Check
 
 TICK_S = 0.05  # length of a tick, s, that is allowed even if the vehicle's lag is shorter
@@ -22,33 +22,19 @@ FASTER = 1.4  # required ratio of the vehicle's speed to the target's
 # Required ratio of the boundary height at half the pad's radius to contact.gap_m. At a ratio of 1 two of 100
 # landings touched the pad's edge, at 1.6 none.
 CENTRES = 1.5
-QUARTER = Span(0.0, math.pi / 2.0)  # checked directions; by symmetry of box and target they cover all
-ANYWHERE = Span(0.0, math.inf)  # checked horizontal distances, m
 
 
-def shortfall(
-    shape: Shape, box_m_s: Vec3, target_speed_m_s: float, target_climb_m_s: float, d: Span = ANYWHERE
-) -> Most:
-    """Return the fastest fall of h with the best velocity of the box, m/s, and its (distance, angle)."""
-    vx, vy, vz = box_m_s
+def shortfall(shape: Shape, box_m_s: Vec3, target_speed_m_s: float, target_climb_m_s: float) -> Most:
+    """Return the fastest fall of h with the best velocity of the box, m/s, and its distance, m."""
+    excess_m_s = target_speed_m_s - min(box_m_s[:2])
 
-    def lost(slope: Span, angle: Span) -> float:
-        # in the first quadrant, the sine rises and the cosine falls
-        lateral = math.cos(angle.high) * vx + math.sin(angle.low) * vy
+    def lost(d: Span) -> float:
+        slope = shape.slope(d)
         steep = max(abs(slope.low), abs(slope.high))
         flat = 0.0 if slope.low <= 0.0 <= slope.high else min(abs(slope.low), abs(slope.high))
-        excess = target_speed_m_s - lateral
-        return (steep if excess > 0.0 else flat) * excess + target_climb_m_s - vz
+        return (steep if excess_m_s > 0.0 else flat) * excess_m_s + target_climb_m_s - box_m_s[2]
 
-    def upper(cell: Cell) -> float:
-        return lost(shape.slope(cell[0]), cell[1])
-
-    def value(at: tuple[float, ...]) -> float:
-        slope = shape.slope(Span(at[0], at[0]))
-        return max(lost(Span(s, s), Span(at[1], at[1])) for s in slope)
-
-    peak = shape.barrier.peak_distance_m
-    return most(upper, value, (d, QUARTER), ((peak, 0.0),) if d.low <= peak <= d.high else ())
+    return most(lost, Span(0.0, math.inf), (shape.barrier.peak_distance_m,))
 
 
 def basics(
@@ -57,42 +43,33 @@ def basics(
 ) -> list[Check]:  # fmt: skip
     """Return the checks of box, barrier and tick; ``rate`` and ``slew`` are the filter's keys and values."""
     speed, pad_m = config.touchdown.target_speed_max_m_s, config.touchdown.pad_radius_m
+    peak_m = shape.barrier.peak_distance_m
     box, gains, hz = config.limits.velocity_max_m_s, config.position_loop.gain_1_s, config.loop.rate_hz
-    worst = shortfall(shape, box, speed, target_climb_m_s)
-    d, angle = worst.at
+    fastest_m_s, d = shortfall(shape, box, speed, target_climb_m_s)
     slope = round(shape.slope(Span(d, d)).high, 6)
     heave = f" that climbs with {target_climb_m_s:g} m/s" if target_climb_m_s > 0.0 else ""
-    end = "outruns the box" if worst.bound > 0.0 else "does not outrun the box"
+    end = "outruns the box" if fastest_m_s > 0.0 else "does not outrun the box"
     most_1_s, axis = 0.5 * hz, max(range(3), key=lambda i: gains[i])
     key, slew_m_s2 = slew
-    barrier = shape.barrier
     most_m_s2 = [2.0 * limit * hz for limit in box]  # the largest change that the box allows in a tick
     side = min(range(3), key=lambda i: most_m_s2[i] - slew_m_s2[i])
     return [
-        Check(
-            "barrier", "some velocity in the box meets the barrier wherever h >= 0", -worst.bound, "m/s",
-            f"at {d:.3g} m, direction {math.degrees(angle):.0f} deg, slope {slope:.3g}, "
-            f"a target of {speed:g} m/s{heave} {end}",
-            "lower touchdown.target_speed_max_m_s or the slope alpha * beta, or raise "
-            "limits.velocity_max_m_s",
-        ),
+        Check("barrier", "some velocity in the box meets the barrier wherever h >= 0", -fastest_m_s, "m/s",
+              f"at {d:.3g} m, direction {0 if box[0] <= box[1] else 90} deg, slope {slope:.3g}, "
+              f"a target of {speed:g} m/s{heave} {end}",
+              "lower touchdown.target_speed_max_m_s or the slope alpha * beta, or raise "
+              "limits.velocity_max_m_s"),
         sampling(config, *rate),
-        Check(
-            "barrier's peak", "the boundary rises with distance everywhere over the pad",
-            barrier.peak_distance_m - pad_m, "m",
-            f"its peak at {barrier.peak_distance_m:.3g} m, the pad's radius {pad_m:g} m",
-            "make the barrier wider: lower alpha_1_m",
-        ),
-        Check(
-            f"position_loop.gain_1_s[{axis}]", "a tick is short against the position loop",
-            most_1_s - gains[axis], "1/s", f"found {gains[axis]:g}, at {hz} Hz at most {most_1_s:g}",
-            "lower position_loop.gain_1_s or raise loop.rate_hz",
-        ),
-        Check(
-            f"{key}[{side}]", "the slew limit is lower than the change that the box allows in a tick",
-            most_m_s2[side] - slew_m_s2[side], "m/s^2",
-            f"found {slew_m_s2[side]:g}, no limit at {hz} Hz; at most {most_m_s2[side]:g}", f"lower {key}",
-        ),
+        Check("barrier's peak", "the boundary rises with distance everywhere over the pad", peak_m - pad_m,
+              "m", f"its peak at {peak_m:.3g} m, the pad's radius {pad_m:g} m",
+              "make the barrier wider: lower alpha_1_m"),
+        Check(f"position_loop.gain_1_s[{axis}]", "a tick is short against the position loop",
+              most_1_s - gains[axis], "1/s", f"found {gains[axis]:g}, at {hz} Hz at most {most_1_s:g}",
+              "lower position_loop.gain_1_s or raise loop.rate_hz"),
+        Check(f"{key}[{side}]", "the slew limit is lower than the change that the box allows in a tick",
+              most_m_s2[side] - slew_m_s2[side], "m/s^2",
+              f"found {slew_m_s2[side]:g}, no limit at {hz} Hz; at most {most_m_s2[side]:g}",
+              f"lower {key}"),
     ]  # fmt: skip
 
 
@@ -136,62 +113,43 @@ def answers(config: FlightConfig) -> list[Check]:
     barrier, (key, touch_m) = config.barrier, touch_height(config)
     rises_m_s, half_m = barrier.slope_max * target_m_s, barrier.height(0.5 * pad_m)
     return [
-        Check(
-            "lag",
-            "the distance flown during the lag, which the paper neglects, is shorter than the pad's radius",
-            pad_m - speed * lag_s, "m", f"at {speed:g} m/s the slowest vehicle flies {speed * lag_s:.3g} m, "
-            f"the pad's radius is {pad_m:g} m",
-            'choose filter = "robust", or lower limits.velocity_max_m_s; or velocity_loop.lag_xy_s if it '
-            "is less",
-            PROOF,
-        ),
-        Check(
-            "position loop", "the position loop is damped with the slowest vehicle",
-            0.5 - max(kx, ky) * lag_s, "", f"gain {max(kx, ky):g} 1/s at a lag of {lag_s:.3g} s",
-            "lower position_loop.gain_1_s", PROOF,
-        ),
-        Check(
-            "position loop, vertical", "the vertical position loop is damped with the slowest vehicle",
-            0.5 - kz * settles_s, "", f"gain {kz:g} 1/s at a lag of {settles_s:.3g} s",
-            "lower position_loop.gain_1_s", PROOF,
-        ),
-        Check(
-            "position loop, filter", "the vehicle comes to the middle more quickly than h may fall",
-            min(kx, ky, kz) - QUICKER * omega_1_s, "1/s", f"gain {min(kx, ky, kz):g}, omega {omega_1_s:g}",
-            f"raise position_loop.gain_1_s to {QUICKER:g} times barrier.omega_1_s, or lower that", PROOF,
-        ),
-        Check(
-            "limits.velocity_max_m_s", "the vehicle overtakes the target",
-            overtakes_m_s - FASTER * target_m_s,
-            "m/s", f"found {overtakes_m_s:g}, the target has {target_m_s:g}",
-            f"raise it to {FASTER:g} times touchdown.target_speed_max_m_s", PROOF,
-        ),
-        Check(
-            "climb", "the vehicle climbs as fast as the boundary rises over a target that turns back",
-            vz - rises_m_s, "m/s",
-            f"slope {barrier.slope_max:.3g} at {target_m_s:g} m/s, the vehicle climbs with {vz:g} m/s",
-            "lower the slope alpha * beta, or raise limits.velocity_max_m_s", PROOF,
-        ),
-        Check(
-            "cone", "as low as a touchdown, a vehicle above the barrier is within half the pad's radius",
-            half_m - touch_m, "m",
-            f"there the boundary is {half_m:.3g} m high, {key} is {touch_m:g} m",
-            f"raise the slope alpha * beta, or lower {key.split()[-1]}", PROOF,
-        ),
-        Check(
-            "barrier.omega_1_s", "h may fall more slowly than the vertical velocity settles",
-            1.0 - omega_1_s * settles_s, "",
-            f"omega {omega_1_s:g}, the slowest vehicle lags {settles_s:.3g} s",
-            "lower barrier.omega_1_s", PROOF,
-        ),
-        Check(
-            "slew", "the command may change as quickly as the target's velocity", min(ax, ay) - target_m_s2,
-            "m/s^2", f"found {min(ax, ay):g}, the target has {target_m_s2:g}", "raise limits.slew_max_m_s2",
-            PROOF,
-        ),
-        Check(
-            "tick", f"a tick is no longer than the vehicle's lag, or than {TICK_S:g} s if the lag is shorter",
-            quick_s - tick_s, "s",
-            f"found {tick_s:.3g}, the lag is {loop.lag_xy_s:g}", "raise loop.rate_hz", PROOF,
-        ),
+        Check("lag",
+              "the distance flown during the lag, which the paper neglects, is shorter than the pad's radius",
+              pad_m - speed * lag_s, "m",
+              f"at {speed:g} m/s the slowest vehicle flies {speed * lag_s:.3g} m, the pad's radius is "
+              f"{pad_m:g} m",
+              'choose filter = "robust", or lower limits.velocity_max_m_s; or velocity_loop.lag_xy_s if it '
+              "is less", PROOF),
+        Check("position loop", "the position loop is damped with the slowest vehicle",
+              0.5 - max(kx, ky) * lag_s, "", f"gain {max(kx, ky):g} 1/s at a lag of {lag_s:.3g} s",
+              "lower position_loop.gain_1_s", PROOF),
+        Check("position loop, vertical", "the vertical position loop is damped with the slowest vehicle",
+              0.5 - kz * settles_s, "", f"gain {kz:g} 1/s at a lag of {settles_s:.3g} s",
+              "lower position_loop.gain_1_s", PROOF),
+        Check("position loop, filter", "the vehicle comes to the middle more quickly than h may fall",
+              min(kx, ky, kz) - QUICKER * omega_1_s, "1/s",
+              f"gain {min(kx, ky, kz):g}, omega {omega_1_s:g}",
+              f"raise position_loop.gain_1_s to {QUICKER:g} times barrier.omega_1_s, or lower that", PROOF),
+        Check("limits.velocity_max_m_s", "the vehicle overtakes the target",
+              overtakes_m_s - FASTER * target_m_s, "m/s",
+              f"found {overtakes_m_s:g}, the target has {target_m_s:g}",
+              f"raise it to {FASTER:g} times touchdown.target_speed_max_m_s", PROOF),
+        Check("climb", "the vehicle climbs as fast as the boundary rises over a target that turns back",
+              vz - rises_m_s, "m/s",
+              f"slope {barrier.slope_max:.3g} at {target_m_s:g} m/s, the vehicle climbs with {vz:g} m/s",
+              "lower the slope alpha * beta, or raise limits.velocity_max_m_s", PROOF),
+        Check("cone", "as low as a touchdown, a vehicle above the barrier is within half the pad's radius",
+              half_m - touch_m, "m", f"there the boundary is {half_m:.3g} m high, {key} is {touch_m:g} m",
+              f"raise the slope alpha * beta, or lower {key.split()[-1]}", PROOF),
+        Check("barrier.omega_1_s", "h may fall more slowly than the vertical velocity settles",
+              1.0 - omega_1_s * settles_s, "",
+              f"omega {omega_1_s:g}, the slowest vehicle lags {settles_s:.3g} s", "lower barrier.omega_1_s",
+              PROOF),
+        Check("slew", "the command may change as quickly as the target's velocity",
+              min(ax, ay) - target_m_s2, "m/s^2", f"found {min(ax, ay):g}, the target has {target_m_s2:g}",
+              "raise limits.slew_max_m_s2", PROOF),
+        Check("tick",
+              f"a tick is no longer than the vehicle's lag, or than {TICK_S:g} s if the lag is shorter",
+              quick_s - tick_s, "s", f"found {tick_s:.3g}, the lag is {loop.lag_xy_s:g}",
+              "raise loop.rate_hz", PROOF),
     ]  # fmt: skip

@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.reserve import GRAVITY_M_S2
-from flightstack.verify.bound import Cell, Most, Shape, Span, most
+from flightstack.verify.bound import Most, Shape, Span, most
 from flightstack.verify.envelope import Extremes
 from flightstack.verify.paper import shortfall
 from flightstack.verify.types import PROOF, Check
@@ -47,19 +47,14 @@ def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign
 
 def outside(x: Extremes, function: Callable[[Span], float]) -> Most:
     """Return the largest value of a function of the distance, outside the pad."""
-
-    def upper(cell: Cell) -> float:
-        return function(cell[0])
-
-    return most(upper, lambda at: function(Span(at[0], at[0])), (Span(x.pad_radius_m, math.inf),))
+    return most(function, Span(x.pad_radius_m, math.inf))
 
 
 def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
     """Return the largest loss of h because the barrier condition is enforced only at ticks, m.
 
-    A demand that grows with g costs g T^2 / 2 per tick, and the rate r restores it: g T / (2 r) for permanent
-    growth. The demand is bounded, so its worst course is a saw-tooth of growth and fall with these slopes;
-    then the loss is g T / (2 r) (1 - exp(-r t_up)) / (1 - exp(-r (t_up + t_down))).
+    The worst course of the demand is a saw-tooth of its fastest growth g and its fastest fall. The loss is
+    then g T / (2 r) (1 - exp(-r t_up)) / (1 - exp(-r (t_up + t_down))).
     """
     rate_1_s, period_s = config.robust.rate_1_s, 1.0 / config.loop.rate_hz
     growth = outside(x, lambda d: demand_change(config, x, x.usual, d)).bound
@@ -89,7 +84,7 @@ def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
         return 1000.0 * (kept_m + error_m - held_m * (1.0 - fade))
 
     lack = outside(x, lacking)  # the result is in mm
-    return 1e-3 * max(0.0, lack.bound) + between_ticks_m(config, x) + x.growth_m, lack.at[0]
+    return 1e-3 * max(0.0, lack.bound) + between_ticks_m(config, x) + x.growth_m, lack.at
 
 
 def demand_growth(config: FlightConfig, x: Extremes) -> Most:
@@ -106,14 +101,13 @@ def demand_growth(config: FlightConfig, x: Extremes) -> Most:
 
 def outside_pad(config: FlightConfig, x: Extremes) -> list[Check]:
     """Return the checks of the filter's motion outside the pad, and of its estimators."""
-    robust, link, (_, _, vz), az = (
-        config.robust, config.target, config.limits.velocity_max_m_s, config.slew_max_m_s2[2]
-    )  # fmt: skip
+    robust, link, az = config.robust, config.target, config.slew_max_m_s2[2]
+    box_m_s, vz = config.limits.velocity_max_m_s, config.limits.velocity_max_m_s[2]
     most_1_s = 1.0 / x.lag_z_s if x.lag_z_s > 0.0 else math.inf
-    short = shortfall(x.shape, config.limits.velocity_max_m_s, x.target_speed_m_s, x.target_climb_m_s)
-    rises_m_s = -short.bound - robust.tracking_error_m_s
+    falls_m_s, lowest_m = shortfall(x.shape, box_m_s, x.target_speed_m_s, x.target_climb_m_s)
+    rises_m_s = -falls_m_s - robust.tracking_error_m_s
     deep_m = x.barrier.peak_height_m + x.shape.margin_m.high
-    time = f"at most {deep_m / rises_m_s:.3g} s from the deepest point"
+    lasts = f"at most {deep_m / rises_m_s:.3g} s from the deepest point"
     steep, growth = outside(x, lambda d: demand(x, x.shape.slope(d))), demand_growth(config, x)
     climb_m_s = steep.bound + x.target_climb_m_s + robust.tracking_error_m_s
     depth, where = depth_m(config, x)
@@ -124,56 +118,43 @@ def outside_pad(config: FlightConfig, x: Extremes) -> list[Check]:
     key = "jerk_z_m_s3_sqrthz" if z_m_s2 < xy_m_s2 else "jerk_xy_m_s3_sqrthz"
     jump_m, noise_m = config.checks.target_jump_max_m, NOISE_SIGMAS * link.position_noise_m
     return [
-        Check(
-            "recovery", "from h < 0 the vehicle returns to h >= 0", rises_m_s, "m/s",
-            f"at {short.at[0]:.3g} m h rises with {rises_m_s:.3g} m/s: "
-            + (time if rises_m_s > 0.0 else "never from some points"),
-            "lower touchdown.target_speed_max_m_s or robust.tracking_error_m_s, or raise "
-            "limits.velocity_max_m_s",
-        ),
-        Check(
-            "robust.rate_1_s",
-            "h may fall more slowly than the vertical velocity settles, for each vehicle of the spread",
-            most_1_s - robust.rate_1_s, "1/s", f"found {robust.rate_1_s:g}, the slowest vehicle lags "
-            f"{x.lag_z_s:.3g} s: below {most_1_s:.3g}", "lower robust.rate_1_s",
-        ),
-        Check(
-            "climb",
-            "the vertical axis alone satisfies the barrier before the horizontal velocity has changed",
-            vz - climb_m_s, "m/s",
-            f"at {steep.at[0]:.3g} m it may need {climb_m_s:.3g} m/s, the box has {vz:g}",
-            "raise limits.velocity_max_m_s[2], or lower its horizontal part or "
-            "touchdown.target_speed_max_m_s",
-            PROOF,
-        ),
-        Check(
-            "acceleration",
-            "while the target is followed, the needed vertical velocity changes no faster than the limit",
-            az - growth.bound, "m/s^2",
-            f"at {growth.at[0]:.3g} m it may change with {growth.bound:.3g} m/s^2, allowed are {az:g}",
-            "raise robust.acceleration_max_m_s2[2], or lower its horizontal part or limits.velocity_max_m_s",
-            PROOF,
-        ),
+        Check("recovery", "from h < 0 the vehicle returns to h >= 0", rises_m_s, "m/s",
+              f"at {lowest_m:.3g} m h rises with {rises_m_s:.3g} m/s: "
+              f"{lasts if rises_m_s > 0.0 else 'never from some points'}",
+              "lower touchdown.target_speed_max_m_s or robust.tracking_error_m_s, or raise "
+              "limits.velocity_max_m_s"),
+        Check("robust.rate_1_s",
+              "h may fall more slowly than the vertical velocity settles, for each vehicle of the spread",
+              most_1_s - robust.rate_1_s, "1/s",
+              f"found {robust.rate_1_s:g}, the slowest vehicle lags {x.lag_z_s:.3g} s: below {most_1_s:.3g}",
+              "lower robust.rate_1_s"),
+        Check("climb",
+              "the vertical axis alone satisfies the barrier before the horizontal velocity has changed",
+              vz - climb_m_s, "m/s",
+              f"at {steep.at:.3g} m it may need {climb_m_s:.3g} m/s, the box has {vz:g}",
+              "raise limits.velocity_max_m_s[2], or lower its horizontal part or "
+              "touchdown.target_speed_max_m_s", PROOF),
+        Check("acceleration",
+              "while the target is followed, the needed vertical velocity changes no faster than the limit",
+              az - growth.bound, "m/s^2",
+              f"at {growth.at:.3g} m it may change with {growth.bound:.3g} m/s^2, allowed are {az:g}",
+              "raise robust.acceleration_max_m_s2[2], or lower its horizontal part or "
+              "limits.velocity_max_m_s", PROOF),
         *_reserve(config, growth),
-        Check(
-            "h outside the pad", f"h stays above {-1000.0 * HELD_M:g} mm wherever d exceeds the pad's radius",
-            HELD_M - depth, "m", f"margin {1000.0 * x.usual.margin_m.low:.3g} mm, at {where:.3g} m; "
-            f"h > {-1000.0 * depth:.3g} mm",
-            "lower robust.fade_radius_m, robust.acceleration_max_m_s2 or limits.velocity_max_m_s, or raise "
-            "loop.rate_hz", PROOF,
-        ),
-        Check(
-            "estimator", "the estimator's jerk noise reaches each declared acceleration within a second",
-            min(xy_m_s2, z_m_s2), "m/s^2",
-            f"target.{key} {getattr(link, key):g}, {factor:g} standard deviations of it are covered",
-            f"raise target.{key} or lower envelope.target_acceleration_max_m_s2", PROOF,
-        ),
-        Check(
-            "checks.target_jump_max_m", "two positions of a target with the declared noise are no jump",
-            jump_m - noise_m, "m",
-            f"found {jump_m:g}, the noise of a position is {link.position_noise_m:g} m",
-            f"raise checks.target_jump_max_m to {noise_m:.3g}", PROOF,
-        ),
+        Check("h outside the pad",
+              f"h stays above {-1000.0 * HELD_M:g} mm wherever d exceeds the pad's radius", HELD_M - depth,
+              "m", f"margin {1000.0 * x.usual.margin_m.low:.3g} mm, at {where:.3g} m; "
+              f"h > {-1000.0 * depth:.3g} mm",
+              "lower robust.fade_radius_m, robust.acceleration_max_m_s2 or limits.velocity_max_m_s, or raise "
+              "loop.rate_hz", PROOF),
+        Check("estimator", "the estimator's jerk noise reaches each declared acceleration within a second",
+              min(xy_m_s2, z_m_s2), "m/s^2",
+              f"target.{key} {getattr(link, key):g}, {factor:g} standard deviations of it are covered",
+              f"raise target.{key} or lower envelope.target_acceleration_max_m_s2", PROOF),
+        Check("checks.target_jump_max_m", "two positions of a target with the declared noise are no jump",
+              jump_m - noise_m, "m",
+              f"found {jump_m:g}, the noise of a position is {link.position_noise_m:g} m",
+              f"raise checks.target_jump_max_m to {noise_m:.3g}", PROOF),
         *_own_estimator(config),
     ]  # fmt: skip
 
@@ -191,14 +172,12 @@ def _reserve(config: FlightConfig, growth: Most) -> list[Check]:
         takes, to_v = f"takes {enough_v:.3g} V", math.ceil(100.0 * enough_v) / 100.0
         remedy = f"raise reserve.lowest_voltage_v to {to_v:g} or reserve.share, or "
     return [
-        Check(
-            "thrust reserve",
-            "the battery allows the climb that the barrier may demand, down to its lowest voltage",
-            up_m_s2 - growth.bound, "m/s^2",
-            f"at {low_v:g} V thrust is {least:.3g} times the weight, which climbs with {up_m_s2:.3g} m/s^2; "
-            f"at {growth.at[0]:.3g} m {growth.bound:.3g} are needed, which {takes}",
-            f"{remedy}lower what is needed, as the check acceleration says", PROOF,
-        ),
+        Check("thrust reserve",
+              "the battery allows the climb that the barrier may demand, down to its lowest voltage",
+              up_m_s2 - growth.bound, "m/s^2",
+              f"at {low_v:g} V thrust is {least:.3g} times the weight, which climbs with {up_m_s2:.3g} m/s^2"
+              f"; at {growth.at:.3g} m {growth.bound:.3g} are needed, which {takes}",
+              f"{remedy}lower what is needed, as the check acceleration says", PROOF),
     ]  # fmt: skip
 
 
@@ -213,11 +192,9 @@ def _own_estimator(config: FlightConfig) -> list[Check]:
     gain = max(config.robust.gain_1_s, config.robust.gain_over_pad_1_s, config.robust.to_contact_1_s)
     time_s = config.own.velocity_error_time_s
     return [
-        Check(
-            "own.velocity_error_time_s",
-            "an error of the vehicle's velocity is estimated twice as fast as the position loop acts",
-            0.5 / gain - time_s, "s",
-            f"found {time_s:g} s; with a gain of {gain:g} 1/s at most {0.5 / gain:.3g} s",
-            "lower own.velocity_error_time_s, or set own.velocity_error_m_s to 0", PROOF,
-        ),
+        Check("own.velocity_error_time_s",
+              "an error of the vehicle's velocity is estimated twice as fast as the position loop acts",
+              0.5 / gain - time_s, "s",
+              f"found {time_s:g} s; with a gain of {gain:g} 1/s at most {0.5 / gain:.3g} s",
+              "lower own.velocity_error_time_s, or set own.velocity_error_m_s to 0", PROOF),
     ]  # fmt: skip

@@ -122,65 +122,43 @@ def over_pad(config: FlightConfig, x: Extremes) -> list[Check]:
     left_m = config.limits.altitude_max_m - max(top_m, peak_m + x.shape.margin_m.high)
     return [
         # only PROOF: a slower target can still be reached
-        Check(
-            "follow", "the vehicle is faster than the target", min(vx, vy) - x.target_speed_m_s, "m/s",
-            f"horizontally the box has {min(vx, vy):g} m/s, the target {x.target_speed_m_s:g}",
-            "raise limits.velocity_max_m_s or lower touchdown.target_speed_max_m_s",
-            PROOF,
-        ),
-        Check(
-            "descent on a heaving pad", "the box contains the descent and the pad's own motion",
-            vz - down_m_s,
-            "m/s", f"the box has {vz:g} m/s vertically, {down_m_s:.3g} are needed",
-            "raise limits.velocity_max_m_s[2] or lower robust.descent_m_s",
-        ),
-        Check(
-            "checks.target_speed_max_m_s", "samples of the fastest target pass the check of their speed",
-            config.checks.target_speed_max_m_s - shows_m_s, "m/s",
-            f"found {config.checks.target_speed_max_m_s:g}, the target shows up to {shows_m_s:.3g}",
-            "raise checks.target_speed_max_m_s",
-        ),
-        Check(
-            "commit height", "the boundary with its margin does not block the descent to the commit height",
-            robust.commit_height_m - hover_m, "m",
-            f"at commit_radius {robust.commit_radius_m:g} m it ends at "
-            f"{hover_m:.3g} m, commit_height: {robust.commit_height_m:g} m",
-            "raise robust.commit_height_m, or lower robust.commit_radius_m or robust.tracking_error_m_s",
-        ),
-        Check(
-            "wait height", "the vehicle waits below the commit height",
-            robust.commit_height_m - robust.wait_height_m - x.height_error_m, "m",
-            f"it waits at {robust.wait_height_m:g} m, the commit height is {robust.commit_height_m:g} m",
-            "raise robust.commit_height_m or lower robust.wait_height_m",
-        ),
-        Check(
-            "touch height",
-            "a vehicle standing on the pad is below the height at which a stopped descent is contact",
-            robust.touch_height_m - feet_m - x.height_error_m, "m",
-            f"found {robust.touch_height_m:g}, it stands at {feet_m:g} m", "raise robust.touch_height_m",
-        ),
-        Check(
-            "corridor", "the corridor lies over the pad", pad_m - robust.corridor_m, "m",
-            f"robust.corridor_m {robust.corridor_m:g} m, the pad's radius {pad_m:g} m",
-            f"lower robust.corridor_m to {pad_m:g} or less",
-        ),
-        Check(
-            "descent time", "the last descent ends before its time limit", touchdown.timeout_s - time_s, "s",
-            f"it may take {time_s:.3g} s, allowed are {touchdown.timeout_s:g}",
-            "raise robust.descent_m_s or touchdown.timeout_s, or lower robust.commit_height_m",
-        ),
-        Check(
-            "robust.descent_min_m_s", "the slowest descent ends between the waiting height and the pad",
-            room_m - stop_m, "m",
-            f"found {speed:g}, which ends within {stop_m:.3g} m; it waits {room_m:.3g} m above",
-            "lower robust.descent_min_m_s or raise robust.wait_height_m", PROOF,
-        ),
-        Check(
-            "altitude", "the climb clear of the target ends below the highest altitude", left_m, "m",
-            f"it ends {top_m:.3g} m above the pad; that leaves {max(0.0, left_m):.3g} m for the pad's "
-            "own height",
-            "raise limits.altitude_max_m",
-        ),
+        Check("follow", "the vehicle is faster than the target", min(vx, vy) - x.target_speed_m_s, "m/s",
+              f"horizontally the box has {min(vx, vy):g} m/s, the target {x.target_speed_m_s:g}",
+              "raise limits.velocity_max_m_s or lower touchdown.target_speed_max_m_s", PROOF),
+        Check("descent on a heaving pad", "the box contains the descent and the pad's own motion",
+              vz - down_m_s, "m/s", f"the box has {vz:g} m/s vertically, {down_m_s:.3g} are needed",
+              "raise limits.velocity_max_m_s[2] or lower robust.descent_m_s"),
+        Check("checks.target_speed_max_m_s", "samples of the fastest target pass the check of their speed",
+              config.checks.target_speed_max_m_s - shows_m_s, "m/s",
+              f"found {config.checks.target_speed_max_m_s:g}, the target shows up to {shows_m_s:.3g}",
+              "raise checks.target_speed_max_m_s"),
+        Check("commit height", "the boundary with its margin does not block the descent to the commit height",
+              robust.commit_height_m - hover_m, "m",
+              f"at commit_radius {robust.commit_radius_m:g} m it ends at {hover_m:.3g} m, commit_height: "
+              f"{robust.commit_height_m:g} m",
+              "raise robust.commit_height_m, or lower robust.commit_radius_m or robust.tracking_error_m_s"),
+        Check("wait height", "the vehicle waits below the commit height",
+              robust.commit_height_m - robust.wait_height_m - x.height_error_m, "m",
+              f"it waits at {robust.wait_height_m:g} m, the commit height is {robust.commit_height_m:g} m",
+              "raise robust.commit_height_m or lower robust.wait_height_m"),
+        Check("touch height",
+              "a vehicle standing on the pad is below the height at which a stopped descent is contact",
+              robust.touch_height_m - feet_m - x.height_error_m, "m",
+              f"found {robust.touch_height_m:g}, it stands at {feet_m:g} m", "raise robust.touch_height_m"),
+        Check("corridor", "the corridor lies over the pad", pad_m - robust.corridor_m, "m",
+              f"robust.corridor_m {robust.corridor_m:g} m, the pad's radius {pad_m:g} m",
+              f"lower robust.corridor_m to {pad_m:g} or less"),
+        Check("descent time", "the last descent ends before its time limit", touchdown.timeout_s - time_s,
+              "s", f"it may take {time_s:.3g} s, allowed are {touchdown.timeout_s:g}",
+              "raise robust.descent_m_s or touchdown.timeout_s, or lower robust.commit_height_m"),
+        Check("robust.descent_min_m_s", "the slowest descent ends between the waiting height and the pad",
+              room_m - stop_m, "m",
+              f"found {speed:g}, which ends within {stop_m:.3g} m; it waits {room_m:.3g} m above",
+              "lower robust.descent_min_m_s or raise robust.wait_height_m", PROOF),
+        Check("altitude", "the climb clear of the target ends below the highest altitude", left_m, "m",
+              f"it ends {top_m:.3g} m above the pad; that leaves {max(0.0, left_m):.3g} m for the pad's own "
+              "height",
+              "raise limits.altitude_max_m"),
         _tilts(config, x),
         modelled(config),
         _drift(config.descending, x),
@@ -190,13 +168,8 @@ def over_pad(config: FlightConfig, x: Extremes) -> list[Check]:
 def _tilts(config: FlightConfig, x: Extremes) -> Check:
     """Check that the bound of the set-point allows the required acceleration.
 
-    A second-order loop whose set-point exceeds its velocity by e accelerates with w e / (2 z), which is e
-    divided by its lag without the dead time. The nominal command relies on this for braking. From rest to the
-    full speed v it lags by v / (2 A), minus v / (2 a) of the command's ramp, in addition to its lag.
-    Above ``checks.follow_lag_max_s`` the vehicle counts as one that does not follow, and lands beside the
-    robot. With a dead time the set-point exceeds a predicted velocity by e. The error of the prediction is
-    measured a dead time later, so the dead time counts again: the acceleration is e divided by the whole lag
-    of the slowest vehicle.
+    docs/how_it_works/robust_filter.md, *Limits of the lead*, derives the acceleration. From rest to the full
+    speed v the vehicle lags by v / (2 A), minus v / (2 a) of the command's ramp, in addition to its lag.
     """
     loop, (ax, ay, _) = config.velocity_loop, config.slew_max_m_s2
     speed, slew = max(config.limits.velocity_max_m_s[:2]), min(ax, ay)
@@ -232,20 +205,19 @@ def farthest_m(config: FlightConfig, x: Extremes) -> tuple[float, str]:
 
 def _drift(config: FlightConfig, x: Extremes) -> Check:
     """Check that the vehicle touches the pad; the configuration has the gain of the final descent."""
-    touches = "after the commit the vehicle touches the pad, for any motion"
-    followed = config.velocity_feedback.horizontal or config.velocity_loop.dead_time_s > 0.0
-    moved = " that it followed" if followed else ""
-    remedy = "lower robust.commit_speed_m_s or robust.commit_radius_m"
-    if config.velocity_feedback.horizontal:
-        remedy = "lower envelope.lag_spread or envelope.target_acceleration_max_m_s2"
+    fed_back = config.velocity_feedback.horizontal
     farthest, how = farthest_m(config, x)
     worst = f"{1000.0 * farthest:.3g} mm from the middle{how}"
-    if config.velocity_feedback.horizontal and config.own.learns:
+    remedy = "lower robust.commit_speed_m_s or robust.commit_radius_m"
+    if fed_back and config.own.learns:
         worst = "no bound is known for a vehicle that estimates its own state (own.velocity_error_m_s)"
         remedy = "campaigns show how far from the middle it touches"
-    claim = f"{touches} of {'a' if moved else 'the'} target{moved}"
+    elif fed_back:
+        remedy = "lower envelope.lag_spread or envelope.target_acceleration_max_m_s2"
+    followed = fed_back or config.velocity_loop.dead_time_s > 0.0
+    target = "a target that it followed" if followed else "the target"
     return Check(
-        "drift", claim, x.pad_radius_m - farthest, "m",
-        f"{worst}; the pad has {1000.0 * x.pad_radius_m:g} mm",
+        "drift", f"after the commit the vehicle touches the pad, for any motion of {target}",
+        x.pad_radius_m - farthest, "m", f"{worst}; the pad has {1000.0 * x.pad_radius_m:g} mm",
         f"{remedy}; the vehicle then goes around more often", PROOF,
     )  # fmt: skip
