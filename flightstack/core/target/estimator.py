@@ -161,14 +161,9 @@ class TargetEstimator:
         )  # fmt: skip
         if dt_s < 0.0:  # for an earlier time the uncertainty is not reduced
             fades = lasts = _NOW
-        jerk2_xy = self._jerk2_xy()
-        return TargetMotion(
-            position,
-            velocity,
-            math.sqrt(_position_variance(memory.covariance_xy, fades, jerk2_xy)),
-            math.sqrt(_position_variance(memory.covariance_z, lasts, self.noise_z.jerk2)),
-            math.sqrt(_velocity_variance(memory.covariance_xy, fades, jerk2_xy)),
-        )
+        xy = _propagate(memory.covariance_xy, fades, self._jerk2_xy())
+        z = _propagate(memory.covariance_z, lasts, self.noise_z.jerk2)
+        return TargetMotion(position, velocity, math.sqrt(xy[0]), math.sqrt(z[0]), math.sqrt(xy[3]))
 
 
 @numeric
@@ -265,25 +260,6 @@ def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
         left * (va + v * aa) + q * t / 2.0,
         left * left * aa + q,
     )
-
-
-@numeric
-def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
-    """Return the variance of the position, the first element of ``_propagate``."""
-    pp, pv, pa, vv, va, aa = covariance
-    t, p, _, _ = time
-    t2 = t * t
-    return (
-        pp + 2.0 * (t * pv + p * pa + t * p * va) + t2 * vv + p * p * aa + jerk2 * t * t2 * t2 / 20.0
-    )  # fmt: skip
-
-
-@numeric
-def _velocity_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
-    """Return the variance of the velocity, the fourth element of ``_propagate``."""
-    _, _, _, vv, va, aa = covariance
-    t, _, v, _ = time
-    return vv + 2.0 * v * va + v * v * aa + jerk2 * t * t * t / 3.0
 
 
 _Gains = tuple[float, float, float, float, float, float]  # gains of p, v, a: for position, then velocity

@@ -20,6 +20,7 @@ In this case, and always for z, where thrust saturation makes the model wrong, o
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -67,30 +68,27 @@ def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gai
         0.0, 0.0, 0.0,
         2.0 * t * error * error / link.velocity_error_time_s, 2.0 * t * push * push / PUSH_TIME_S,
     ]  # fmt: skip
-    measures = ((1.0, 0.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 1.0, 0.0))
+    measures: Matrix = [[1.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0]]
     variances = (link.position_noise_m**2, VELOCITY_NOISE_M_S**2)
     p: Matrix = [[1e-2 if i == j else 0.0 for j in range(5)] for i in range(5)]
-    gains: list[list[float]] = [[0.0] * 5, [0.0] * 5]
+    gains: list[tuple[float, float]] = []
     for _ in range(PERIODS):
-        half = [[sum(step[i][k] * p[k][j] for k in range(5)) for j in range(5)] for i in range(5)]
-        p = [[sum(half[i][k] * step[j][k] for k in range(5)) for j in range(5)] for i in range(5)]
+        p = _product(_product(step, p), zip(*step, strict=True))
         for i in range(5):
             p[i][i] += noise[i]
-        before = [row[:] for row in p]
-        (c0, c1), (r0, r1) = measures, variances
-        to0 = [sum(row[k] * c0[k] for k in range(5)) for row in before]
-        to1 = [sum(row[k] * c1[k] for k in range(5)) for row in before]
-        s00 = sum(c0[k] * to0[k] for k in range(5)) + r0
-        s01 = sum(c0[k] * to1[k] for k in range(5))
-        s11 = sum(c1[k] * to1[k] for k in range(5)) + r1
+        to = _product(p, zip(*measures, strict=True))  # covariance of the states with the measurements
+        (s00, s01), (_, s11) = _product(measures, to)
+        s00, s11 = s00 + variances[0], s11 + variances[1]
         det = s00 * s11 - s01 * s01
-        gains = [
-            [(to0[i] * s11 - to1[i] * s01) / det for i in range(5)],
-            [(to1[i] * s00 - to0[i] * s01) / det for i in range(5)],
-        ]
-        p = [[before[i][j] - gains[0][i] * to0[j] - gains[1][i] * to1[j] for j in range(5)] for i in range(5)]
-    (a0, a1, a2, a3, a4), (b0, b1, b2, b3, b4) = gains
-    return Gains((a0, a1, a2, a3, a4), (b0, b1, b2, b3, b4))
+        gains = [((a * s11 - b * s01) / det, (b * s00 - a * s01) / det) for a, b in to]
+        p = [[p[i][j] - gains[i][0] * to[j][0] - gains[i][1] * to[j][1] for j in range(5)] for i in range(5)]
+    return Gains._make(zip(*gains, strict=True))
+
+
+def _product(a: Matrix, b: Iterable[Sequence[float]]) -> Matrix:
+    """Return the product of two matrices."""
+    columns = list(zip(*b, strict=True))
+    return [[sum(x * y for x, y in zip(row, column, strict=True)) for column in columns] for row in a]
 
 
 class OwnEstimator:

@@ -21,7 +21,7 @@ import math
 from flightstack.core.memory import PlausibilityMemory
 from flightstack.core.numeric import norm, numeric
 from flightstack.core.parameters.flight import Checks, FlightConfig
-from flightstack.core.types import ZERO, OwnState, Vec3
+from flightstack.core.types import ZERO, OwnState, TargetSample, Vec3
 
 SMOOTHING_S = 0.2  # time constant of the drift's low-pass, s: reduces 2 cm of noise at 20 Hz to 1 cm
 TRUSTED_AGAIN = 0.5  # fraction of the bound below which a state is trusted again
@@ -67,21 +67,22 @@ class Plausibility:
 
     def take(self, own: OwnState, flies: bool = False) -> None:
         """Check the newest vehicle state; a state that was already checked is ignored."""
-        memory, last = self.memory, self.memory.last
+        memory, last, checks = self.memory, self.memory.last, self._checks
         if last is not None and own.arrival_s == last.arrival_s:
             return
         if last is None or not flies or last.position_enu_m != own.position_enu_m:
             memory.moved_s = own.arrival_s
         elif own.arrival_s - memory.moved_s > STILL_MAX_S:
             return
-        if last is not None and repeats(last.position_enu_m, own.position_enu_m, own.velocity_enu_m_s):
-            return
         if last is not None:
-            self._drift(last, own)
+            if repeats(last.position_enu_m, own.position_enu_m, own.velocity_enu_m_s):
+                return
+            dt_s = own.arrival_s - last.arrival_s
+            if 0.0 < dt_s <= checks.own_age_max_s:  # longer ago, it does not bound the current position
+                memory.drift_m = drifted(memory.drift_m, last, own, dt_s, checks.own_drift_memory_s)
         memory.last = own
-        drift_m = self.drift_m
-        most_m = self._checks.own_drift_max_m
-        memory.distrusted = drift_m > (TRUSTED_AGAIN * most_m if memory.distrusted else most_m)
+        most_m = checks.own_drift_max_m
+        memory.distrusted = self.drift_m > (TRUSTED_AGAIN * most_m if memory.distrusted else most_m)
 
     def trusts(self, now_s: float) -> bool:
         """Whether the vehicle state is usable now."""
@@ -107,19 +108,13 @@ class Plausibility:
         """Whether the vehicle follows the commanded velocity."""
         return self.tracking_lag_m <= self.tracking_lag_max_m
 
-    def _drift(self, last: OwnState, own: OwnState) -> None:
-        dt_s = own.arrival_s - last.arrival_s
-        if not 0.0 < dt_s <= self._checks.own_age_max_s:
-            return  # after a gap, the previous state does not bound the current position
-        self.memory.drift_m = drifted(
-            self.memory.drift_m, last.position_enu_m, own.position_enu_m,
-            last.velocity_enu_m_s, own.velocity_enu_m_s, dt_s, self._checks.own_drift_memory_s,
-        )  # fmt: skip
-
 
 @numeric
-def drifted(d: Vec3, p0: Vec3, p: Vec3, v0: Vec3, v: Vec3, dt_s: float, memory_s: float) -> Vec3:
-    """Return the unexplained position change, updated with a new position ``p`` and velocity ``v``."""
+def drifted(
+    d: Vec3, last: OwnState | TargetSample, new: OwnState | TargetSample, dt_s: float, memory_s: float
+) -> Vec3:
+    """Return the unexplained position change, updated with a new state ``dt_s`` after the last one."""
+    p0, v0, p, v = last.position_enu_m, last.velocity_enu_m_s, new.position_enu_m, new.velocity_enu_m_s
     kept, half = math.exp(-dt_s / memory_s), 0.5 * dt_s
     return (
         kept * (d[0] + (p[0] - p0[0]) - half * (v[0] + v0[0])),

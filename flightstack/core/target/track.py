@@ -98,10 +98,7 @@ class TargetTrack:
         checks, memory, dt_s = self._checks, self.memory, sample.source_time_s - last.source_time_s
         if not 0.0 < dt_s <= checks.target_age_max_s:
             return  # after a gap, the previous sample does not bound the current position
-        memory.drift_m = drifted(
-            memory.drift_m, last.position_enu_m, sample.position_enu_m,
-            last.velocity_enu_m_s, sample.velocity_enu_m_s, dt_s, checks.target_drift_memory_s,
-        )  # fmt: skip
+        memory.drift_m = drifted(memory.drift_m, last, sample, dt_s, checks.target_drift_memory_s)
         memory.drift_smooth_m = smoothed(memory.drift_smooth_m, memory.drift_m, dt_s)
         drift_m, most_m = norm(memory.drift_smooth_m), checks.target_drift_max_m
         if memory.distrusted:
@@ -128,38 +125,41 @@ class TargetTrack:
             return reading
         if last is None:
             return Reading.FRESH
-        gap_s = sample.arrival_s - last.arrival_s
-        lost, stepped = gap_s > checks.target_age_max_s, reading is Reading.STEPPED
         if repeats(last.position_enu_m, sample.position_enu_m, sample.velocity_enu_m_s, STANDING_M_S):
             return Reading.FROZEN
-        if lost or stepped or self._searches():
-            return self._judge_anew(last, sample, gap_s, lost, stepped)
-        near = self._near(last, sample, sample, sample.source_time_s - last.source_time_s)
-        return Reading.FRESH if near else self._judge_anew(last, sample, gap_s, lost, stepped)
+        stepped = reading is Reading.STEPPED
+        lost = sample.arrival_s - last.arrival_s > checks.target_age_max_s
+        step_s = sample.source_time_s - last.source_time_s
+        if lost or stepped or self._searches() or not self._near(last, sample, sample, step_s):
+            return self._judge_anew(last, sample, lost, stepped)
+        return Reading.FRESH
 
     @rare
-    def _judge_anew(
-        self, last: TargetSample, sample: TargetSample, gap_s: float, lost: bool, stepped: bool
-    ) -> Reading:
+    def _judge_anew(self, last: TargetSample, sample: TargetSample, lost: bool, stepped: bool) -> Reading:
         """Check the position of a sample that is far from the last one or follows a loss of the target."""
-        checks, memory = self._checks, self.memory
+        checks, memory, away = self._checks, self.memory, self.memory.elsewhere
+        gap_s = sample.arrival_s - last.arrival_s
         # if clock and position restart at the same time, the odometry has restarted: the robot is the same
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
         free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
-        if lost and free and memory.elsewhere is None:
+        if lost and free and away is None:
             return Reading.FRESH  # the previous sample does not bound the current position
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
-        # after a loss, the current or the last velocity may explain a wrong position by chance; samples that
-        # continue from the new place show that the target is really there
-        away = memory.elsewhere if lost else None
         stays = away is not None and self._near(
             away, sample, sample, sample.source_time_s - away.source_time_s
         )
-        near = not stays and self._near(last, sample, last if lost else sample, step_s)
-        if near or self._proved(sample, lost):
-            memory.elsewhere = None
-            return Reading.FRESH
-        return Reading.JUMP
+        # time for which samples at the new place must agree; longer than the age limit: HOLD starts earlier
+        proof_s = checks.target_age_max_s + checks.recovery_time_s
+        # after a loss, the current or the last velocity may explain a wrong position by chance; samples that
+        # continue from the new place show that the target is really there
+        if lost and stays:
+            good = not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
+        else:
+            good = self._near(last, sample, last if lost else sample, step_s)
+        memory.elsewhere = None if good else sample
+        if not (good or stays):
+            memory.elsewhere_since_s = sample.arrival_s
+        return Reading.FRESH if good else Reading.JUMP
 
     def _searches(self) -> bool:
         """Whether the newest sample jumped to another place; compiled code runs only if not."""
@@ -177,18 +177,6 @@ class TargetTrack:
         dy = y1 - y0 - (vy0 + vy1) * half_s
         dz = z1 - z0 - (vz0 + vz1) * half_s
         return dx * dx + dy * dy + dz * dz <= most_m * most_m
-
-    def _proved(self, sample: TargetSample, lost: bool) -> bool:
-        """Whether samples at a new place, after a loss, have agreed with each other for ``proof_s``."""
-        memory, before = self.memory, self.memory.elsewhere
-        step_s = sample.source_time_s - before.source_time_s if before is not None else 0.0
-        if before is None or not self._near(before, sample, sample, step_s):
-            memory.elsewhere, memory.elsewhere_since_s = sample, sample.arrival_s
-            return False
-        memory.elsewhere = sample
-        # time for which new samples must agree; longer than the age limit, so that HOLD starts earlier
-        proof_s = self._checks.target_age_max_s + self._checks.recovery_time_s
-        return lost and not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
 
     def age_s(self, sample: TargetSample, now_s: float) -> float:
         """Return the age of a sample minus the shortest delay, which is unknown because the clocks differ."""
