@@ -41,7 +41,6 @@ class RobustFilter(Filter):
             "touchdown.descent_m_s": "robust.descent_m_s",
         }
     )
-    waits_filtered = True
 
     motion: MotionMemory
     brakes_m_s2: float
@@ -81,19 +80,15 @@ class RobustFilter(Filter):
     @staticmethod
     def check_config(config: FlightConfig) -> None:
         """Reject values that contradict each other, or for which no certificate exists."""
-        _refuse_loop(config)
-        _refuse_checks(config)
+        if found := _contradictions(config):
+            raise ConfigError(found[0])
 
     def take(self, sample: TargetSample) -> None:
         """Update the Kalman filter of the target with a sample."""
         self.estimator.update(
-            sample.source_time_s,
-            sample.position_enu_m,
-            sample.velocity_enu_m_s,
-            sample.yaw_rad,
-            sample.position_sigma_m,
-            sample.velocity_sigma_m_s,
-        )
+            sample.source_time_s, sample.position_enu_m, sample.velocity_enu_m_s, sample.yaw_rad,
+            sample.position_sigma_m, sample.velocity_sigma_m_s,
+        )  # fmt: skip
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
         """Return the current target estimate; the shortest delay is a parameter, since it cannot be measured.
@@ -105,13 +100,9 @@ class RobustFilter(Filter):
         latest_s = self.motion.time_s + self._config.checks.target_age_max_s
         motion = self.estimator.at(min(now_s - track.memory.offset_s, latest_s) + delay_s)
         return TargetState(
-            track.age_s(last, now_s) + delay_s,
-            motion.position_enu_m,
-            motion.velocity_enu_m_s,
-            last.yaw_rad,
-            motion.position_sigma_m,
-            motion.position_sigma_z_m,
-        )
+            track.age_s(last, now_s) + delay_s, motion.position_enu_m, motion.velocity_enu_m_s, last.yaw_rad,
+            motion.position_sigma_m, motion.position_sigma_z_m,
+        )  # fmt: skip
 
     def vehicle(self, own: OwnState) -> OwnState:
         """Return the vehicle state extrapolated by its delay, or estimated if its velocity has errors."""
@@ -129,12 +120,8 @@ class RobustFilter(Filter):
         if not commanding:
             self.own_estimator.forget()
         elif self._tracking.by_feedback:
-            memory, x, y, push_1_s = (
-                self.tracking,
-                self.own.x_now,
-                self.own.y_now,
-                self.own_estimator.push_1_s,
-            )
+            memory, push_1_s = self.tracking, self.own_estimator.push_1_s
+            x, y = self.own.x_now, self.own.y_now
             memory.model_m_s = (x[1], y[1], memory.model_m_s[2])
             memory.model_m_s2 = (x[2], y[2], memory.model_m_s2[2])
             # velocity change that the disturbance causes in steady state
@@ -284,66 +271,48 @@ class RobustFilter(Filter):
         return self.own_estimator.to_send(setpoint, self._most) if self._learns else setpoint
 
 
-def _refuse_checks(config: FlightConfig) -> None:
-    """Reject ages, heights and radii that contradict each other."""
-    checks, link, period_s = config.checks, config.target, 1.0 / config.loop.rate_hz
-    sample_s, lag_s = link.delay_s + 1.0 / config.envelope.target_rate_hz, config.velocity_loop.lag_xy_s
-    for key, found_s, least_s, others, why in (
-        ("checks.target_age_max_s", checks.target_age_max_s, sample_s,
-         "envelope.target_rate_hz and target.delay_s", "a sample reaches this age before the next one"),
-        ("checks.own_age_max_s", checks.own_age_max_s, period_s, "loop.rate_hz",
-         "a vehicle state reaches this age before the next tick"),
-        ("checks.follow_lag_max_s", checks.follow_lag_max_s, lag_s, "velocity_loop.lag_xy_s",
-         "a vehicle that follows its set-points lags this much"),
-    ):  # fmt: skip
-        if not found_s > least_s:
-            raise ConfigError(
-                f"{key}: found {found_s:g}; by {others} {why}, {least_s:.3g} s: raise the first above that, "
-                "or change the others"
-            )
-    feet_m = config.touchdown.feet_below_reference_m
-    for height in ("wait_height_m", "commit_height_m", "touch_height_m"):
-        height_m = getattr(config.robust, height)
-        if height_m <= feet_m:
-            raise ConfigError(
-                f"robust.{height}: found {height_m:g}; with touchdown.feet_below_reference_m {feet_m:g} the "
-                "feet are in the pad at this height of the reference: raise it above, or lower that"
-            )
-    fade_m, pad_m = config.robust.fade_radius_m, config.touchdown.pad_radius_m
-    if fade_m > pad_m:
-        raise ConfigError(
-            f"robust.fade_radius_m: found {fade_m:g}, allowed is at most the pad's radius, {pad_m:g} m, "
-            "at whose edge the margin must be complete: lower it"
-        )
-
-
-def _refuse_loop(config: FlightConfig) -> None:
-    """Reject an unstable model of the velocity loop, or a dead time that other keys do not support."""
-    loop, rate_hz = config.velocity_loop, config.loop.rate_hz
-    most_1_s = loop.rate_max_1_s(1.0 / rate_hz)
-    for key, found_1_s in (("rate_xy_1_s", loop.rate_xy_1_s), ("rate_z_1_s", loop.rate_z_1_s)):
-        if not found_1_s < most_1_s:
-            raise ConfigError(
-                f"velocity_loop.{key}: found {found_1_s:g}; with velocity_loop.damping {loop.damping:g} "
-                f"and loop.rate_hz {rate_hz} the model of the loop is stable below {most_1_s:.4g} 1/s: "
-                "lower it, or raise loop.rate_hz"
-            )
-    late_s = loop.dead_time_s
-    if late_s <= 0.0:
-        return
-    if not late_s < loop.lag_xy_s:
-        raise ConfigError(
-            f"velocity_loop.dead_time_s: found {late_s:g}; it is a part of velocity_loop.lag_xy_s, "
-            f"{loop.lag_xy_s:g} s: lower it, or raise the lag"
-        )
-    without = {
+def _contradictions(config: FlightConfig) -> list[str]:
+    """Return a text for each rule between values that this configuration breaks."""
+    checks, loop, rate_hz, robust = config.checks, config.velocity_loop, config.loop.rate_hz, config.robust
+    most_1_s, late_s = loop.rate_max_1_s(1.0 / rate_hz), loop.dead_time_s
+    feet_m, pad_m = config.touchdown.feet_below_reference_m, config.touchdown.pad_radius_m
+    sample_s = config.target.delay_s + 1.0 / config.envelope.target_rate_hz
+    beside_dead_time = {
         "velocity_feedback.horizontal": config.velocity_feedback.horizontal,
         "own.velocity_error_m_s": config.own.learns,
         "fleet": bool(config.fleet.others),
     }
-    if any(without.values()):
-        names = ", ".join(name for name, given in without.items() if given)
-        raise ConfigError(
-            f"velocity_loop.dead_time_s: found {late_s:g} together with {names}, which is proven for a loop "
-            "without dead time only: set it to 0, or leave the other out"
-        )
+    names = ", ".join(name for name, given in beside_dead_time.items() if given)
+    rules = [
+        *((found_1_s >= most_1_s,
+           f"velocity_loop.{key}: found {found_1_s:g}; with velocity_loop.damping {loop.damping:g} and "
+           f"loop.rate_hz {rate_hz} the model of the loop is stable below {most_1_s:.4g} 1/s: lower it, or "
+           "raise loop.rate_hz")
+          for key, found_1_s in (("rate_xy_1_s", loop.rate_xy_1_s), ("rate_z_1_s", loop.rate_z_1_s))),
+        (late_s > 0.0 and late_s >= loop.lag_xy_s,
+         f"velocity_loop.dead_time_s: found {late_s:g}; it is a part of velocity_loop.lag_xy_s, "
+         f"{loop.lag_xy_s:g} s: lower it, or raise the lag"),
+        (late_s > 0.0 and names,
+         f"velocity_loop.dead_time_s: found {late_s:g} together with {names}, which is proven for a loop "
+         "without dead time only: set it to 0, or leave the other out"),
+        *((found_s <= least_s,
+           f"{key}: found {found_s:g}; by {others} {why}, {least_s:.3g} s: raise the first above that, or "
+           "change the others")
+          for key, found_s, least_s, others, why in (
+              ("checks.target_age_max_s", checks.target_age_max_s, sample_s,
+               "envelope.target_rate_hz and target.delay_s", "a sample reaches this age before the next one"),
+              ("checks.own_age_max_s", checks.own_age_max_s, 1.0 / rate_hz, "loop.rate_hz",
+               "a vehicle state reaches this age before the next tick"),
+              ("checks.follow_lag_max_s", checks.follow_lag_max_s, loop.lag_xy_s, "velocity_loop.lag_xy_s",
+               "a vehicle that follows its set-points lags this much"))),
+        *((height_m <= feet_m,
+           f"robust.{key}: found {height_m:g}; with touchdown.feet_below_reference_m {feet_m:g} the feet are "
+           "in the pad at this height of the reference: raise it above, or lower that")
+          for key, height_m in (("wait_height_m", robust.wait_height_m),
+                                ("commit_height_m", robust.commit_height_m),
+                                ("touch_height_m", robust.touch_height_m))),
+        (robust.fade_radius_m > pad_m,
+         f"robust.fade_radius_m: found {robust.fade_radius_m:g}, allowed is at most the pad's radius, "
+         f"{pad_m:g} m, at whose edge the margin must be complete: lower it"),
+    ]  # fmt: skip
+    return [text for broken, text in rules if broken]
