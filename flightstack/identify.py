@@ -37,10 +37,6 @@ LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.6)
 DEAD_TIME_MIN_S = 0.12
 
 
-class TooLittleError(ValueError):
-    """The flight does not identify the parameters; the text describes a flight that does."""
-
-
 class Segment(NamedTuple):
     """Uninterrupted commands and velocities (n,) of one axis, m/s, one per tick."""
 
@@ -56,7 +52,7 @@ class Loop(NamedTuple):
     damping: float
     dead_time_s: float
     lag_s: float  # 2 damping / rate + dead time: group delay at low frequency
-    errors: tuple[float, float, float, float, float]
+    errors: tuple[float, ...]
     explained: float  # fraction of the velocity's variance that the model explains
     time_s: float  # total length of the compared segments, s
 
@@ -74,19 +70,20 @@ class Loop(NamedTuple):
 def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:
     """Identify the velocity loop of an axis, or of several equal axes; ``axis``: name in error texts.
 
-    Raises TooLittleError: too short, too little excitation, or the model does not explain the flight.
+    Raises ValueError: too short, too little excitation, or the model does not explain the flight; the text
+    describes a flight that identifies the parameters.
     """
     kept = [s for s in segments if len(s.command_m_s) * period_s >= SEGMENT_MIN_S]
     passed = [Segment(*(_high_pass(column, period_s) for column in s)) for s in kept]
     time_s = sum(len(s.command_m_s) for s in passed) * period_s
     if time_s < TIME_MIN_S:
-        raise TooLittleError(
+        raise ValueError(
             f"{axis}: found {time_s:.1f} s of uninterrupted set-points, at least {TIME_MIN_S:g} s are needed "
             f"in pieces of {SEGMENT_MIN_S:g} s: fly longer, or give several logs"
         )
     excitation = float(np.std(np.concatenate([s.command_m_s for s in passed])))
     if excitation < EXCITATION_MIN_M_S:
-        raise TooLittleError(
+        raise ValueError(
             f"{axis}: the command varies by {excitation:.3f} m/s, {EXCITATION_MIN_M_S:g} are needed: "
             "fly behind a target that reverses or stops and goes, or land from farther away"
         )
@@ -105,17 +102,16 @@ def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:
     flown = np.concatenate([s.velocity_m_s for s in passed])
     explained = 1.0 - float(np.mean(found.fun**2) / np.mean(flown**2))
     if not explained >= EXPLAINED_MIN:
-        raise TooLittleError(
+        raise ValueError(
             f"{axis}: the model explains {100.0 * explained:.0f} % of the velocity, at least "
             f"{100.0 * EXPLAINED_MIN:g} are needed: fly in less wind, with larger commands"
         )
     if not errors[4] <= ERROR_MAX * lag_s:
-        raise TooLittleError(
+        raise ValueError(
             f"{axis}: lag {lag_s:.3f} s is known to {errors[4]:.3f} s only, {100.0 * ERROR_MAX:g} % are "
             "needed: fly longer, with larger changes of the command, or give several logs"
         )
-    e = tuple(float(error) for error in errors)
-    return Loop(gain, rate, damping, dead_time, lag_s, (e[0], e[1], e[2], e[3], e[4]), explained, time_s)
+    return Loop(gain, rate, damping, dead_time, lag_s, tuple(errors.tolist()), explained, time_s)
 
 
 def _high_pass(column: Floats, period_s: float) -> Floats:
@@ -132,13 +128,11 @@ def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
     ticks = np.arange(count, dtype=np.float64)
     late = np.interp(ticks - dead_time / period_s, ticks, passed.command_m_s, left=0.0)
     left = passed.velocity_m_s - gain * signal.lfilter(numerator.ravel(), denominator, late)
-    kick, later = np.zeros(count), np.zeros(count)
-    kick[0] = later[1] = 1.0
+    kicks = np.eye(2, count)  # responses to these: to initial speed and acceleration
     past = np.column_stack(
         [
             signal.lfilter(numerator.ravel(), denominator, np.ones(count)),  # response to earlier commands
-            signal.lfilter([1.0], denominator, kick),  # response to initial speed and acceleration
-            signal.lfilter([1.0], denominator, later),
+            *(signal.lfilter([1.0], denominator, kick) for kick in kicks),
         ]
     )
     past = np.apply_along_axis(_high_pass, 0, past, period_s)
@@ -209,7 +203,7 @@ def motion(time_s: Floats, position_m: Floats) -> Motion:
     """
     if len(time_s) < SAMPLES_MIN:
         raise ValueError(f"found {len(time_s)} samples, at least {SAMPLES_MIN} are needed")
-    rows = []
+    rows: list[tuple[float, float, float]] = []
     for centre in np.arange(time_s[0] + MOTION_S / 2, time_s[-1] - MOTION_S / 2, MOTION_S / 6):
         window = np.abs(time_s - centre) <= MOTION_S / 2
         if np.count_nonzero(window) < 6:

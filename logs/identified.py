@@ -54,11 +54,16 @@ def gather(flights: list[Flight]) -> Found:
             alone = _try(f"spread, log {number + 1}", missing, partial(fit, segments, period_s, "it alone"))
             if alone is not None:
                 spread = max(spread, abs(alone.lag_s / loop.lag_s - 1.0))
-    own = _try("own noise", missing, lambda: _own_noise_m(steps))
-    link = _try("target", missing, lambda: _link(flights))
-    motion = _try("target motion", missing, lambda: _motion(flights))
+    own = _try("own noise", missing, lambda: max(_own_noise_m(s) for s in steps))
+    links = _try("target", missing, lambda: [link(*row) for row in _target(flights)])
+    moved = _try("target motion", missing, lambda: [motion(t, p) for t, _, p, _ in _target(flights)])
     error = _try("tracking error", missing, lambda: _tracking_error_m_s(steps))
-    return Found(horizontal, vertical, spread, error, own, link, motion, tuple(missing))
+    return Found(
+        horizontal, vertical, spread, error, own,
+        max(links, key=lambda each: each.position_noise_m) if links else None,
+        Motion(*map(max, zip(*moved, strict=True))) if moved else None,
+        tuple(missing),
+    )  # fmt: skip
 
 
 def _try(what: str, missing: list[str], find: Callable[[], T]) -> T | None:
@@ -82,26 +87,18 @@ def _segments(steps: Steps) -> tuple[list[Segment], list[Segment], list[Segment]
     axes: tuple[list[Segment], list[Segment], list[Segment]] = ([], [], [])
     for start, end in zip(starts, [*starts[1:], len(good)], strict=True):
         if good[start]:
+            command, flown = steps.command_enu_m_s[start:end], steps.own_velocity_enu_m_s[start:end]
             for axis, pieces in enumerate(axes):
-                pieces.append(
-                    Segment(
-                        steps.command_enu_m_s[start:end, axis], steps.own_velocity_enu_m_s[start:end, axis]
-                    )
-                )
+                pieces.append(Segment(command[:, axis], flown[:, axis]))
     return axes
 
 
-def _own_noise_m(steps: list[Steps]) -> float:
-    return max(
-        noise(s.t_s[fresh], s.own_position_enu_m[fresh]) for s in steps for fresh in (_fresh(s, FLYING),)
-    )
-
-
-def _fresh(steps: Steps, phases: tuple[Phase, ...]) -> Any:
-    """Return for each tick, (n,), whether the vehicle state is valid and new; a slow link repeats states."""
-    known = steps.own_valid & np.isin(steps.phase, phases) & np.isfinite(steps.own_position_enu_m).all(1)
+def _own_noise_m(steps: Steps) -> float:
+    """Return the noise of the vehicle's positions in flight; a slow link repeats states."""
+    known = steps.own_valid & np.isin(steps.phase, FLYING) & np.isfinite(steps.own_position_enu_m).all(1)
     moved = np.any(np.diff(steps.own_position_enu_m, axis=0) != 0.0, axis=1)
-    return known & np.concatenate(([True], moved))
+    fresh = known & np.concatenate(([True], moved))
+    return noise(steps.t_s[fresh], steps.own_position_enu_m[fresh])
 
 
 def _target(flights: list[Flight]) -> list[tuple[Floats, Floats, Floats, Floats]]:
@@ -118,16 +115,6 @@ def _target(flights: list[Flight]) -> list[tuple[Floats, Floats, Floats, Floats]
     if not rows:
         raise ValueError("no odometry in the log")
     return rows
-
-
-def _link(flights: list[Flight]) -> Link:
-    found = [link(*row) for row in _target(flights)]
-    return max(found, key=lambda one: one.position_noise_m)
-
-
-def _motion(flights: list[Flight]) -> Motion:
-    found = [motion(stamp, position) for stamp, _, position, _ in _target(flights)]
-    return Motion(*(float(column) for column in np.max(np.array(found), axis=0)))
 
 
 def _tracking_error_m_s(steps: list[Steps]) -> float:
@@ -167,26 +154,25 @@ def toml(found: Found, count: int) -> str:
         "[envelope]",
         f"lag_spread = {found.spread:.2f} # seen here; other vehicles and batteries may differ more",
     ]
-    if found.link is not None:
-        lines.append(f"target_rate_hz = {found.link.rate_hz:.0f}.0")
-    if found.motion is not None:
+    link, motion = found.link, found.motion
+    if link is not None:
+        lines.append(f"target_rate_hz = {link.rate_hz:.0f}.0")
+    if motion is not None:
         lines += [
-            f"target_climb_max_m_s = {found.motion.climb_m_s:.2f}",
-            f"target_acceleration_max_m_s2 = {found.motion.acceleration_m_s2:.2f}",
-            f"# fastest horizontally: {found.motion.speed_m_s:.2f} m/s, for touchdown.target_speed_max_m_s",
+            f"target_climb_max_m_s = {motion.climb_m_s:.2f}",
+            f"target_acceleration_max_m_s2 = {motion.acceleration_m_s2:.2f}",
+            f"# fastest horizontally: {motion.speed_m_s:.2f} m/s, for touchdown.target_speed_max_m_s",
         ]
     if found.own_noise_m is not None:
         lines += ["", "[own]", f"position_noise_m = {found.own_noise_m:.4f} # at least"]
-    if found.link is not None:
-        link = found.link
-        lines += ["", "[target]"]
-        if link.delay_s is not None:
-            lines.append(f"delay_s = {link.delay_s:.3f} # if both clocks agree")
+    if link is not None:
         lines += [
+            "", "[target]",
+            *([] if link.delay_s is None else [f"delay_s = {link.delay_s:.3f} # if both clocks agree"]),
             f"position_noise_m = {max(1e-4, link.position_noise_m):.4f}",
             f"velocity_noise_m_s = {max(1e-4, link.velocity_noise_m_s):.4f}",
             f"# {100.0 * link.loss:.1f} % lost; 95 % are within {link.delay_spread_s:.3f} s of the fastest",
-        ]
+        ]  # fmt: skip
     if found.tracking_error_m_s is not None:
         lines += ["", "[robust]", f"tracking_error_m_s = {found.tracking_error_m_s:.3f} # 95 % stay below"]
     lines += [f"# not found: {reason}" for reason in found.missing]
