@@ -48,8 +48,6 @@ class ActiveBarrier(Protocol):
 def problem_of(boundary: Any, e_m: Vec3) -> str:
     """Evaluate a user's barrier at one position; return the text of an error, or an empty text."""
     name = type(boundary).__name__
-    if missing := [each for each in vars(ActiveBarrier) if each[0] != "_" and not hasattr(boundary, each)]:
-        return f"{name} has no {', '.join(missing)}"
     try:
         h_m, (gx, gy, gz), dh_dt_m_s = boundary.evaluate(e_m, ZERO)
         numbers = (h_m, gx, gy, gz, dh_dt_m_s, boundary.h(e_m), boundary.linearisation_bound_m(e_m, 0.01))
@@ -100,10 +98,7 @@ class Barrier:
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
         """Return how far h may fall below its linear prediction in a horizontal motion from ``e_m``, m.
 
-        The prediction uses the gradient of ``evaluate``, which is too short by c = d / r; r is the smoothed
-        length. A motion that changes d by D and moves R outwards has an error of at most ``b'(d) (D - c R) +
-        b'' D^2 / 2``. D - c R is largest if the motion ends at the distance r; b'' is largest at 3 / alpha
-        (docs/how_it_works/robust_filter.md).
+        docs/how_it_works/robust_filter.md, *The tolerance of the gate*, derives the bound.
 
         Args:
             e_m: relative position at which the motion starts.

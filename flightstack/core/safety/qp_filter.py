@@ -26,25 +26,15 @@ RESIDUAL_MAX_M_S = 1e-6  # largest violation of box or barrier by an accepted re
 
 
 class FilterResult(NamedTuple):
-    """Filtered velocity, and the data to check it.
+    """Filtered velocity, and the data to check it."""
 
-    Attributes:
-        velocity_enu_m_s: filtered velocity, always inside the box.
-        slack_m_s: g . u + omega h + dh/dt at the command; negative only if INFEASIBLE.
-        active: whether the barrier changed the command.
-        status: origin of the result.
-        residual_m_s: the solver's largest violation before clipping.
-        iterations: number of the solver's iterations.
-        solve_s: wall time of projection and solver.
-    """
-
-    velocity_enu_m_s: Vec3
-    slack_m_s: float
-    active: bool
-    status: FilterStatus
-    residual_m_s: float
-    iterations: int
-    solve_s: float
+    velocity_enu_m_s: Vec3  # filtered velocity, always inside the box
+    slack_m_s: float  # g . u + omega h + dh/dt at the command; negative only if INFEASIBLE
+    active: bool  # whether the barrier changed the command
+    status: FilterStatus  # origin of the result
+    residual_m_s: float  # the solver's largest violation before clipping
+    iterations: int  # number of the solver's iterations
+    solve_s: float  # wall time of projection and solver
 
 
 class SafetyFilter:

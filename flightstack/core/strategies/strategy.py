@@ -170,22 +170,15 @@ class Filter:
             result, self.memory.refusal = given
             return result
         own, target = at.own, at.target
+        position, velocity, pad, moves, e_m, steepest, lowest, highest = map(np.array, (
+            own.position_enu_m, own.velocity_enu_m_s, target.position_enu_m, target.velocity_enu_m_s, at.e_m,
+            gradient, lower, upper,
+        ))  # fmt: skip
         seen = At(
-            own.arrival_s,
-            np.array(own.position_enu_m),
-            np.array(own.velocity_enu_m_s),
-            np.array(target.position_enu_m),
-            np.array(target.velocity_enu_m_s),
-            np.array(at.e_m),
-            at.d_m,
-            h_m,
-            np.array(gradient),
-            dh_dt_m_s,
-            self.rate_1_s,
-            np.array(lower),
-            np.array(upper),
+            own.arrival_s, position, velocity, pad, moves, e_m, at.d_m, h_m, steepest, dh_dt_m_s,
+            self.rate_1_s, lowest, highest,
             lambda found: self.permitted_m_s(checked_velocity(found, "at.permitted"), nominal, at),
-        )
+        )  # fmt: skip
         return self.result(nominal, seen)
 
     def barrier(self, at: Relative) -> ActiveBarrier:

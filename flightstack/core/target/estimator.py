@@ -30,7 +30,7 @@ RESTART_S = 1.0  # gap between samples after which the filter restarts, s
 TURN_TIME_S = 0.3  # time constant of the yaw rate, s: differences of two measured yaws are noisy
 TURN_RATE_MAX_RAD_S = 3.0  # largest yaw rate; a TurtleBot3 reaches 2.84 (ROBOTIS, specifications)
 INNOVATION_TIME_S = 0.15  # time constant of the normalised innovation squared, s; three samples at 20 Hz
-TURN_MAX_RAD = 0.5  # largest turn in a step, rad; up to it the series in ``_turned`` are exact to 1e-5
+TURN_MAX_RAD = 0.5  # largest turn in a step, rad; up to it the series in ``_moved`` are exact to 1e-5
 
 
 class TargetMotion(NamedTuple):
@@ -46,7 +46,6 @@ class TargetMotion(NamedTuple):
 # time, s; effect of 1 m/s^2 in this time on position, s^2, and velocity, s; fraction left after it
 _Time = tuple[float, float, float, float]
 _NOW: _Time = (0.0, 0.0, 0.0, 1.0)
-_State = tuple[Vec3, Vec3, Vec3]  # position, velocity, acceleration
 
 
 class _Noise(NamedTuple):
@@ -101,10 +100,7 @@ class TargetEstimator:
                 turned_rad_s = turn_rate(before_rad, memory.yaw_rad, dt_s)
             memory.turn_rate_rad_s += dt_s / (dt_s + TURN_TIME_S) * (turned_rad_s - memory.turn_rate_rad_s)
         fades, lasts = fading(dt_s, self._fade_s), lasting(dt_s)
-        (p, q, r), (u, v, w), (a, b, c) = _moved(
-            (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
-            turn(memory.turn_rate_rad_s, dt_s), fades, lasts,
-        )  # fmt: skip
+        (p, q, r), (u, v, w), (a, b, c) = self._moved(fades, lasts)
         memory.covariance_xy, gains_xy, weights = _correct(
             _propagate(memory.covariance_xy, fades, self._jerk2_xy()), xy.position2, xy.velocity2
         )
@@ -148,6 +144,35 @@ class TargetEstimator:
         mean2 = self.memory.innovation2
         return self.noise_xy.jerk2 * max(1.0, min(self.growth2_max, mean2 * mean2 * mean2 * mean2))
 
+    def _moved(self, fading: _Time, lasting: _Time) -> tuple[Vec3, Vec3, Vec3]:
+        """Return position, velocity and acceleration after a time: x and y turn, their acceleration decays.
+
+        With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); the acceleration turns, too. Its
+        part of the position turns by two thirds of the angle, which is the weighted mean. Sines and cosines
+        are series, because the means sin x / x and (1 - cos x) / x over the turn are also needed at x = 0.
+        """
+        memory, (t, p, v, left), (_, p_z, v_z, left_z) = self.memory, fading, lasting
+        (x, y, z), (vx, vy, vz) = memory.position_enu_m, memory.velocity_enu_m_s
+        ax, ay, az = memory.acceleration_enu_m_s2
+        turned = max(-TURN_MAX_RAD, min(TURN_MAX_RAD, memory.turn_rate_rad_s * t))
+        turned2 = turned * turned
+        along = 1.0 - turned2 / 6.0 * (1.0 - turned2 / 20.0)
+        across = turned * (0.5 - turned2 / 24.0 * (1.0 - turned2 / 30.0))
+        cos, sin = 1.0 - turned * across, turned * along
+        part = turned * (2.0 / 3.0)
+        part2 = part * part
+        p_cos, p_sin = 1.0 - 0.5 * part2 * (1.0 - part2 / 12.0), part * (1.0 - part2 / 6.0)
+        ux, uy = vx + v * ax, vy + v * ay
+        return (
+            (
+                x + t * (along * vx - across * vy) + p * (p_cos * ax - p_sin * ay),
+                y + t * (along * vy + across * vx) + p * (p_cos * ay + p_sin * ax),
+                z + t * vz + p_z * az,
+            ),
+            (cos * ux - sin * uy, cos * uy + sin * ux, vz + v_z * az),
+            (left * (cos * ax - sin * ay), left * (cos * ay + sin * ax), left_z * az),
+        )
+
     def at(self, time_s: float) -> TargetMotion:
         """Predict the newest estimate to another time, on the sender's clock."""
         memory = self.memory
@@ -155,21 +180,12 @@ class TargetEstimator:
         if math.isnan(dt_s):
             raise ValueError("no target sample yet: there is no motion to carry on")
         fades, lasts = fading(dt_s, self._fade_s), lasting(dt_s)
-        position, velocity, _ = _moved(
-            (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
-            turn(memory.turn_rate_rad_s, dt_s), fades, lasts,
-        )  # fmt: skip
+        position, velocity, _ = self._moved(fades, lasts)
         if dt_s < 0.0:  # for an earlier time the uncertainty is not reduced
             fades = lasts = _NOW
         xy = _propagate(memory.covariance_xy, fades, self._jerk2_xy())
         z = _propagate(memory.covariance_z, lasts, self.noise_z.jerk2)
         return TargetMotion(position, velocity, math.sqrt(xy[0]), math.sqrt(z[0]), math.sqrt(xy[3]))
-
-
-@numeric
-def turn(rate_rad_s: float, dt_s: float) -> float:
-    """Return the angle by which the velocity turns, rad."""
-    return max(-TURN_MAX_RAD, min(TURN_MAX_RAD, rate_rad_s * dt_s))
 
 
 @numeric
@@ -199,50 +215,6 @@ def lasting(dt_s: float) -> _Time:
 
 def _start(noise: _Noise) -> Covariance:
     return (noise.position2, 0.0, 0.0, noise.velocity2, 0.0, noise.acceleration2)
-
-
-@numeric
-def _turned(angle_rad: float) -> tuple[float, float, float, float, float, float]:
-    """Return cosine and sine of an angle, of the mean over the turn, and of two thirds of the angle.
-
-    The function uses series, because the means sin x / x and (1 - cos x) / x are also needed at x = 0.
-    """
-    x2 = angle_rad * angle_rad
-    along = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0)
-    across = angle_rad * (0.5 - x2 / 24.0 * (1.0 - x2 / 30.0))
-    two_thirds = angle_rad * (2.0 / 3.0)
-    y2 = two_thirds * two_thirds
-    return (
-        1.0 - angle_rad * across,
-        angle_rad * along,
-        along,
-        across,
-        1.0 - 0.5 * y2 * (1.0 - y2 / 12.0),
-        two_thirds * (1.0 - y2 / 6.0),
-    )
-
-
-@numeric
-def _moved(state: _State, turned_rad: float, fading: _Time, lasting: _Time) -> _State:
-    """Return position, velocity and acceleration after a time: x and y turn, and their acceleration decays.
-
-    With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); the acceleration turns, too. Its part of
-    the position turns by two thirds of the angle, which is the weighted mean.
-    """
-    (x, y, z), (vx, vy, vz), (ax, ay, az) = state
-    t, p, v, left = fading
-    _, p_z, v_z, left_z = lasting
-    cos, sin, along, across, p_cos, p_sin = _turned(turned_rad)
-    ux, uy = vx + v * ax, vy + v * ay
-    return (
-        (
-            x + t * (along * vx - across * vy) + p * (p_cos * ax - p_sin * ay),
-            y + t * (along * vy + across * vx) + p * (p_cos * ay + p_sin * ax),
-            z + t * vz + p_z * az,
-        ),
-        (cos * ux - sin * uy, cos * uy + sin * ux, vz + v_z * az),
-        (left * (cos * ax - sin * ay), left * (cos * ay + sin * ax), left_z * az),
-    )
 
 
 @numeric

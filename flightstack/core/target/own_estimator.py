@@ -132,19 +132,14 @@ class OwnEstimator:
         x, y, model = memory.x, memory.y, self.model
         if self.by_loop:
             for k in range(self.ahead):
-                ux, uy, _ = memory.pending[on_its_way(self.ahead, k)]
+                ux, uy, _ = self._acting(k)
                 x, y = moved(x, ux, model), moved(y, uy, model)
         else:
             x, y = straight_on(x, self.delay_s), straight_on(y, self.delay_s)
         memory.x_now, memory.y_now = x, y
         z_m, z_m_s = memory.z_m, own.velocity_enu_m_s[2] - memory.z_error_m_s
-        return OwnState(
-            own.arrival_s,
-            own.source_time_s,
-            (x[0], y[0], z_m + self.delay_s * z_m_s),
-            (x[1], y[1], z_m_s),
-            own.yaw_rad,
-        )
+        position_enu_m = (x[0], y[0], z_m + self.delay_s * z_m_s)
+        return OwnState(own.arrival_s, own.source_time_s, position_enu_m, (x[1], y[1], z_m_s), own.yaw_rad)
 
     def to_send(self, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
         """Return the set-point to send: the wanted velocity plus the estimated error of the reported one."""
@@ -156,6 +151,10 @@ class OwnEstimator:
     def forget(self) -> None:
         """Restart with the next sample, because the vehicle followed unknown set-points."""
         self.memory.time_s = math.nan
+
+    def _acting(self, k: int) -> Vec3:
+        """Return the set-point that acts k ticks after the newest sample (k = -1: at it), if stored."""
+        return self.memory.pending[max(0, KNOWN - self.ahead + k)]
 
     def _begin(self, own: OwnState) -> None:
         (px, py, pz), (vx, vy, _) = own.position_enu_m, own.velocity_enu_m_s
@@ -169,27 +168,16 @@ class OwnEstimator:
         (px, py, pz), (vx, vy, vz), memory = own.position_enu_m, own.velocity_enu_m_s, self.memory
         rate_1_s, most_m_s = self.rate_1_s, self.most_m_s
         if self.by_loop:
-            ux, uy, _ = memory.pending[on_its_way(self.ahead, -1)]
+            ux, uy, _ = self._acting(-1)
             ticks = min(self.gap_max, max(1, round(elapsed_s / self.period_s)))
             model, gains = self.model, self.gains
             memory.x = learned(memory.x, ux, ticks, model, px, vx, gains, most_m_s)
             memory.y = learned(memory.y, uy, ticks, model, py, vy, gains, most_m_s)
         else:
-            x_m, ex = drifted_apart(memory.x[0], memory.x[3], px, vx, elapsed_s, rate_1_s, most_m_s)
-            y_m, ey = drifted_apart(memory.y[0], memory.y[3], py, vy, elapsed_s, rate_1_s, most_m_s)
-            memory.x, memory.y = (x_m, vx - ex, 0.0, ex, 0.0), (y_m, vy - ey, 0.0, ey, 0.0)
-        memory.z_m, memory.z_error_m_s = drifted_apart(
-            memory.z_m, memory.z_error_m_s, pz, vz, elapsed_s, rate_1_s, most_m_s
-        )
-
-
-@numeric
-def on_its_way(ahead: int, k: int) -> int:
-    """Return the index of the stored set-point that acts k ticks after the newest sample (k = -1: at it).
-
-    If the delay is longer than the stored time, the oldest stored set-point replaces all earlier ones.
-    """
-    return max(0, KNOWN - ahead + k)
+            memory.x = drifted_apart(memory.x, px, vx, elapsed_s, rate_1_s, most_m_s)
+            memory.y = drifted_apart(memory.y, py, vy, elapsed_s, rate_1_s, most_m_s)
+        z = (memory.z_m, 0.0, 0.0, memory.z_error_m_s, 0.0)
+        memory.z_m, _, _, memory.z_error_m_s, _ = drifted_apart(z, pz, vz, elapsed_s, rate_1_s, most_m_s)
 
 
 @numeric
@@ -228,11 +216,10 @@ def straight_on(axis: AxisState, t_s: float) -> AxisState:
 
 @numeric
 def drifted_apart(
-    p_m: float, error_m_s: float, measured_m: float, reported_m_s: float, elapsed_s: float, rate_1_s: float,
-    most_m_s: float,
-) -> tuple[float, float]:  # fmt: skip
-    """Estimate position and velocity error on an axis from a measured position and a reported velocity."""
-    q = p_m + (reported_m_s - error_m_s) * elapsed_s
-    missed = measured_m - q
-    error_m_s = clip(error_m_s - rate_1_s * rate_1_s * elapsed_s * missed, -most_m_s, most_m_s)
-    return q + min(1.0, 2.0 * rate_1_s * elapsed_s) * missed, error_m_s
+    axis: AxisState, p_m: float, v_m_s: float, elapsed_s: float, rate_1_s: float, most_m_s: float
+) -> AxisState:
+    """Return the state of an axis after a time, its position and error corrected without the loop's model."""
+    q = axis[0] + (v_m_s - axis[3]) * elapsed_s
+    missed = p_m - q
+    e = clip(axis[3] - rate_1_s * rate_1_s * elapsed_s * missed, -most_m_s, most_m_s)
+    return (q + min(1.0, 2.0 * rate_1_s * elapsed_s) * missed, v_m_s - e, 0.0, e, 0.0)
