@@ -15,11 +15,10 @@ FALL_MAX_M_S = 1.0  # allowed fall speed, m/s: twice the landing speed; landing 
 def reaches_touchdown(config: FlightConfig) -> Check:
     """Check that the vehicle starts the touchdown above the height at which it stands."""
     found, stands_m = config.touchdown.height_m, config.touchdown.feet_below_reference_m
-    return Check(
-        "touchdown.height_m",
-        "a vehicle standing on the pad is below the height at which the touchdown begins",
-        found - stands_m, "m", f"found {found:g}, it stands at {stands_m:g} m", "raise touchdown.height_m",
-    )  # fmt: skip
+    return Check("touchdown.height_m",
+                 "a vehicle standing on the pad is below the height at which the touchdown begins",
+                 found - stands_m, "m", f"found {found:g}, it stands at {stands_m:g} m",
+                 "raise touchdown.height_m")  # fmt: skip
 
 
 def any_filter(config: FlightConfig, descent_m_s: float, key: str) -> list[Check]:

@@ -1,12 +1,10 @@
 """Check that the loop with velocity and disturbance feedback is stable for every declared vehicle.
 
-docs/how_it_works/robust_filter.md, *Velocity feedback*, derives both bounds. ``linear`` is the loop x' = A x,
-with the delay as a first-order Padé element; A depends linearly on the vehicle through W = w^2 and
-D = 2 z w. With an estimated vehicle state (``own.velocity_error_m_s``) the states of the estimator replace
-those of the observer. ``follow_m`` bounds the distance from the pad's centre of a vehicle that follows its
-target. Its inputs have any sign at any time: the target's acceleration, and the error of the commanded
-velocity. Vehicles beside the centre of an interval are a third input, (W - W0) (u - v) - (D - D0) a. An
-interval of the lag spread without a proof, or with a large bound, is halved.
+docs/how_it_works/robust_filter.md, *Velocity feedback*, derives both bounds and gives the measurements behind
+the limits. ``linear`` is the loop x' = A x, with the delay as a first-order Padé element; A depends linearly
+on the vehicle through W = w^2 and D = 2 z w. ``follow_m`` bounds the distance from the pad's centre of a
+vehicle that follows its target. An interval of the lag spread without a proof, or with a large bound, is
+halved.
 """
 
 from __future__ import annotations
@@ -28,15 +26,9 @@ TICKS_LATE = 1.5  # delay of a set-point, ticks: on average half a tick, plus on
 SHARE = 0.5  # ratio of the required decay rate on an interval of the lag spread to the rate at its centre
 PIECE_MIN = 1e-6  # smallest width of an interval of lag factors; if it fails, the loop is unstable
 PIECES_MAX = 10_000
-# Largest ratio of feedback rate to velocity loop rate. The model omits motors and attitude loop: at a ratio
-# of 3 the 1 kg quadrotor oscillates at 1.8 Hz (tilts of 45 degrees), with 2.5 it lands (150 of 150).
-BANDWIDTH = 2.5
-# Smallest ratio of observer rate to velocity loop rate. The filter's margins assume that the observer is fast
-# enough to estimate a disturbance within the loop's response time: at a ratio of 0.2, 6 of 400 landings of
-# `field` violate, at 0.3 one, at 0.4 and 0.5 none.
-OBSERVER = 0.5
-# Largest acceleration, m/s^2, by velocity_loop.error_max_m_s, for which the linear model holds (a tilt of 17
-# degrees): 2 of 40 landings of `large` violate at 4.6, none at 2.6.
+BANDWIDTH = 2.5  # largest ratio of feedback rate to velocity loop rate; the model omits motors and attitude
+OBSERVER = 0.5  # smallest ratio of observer rate to velocity loop rate, so that a disturbance is found soon
+# largest acceleration by velocity_loop.error_max_m_s, m/s^2, for which the linear model holds
 ACCELERATION_MAX_M_S2 = 3.0
 MIN_DECAY_1_S = 0.1  # required proven decay rate: half of an error in seven seconds
 

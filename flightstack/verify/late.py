@@ -1,10 +1,9 @@
 """Check that errors decay in the loop of position control, lag compensation and vehicle, for all lags.
 
-One axis is simulated tick by tick: the vehicle's second-order loop with its dead time, the age of the vehicle
-state, and the filter's functions (``velocity_tracking.py``), which are linear within their bounds. A tick is
-therefore a matrix: each column is the state one tick after a unit vector; its largest eigenvalue gives the
-decay of errors. Delays are rounded to whole ticks. Only vehicles on a grid are checked: the decay rate is
-continuous in their parameters, and the required rate leaves room for vehicles in between.
+docs/how_it_works/robust_filter.md, *Limits of the lead*: one axis is simulated tick by tick with the filter's
+functions (``velocity_tracking.py``), which are linear within their bounds. A tick is therefore a matrix.
+Delays are rounded to whole ticks. Only vehicles on a grid are checked: the decay rate is continuous in their
+parameters, and the required rate leaves room for vehicles in between.
 """
 
 from __future__ import annotations
@@ -124,17 +123,17 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         robust.gain_over_pad_1_s: "gain_over_pad_1_s",
         robust.to_contact_1_s: "gain_descent_1_s" if descent else "gain_over_pad_1_s",
     }
-    least_1_s = {gain: min(MIN_DECAY_1_S, 0.5 * gain) for gain in gains}
-    slack, slack_gain = min((decay_1_s(config, gain, 1.0, 1.0) - least_1_s[gain], gain) for gain in gains)
-    room, needed, gain, slower, response = min(
+    rows = [
         (decay_1_s(config, gain, slower, response) - needed, needed, gain, slower, response)
         for gain in gains
         for slower in (1.0 + share * spread for share in SLOWER)
         for response, needed in [
-            *((each, least_1_s[gain]) for each in RESPONSES),
+            *((each, min(MIN_DECAY_1_S, 0.5 * gain)) for each in RESPONSES),
             *([(RESPONSE_LATE, 0.0)] if loop.dead_time_s > 0.0 else []),
         ]
-    )
+    ]
+    slack, least_1_s, slack_gain, *_ = min(row for row in rows if row[3:] == (1.0, 1.0))
+    room, needed, gain, slower, response = min(rows)
     remedy = "lower robust.{} or velocity_loop.gain_xy, or identify the loop again (flightstack identify)"
     return [
         Check("position loop",
@@ -143,7 +142,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
               f"gain {over:.3g} 1/s at a lag of {lag_s:.3g} s: damping {damping:.3g}",
               f"lower robust.{key}", PROOF),
         Check("lead", "the loop of position and lead is stable for the declared vehicle", slack, "1/s",
-              f"an error decays at {slack + least_1_s[slack_gain]:.3g} 1/s, least: {least_1_s[slack_gain]:g}",
+              f"an error decays at {slack + least_1_s:.3g} 1/s, least: {least_1_s:g}",
               remedy.format(gains[slack_gain])),
         Check("lead, spread", "the loop of position and lead is stable for each vehicle of the spread", room,
               "1/s",

@@ -76,11 +76,10 @@ def basics(
 def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
     """Return the check that a tick is short compared with the time in which h may fall."""
     most_1_s = 0.5 * config.loop.rate_hz
-    return Check(
-        f"sampling, {key}", "a tick is short compared with the rate at which h may fall",
-        most_1_s - rate_1_s, "1/s", f"found {rate_1_s:g}, at {config.loop.rate_hz} Hz at most {most_1_s:g}",
-        f"lower {key} or raise loop.rate_hz",
-    )  # fmt: skip
+    return Check(f"sampling, {key}", "a tick is short compared with the rate at which h may fall",
+                 most_1_s - rate_1_s, "1/s",
+                 f"found {rate_1_s:g}, at {config.loop.rate_hz} Hz at most {most_1_s:g}",
+                 f"lower {key} or raise loop.rate_hz")  # fmt: skip
 
 
 def touch_height(config: FlightConfig) -> tuple[str, float]:
@@ -93,16 +92,7 @@ def touch_height(config: FlightConfig) -> tuple[str, float]:
 def answers(config: FlightConfig) -> list[Check]:
     """Check that position loop, filter, slew limit and tick fit a vehicle with lag, which the paper omits.
 
-    A vehicle with the lag tau continues at full speed v towards the cone, v tau farther than the filter
-    assumes; outside the pad the barrier must hold. The position loop around a lag has a damping of
-    1 / sqrt(2) if gain times lag is 1/2. If h may fall more than twice as fast as the vehicle approaches the
-    centre, or faster than its vertical velocity settles, the vehicle descends into the narrow part of the
-    cone and remains there while the robot continues. The same happens to a vehicle that is hardly faster than
-    a robot that reverses. With these factors 60 landings in ``reversing`` remained above the barrier.
-
-    Horizontal motion lags behind a robot that reverses, so the vehicle must be able to climb as fast as the
-    boundary below it rises: landings with slopes of 4.5 and more, a rise of twice the vertical speed, ended
-    below the barrier. A cone that is too flat allows a touchdown on the pad's edge.
+    docs/how_it_works/method.md, *Feasibility*, gives the reasons.
     """
     loop, slower, tick_s = config.velocity_loop, 1.0 + config.envelope.lag_spread, 1.0 / config.loop.rate_hz
     (kx, ky, kz), (ax, ay, _) = config.position_loop.gain_1_s, config.limits.slew_max_m_s2

@@ -184,8 +184,7 @@ def _reserve(config: FlightConfig, growth: Most) -> list[Check]:
 def _own_estimator(config: FlightConfig) -> list[Check]:
     """Return the check that a velocity error is estimated faster than the position loop acts on it.
 
-    Without the velocity loop's model, the position estimate is wrong by at most the error times T / e, and
-    the velocity by the error, for the time T. The bound of T is half the time constant of the position loop.
+    Without the velocity loop's model, the estimate of the velocity is wrong by the error for the time T.
     """
     if not config.own.learns or config.velocity_feedback.horizontal:
         return []

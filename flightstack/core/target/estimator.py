@@ -4,15 +4,12 @@ Each axis is a triple integrator driven by white jerk. A sample measures positio
 and the filter predicts the state from this time to now. x and y have equal noise. Each lost sample increases
 the uncertainty; a late sample counts for the time of its measurement.
 
-The velocity of a wheeled robot turns only with its heading, so the horizontal velocity turns at the measured
-yaw rate (coordinated turn). The remaining acceleration comes from starting and braking, and is short, so it
+The horizontal velocity turns at the measured yaw rate (coordinated turn), and the remaining acceleration
 decays (R. A. Singer, Estimating Optimal Tracking Filter Performance for Manned Maneuvering Targets, IEEE
-Transactions on Aerospace and Electronic Systems 6(4), 1970). A constant acceleration, extrapolated over a
-gap, would exceed the speed of any robot. The vertical acceleration does not decay: a deck heaves for seconds.
-The covariances of x and y are equal, so a turn does not change them.
-
-While the innovations of the samples are larger than expected, the jerk on x and y is raised, up to a factor:
-the estimate follows a robot that brakes suddenly, and is more exact at constant speed than with a fixed jerk.
+Transactions on Aerospace and Electronic Systems 6(4), 1970). The vertical acceleration does not decay: a deck
+heaves for seconds. The covariances of x and y are equal, so a turn does not change them. While innovations
+are larger than expected, the jerk on x and y is raised. docs/how_it_works/robust_filter.md, *Targets that
+turn, brake, reverse and heave*, gives the reasons.
 """
 
 from __future__ import annotations
