@@ -47,17 +47,13 @@ def checks(config: FlightConfig) -> list[Check]:
     """
     checked_class(config)
     own = certificate_of(config)
-    found: list[Check] = referred(own, "certificate")(config) if own else [_no_certificate(config.filter)]
+    found: list[Check] = referred(own, "certificate")(config) if own else [
+        Check("certificate", "the class of the filter has a certificate of its own", -math.inf, "",
+              f"{config.filter} has none; the certificate of a base class does not cover it",
+              "set the class attribute certificate to MODULE:NAME of a function that returns its checks",
+              Need.PROOF),
+    ]  # fmt: skip
     return [*found, *fleet_checks(config)]
-
-
-def _no_certificate(name: str) -> Check:
-    return Check(
-        "certificate", "the class of the filter has a certificate of its own", -math.inf, "",
-        f"{name} has none; the certificate of a base class does not cover it",
-        "set the class attribute certificate to MODULE:NAME of a function that returns its checks",
-        Need.PROOF,
-    )  # fmt: skip
 
 
 def paper_checks(config: FlightConfig) -> list[Check]:

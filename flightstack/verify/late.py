@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.strategies.velocity_tracking import lead_carried, lead_commanded, lead_observed, lead_of
+from flightstack.core.strategies.velocity_tracking import lead_carried, lead_commanded, lead_observed
 from flightstack.verify.envelope import Extremes
 from flightstack.verify.feedback import F64, matrix_exp
 from flightstack.verify.types import PROOF, Check
@@ -42,8 +42,7 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
     ``response``: ratio of steady velocity to set-point.
     """
     loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz
-    free = replace(loop, error_max_m_s=1e9, disturbance_max_m_s=1e9)
-    lead = lead_of(free, loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy, math.inf, period_s)
+    free = replace(loop, error_max_m_s=math.inf, disturbance_max_m_s=1e9)
     late = loop.late_ticks(period_s)
     acts = LATE_TICKS + round(slower * loop.dead_time_s / period_s)
     aged = round(config.own.delay_s / period_s)
@@ -69,10 +68,10 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
         samples += [p, v]
         reported_p, reported_v, *samples = samples
         reported_p += config.own.delay_s * (reported_v - target)
-        m, dm, d = lead_observed(lead, reported_v, line[-1 - late], m, dm, d)
-        distance_m, then = lead_carried(lead, reported_v, m, dm, line[sent - late :])
+        m, dm, d = lead_observed(free, period_s, reported_v, line[-1 - late], m, dm, d)
+        distance_m, then = lead_carried(free, period_s, reported_v, m, dm, line[sent - late :])
         wanted = target - gain_1_s * (reported_p + distance_m - loop.dead_time_s * target) + error
-        s, u = lead_commanded(lead, before, wanted, then, s, d, math.inf)
+        s, u = lead_commanded(free, period_s, before, wanted, then, s, d, math.inf)
         return [p, v, a, m, dm, d, s, wanted, target, 0.0, *line[1:], u, *samples]
 
     return np.array([tick(unit) for unit in np.eye(size).tolist()]).T

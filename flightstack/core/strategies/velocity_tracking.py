@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from flightstack.core.memory import LateMemory, TrackingMemory
 from flightstack.core.numeric import numeric, rare
@@ -35,102 +36,76 @@ from flightstack.core.parameters.robust import VelocityFeedback, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import ZERO, Vec3
 
-# constants of the lag compensation: period, lag, rate, gain, largest error, damping, largest disturbance,
-# weights of one tick in the averages of slope and disturbance
-Lead = tuple[float, float, float, float, float, float, float, float, float]
-# constants of the feedback: period, delay, rate, drag, push, largest disturbance and error, fraction of the
-# slope, gains of the observer on velocity and disturbance, rates of error and tilt, largest acceleration
-Feedback = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
-
 
 @numeric
 def lead_observed(
-    lead: Lead, v: float, u: float, m: float, dm: float, d: float
+    loop: VelocityLoop, t: float, v: float, u: float, m: float, dm: float, d: float
 ) -> tuple[float, float, float]:
-    """Return the model's velocity, its derivative, and the disturbance after one tick.
+    """Return the model's velocity, its derivative, and the disturbance after one tick of ``t`` seconds.
 
     The model uses only the set-point; the disturbance is the low-pass filtered error of the model's velocity.
     """
-    t, _, w, _, _, damping, most_m_s, _, share = lead
-    dm += t * (w * w * (u - m) - 2.0 * damping * w * dm)
+    w, most_m_s = loop.rate_xy_1_s, loop.disturbance_max_m_s
+    dm += t * (w * w * (u - m) - 2.0 * loop.damping * w * dm)
     m += t * dm
-    d += share * (v - m - d)
+    d += min(1.0, t / loop.disturbance_time_s) * (v - m - d)
     return m, dm, clip(d, -most_m_s, most_m_s)
 
 
 @numeric
 def lead_commanded(
-    lead: Lead, b: float, r: float, v: float, s: float, d: float, most: float
+    loop: VelocityLoop, t: float, b: float, r: float, v: float, s: float, d: float, most: float
 ) -> tuple[float, float]:
     """Return the smoothed derivative of the velocity command, and the set-point."""
-    t, lag_s, _, gain, error_max_m_s, _, _, share, _ = lead
-    s += share * ((r - b) / t - s)
-    u = r + lag_s * s + gain * (r - v) - d
-    return s, clip(clip(u, v - error_max_m_s, v + error_max_m_s), -most, most)
+    s += min(1.0, t / loop.slope_time_s) * ((r - b) / t - s)
+    u = r + loop.lag_xy_s * s + loop.gain_xy * (r - v) - d
+    return s, clip(clip(u, v - loop.error_max_m_s, v + loop.error_max_m_s), -most, most)
 
 
-def lead_carried(lead: Lead, v: float, m: float, dm: float, sent: Sequence[float]) -> tuple[float, float]:
+def lead_carried(
+    loop: VelocityLoop, t: float, v: float, m: float, dm: float, sent: Sequence[float]
+) -> tuple[float, float]:
     """Return distance and velocity after the set-points ``sent`` (one per tick) have taken effect."""
-    t, distance_m, now = lead[0], 0.0, m
+    distance_m, now = 0.0, m
     for u in sent:
-        m, dm, _ = lead_observed(lead, m, u, m, dm, 0.0)
+        m, dm, _ = lead_observed(loop, t, m, u, m, dm, 0.0)
         distance_m += t * (v + (m - now))
     return distance_m, v + (m - now)
 
 
 @numeric
 def feedback_observed(
-    feedback: Feedback, v: float, u: float, m: float, dm: float, d: float
-) -> tuple[float, float, float]:
-    """Return the results of ``lead_observed`` from an observer that the measured velocity corrects."""
-    t, delay_s, w, drag_1_s, push_1_s, most_m_s, _, _, to_velocity, to_disturbance, _, _, _ = feedback
+    loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, t: float, v: float, u: float, m: float,
+    dm: float, d: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return the results of ``lead_observed`` from an observer that the measured velocity corrects.
+
+    The velocity of age ``delay_s`` is extrapolated. Both poles of the observer are at its rate.
+    """
+    w, rate, most_m_s = loop.rate_xy_1_s, feedback.observer_rate_1_s, loop.disturbance_max_m_s
+    push_1_s = w / (2.0 * loop.damping)  # ratio f / d
     f = push_1_s * d
     now = v + delay_s * (dm + f)
     missed = v - m
-    m += t * (dm + f + to_velocity * missed)
-    dm += t * (w * w * (u - now) - drag_1_s * dm)
-    d += t * to_disturbance * missed
+    m += t * (dm + f + 2.0 * rate * missed)
+    dm += t * (w * w * (u - now) - 2.0 * loop.damping * w * dm)
+    d += t * (rate * rate / push_1_s) * missed
     return m, dm, clip(d, -most_m_s, most_m_s)
 
 
 @numeric
 def feedback_commanded(
-    feedback: Feedback, b: float, r: float, s: float, m: float, dm: float, d: float, most: float
-) -> tuple[float, float]:
+    loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, t: float, b: float, r: float, s: float,
+    m: float, dm: float, d: float, most: float,
+) -> tuple[float, float]:  # fmt: skip
     """Return the results of ``lead_commanded``, from the state of the model instead of the velocity."""
-    t, delay_s, w, drag_1_s, push_1_s, _, error_max_m_s, share, _, _, error_1_s, tilt_1_s, tilts = feedback
-    f = push_1_s * d
-    s += share * ((r - b) / t - s)
+    w, most_m_s2 = loop.rate_xy_1_s, feedback.acceleration_max_m_s2
+    f = w / (2.0 * loop.damping) * d
+    s += min(1.0, t / loop.slope_time_s) * ((r - b) / t - s)
     now = m + delay_s * (dm + f)
-    wanted = s + error_1_s * (r - now) - f
-    wanted = clip(wanted, -tilts, tilts)
-    u = now + (drag_1_s * dm + tilt_1_s * (wanted - dm)) / (w * w)
-    return s, clip(clip(u, now - error_max_m_s, now + error_max_m_s), -most, most)
-
-
-def lead_of(
-    loop: VelocityLoop, lag_s: float, rate_1_s: float, gain: float, error_max_m_s: float, period_s: float
-) -> Lead:
-    """Return the constants of the lag compensation (lead) of one axis."""
-    slope_share = min(1.0, period_s / loop.slope_time_s)
-    disturbance_share = min(1.0, period_s / loop.disturbance_time_s)
-    return (
-        period_s, lag_s, rate_1_s, gain, error_max_m_s, loop.damping, loop.disturbance_max_m_s,
-        slope_share, disturbance_share,
-    )  # fmt: skip
-
-
-def feedback_of(loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float) -> Feedback:
-    """Return the constants of the velocity feedback; it extrapolates a velocity of age ``delay_s``."""
-    rate_1_s, push_1_s = loop.rate_xy_1_s, loop.rate_xy_1_s / (2.0 * loop.damping)  # push: ratio f / d
-    # the observer's gains of velocity and disturbance place both of its poles at this rate
-    rate = feedback.observer_rate_1_s
-    return (
-        period_s, delay_s, rate_1_s, 2.0 * loop.damping * loop.rate_xy_1_s, push_1_s,
-        loop.disturbance_max_m_s, loop.error_max_m_s, min(1.0, period_s / loop.slope_time_s),
-        2.0 * rate, rate * rate / push_1_s,
-        feedback.error_rate_1_s, feedback.tilt_rate_1_s, feedback.acceleration_max_m_s2,
-    )  # fmt: skip
+    wanted = clip(s + feedback.error_rate_1_s * (r - now) - f, -most_m_s2, most_m_s2)
+    u = now + (2.0 * loop.damping * w * dm + feedback.tilt_rate_1_s * (wanted - dm)) / (w * w)
+    return s, clip(clip(u, now - loop.error_max_m_s, now + loop.error_max_m_s), -most, most)
 
 
 class VelocityTracking:
@@ -139,25 +114,25 @@ class VelocityTracking:
     memory: TrackingMemory
     late: LateMemory
     by_feedback: bool  # whether x and y use velocity feedback instead of the lag compensation; z never does
-    lead_xy: Lead
-    lead_z: Lead
-    feedback: Feedback  # constants near the pad; ``far_feedback``: beyond ``velocity_feedback.far_m``
-    far_feedback: Feedback
+    loop: VelocityLoop
+    vertical: VelocityLoop  # the vertical loop, with its values in the keys of the horizontal one
+    near: VelocityFeedback  # feedback near the pad; ``far``: beyond ``velocity_feedback.far_m``
+    far: VelocityFeedback
+    period_s: float
+    delay_s: float  # age of the velocity that the feedback extrapolates
     late_ticks: int
 
     def __init__(
         self, loop: VelocityLoop, period_s: float, feedback: VelocityFeedback | None = None,
         delay_s: float = 0.0,
     ) -> None:  # fmt: skip
-        self.memory = TrackingMemory()
-        feedback = feedback or VelocityFeedback()
-        self.by_feedback = feedback.horizontal
-        self.lead_xy = lead_of(
-            loop, loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy, loop.error_max_m_s, period_s
-        )
-        self.lead_z = lead_of(loop, loop.lag_z_s, loop.rate_z_1_s, loop.gain_z, math.inf, period_s)
-        self.feedback = feedback_of(loop, feedback, delay_s, period_s)
-        self.far_feedback = feedback_of(loop, feedback.far, delay_s, period_s)
+        self.memory, self.loop, self.period_s, self.delay_s = TrackingMemory(), loop, period_s, delay_s
+        self.vertical = replace(
+            loop, lag_xy_s=loop.lag_z_s, rate_xy_1_s=loop.rate_z_1_s, gain_xy=loop.gain_z,
+            error_max_m_s=math.inf,
+        )  # fmt: skip
+        self.near = feedback or VelocityFeedback()
+        self.far, self.by_feedback = self.near.far, self.near.horizontal
         self.late_ticks = loop.late_ticks(period_s)
         self.late = LateMemory(((0.0, 0.0),) * self.late_ticks)
         self._carried: tuple[object, tuple[tuple[float, float], Vec3]] = (None, ((0.0, 0.0), ZERO))
@@ -171,17 +146,17 @@ class VelocityTracking:
                 self._forget(velocity_enu_m_s)
             return
         v, u, m = velocity_enu_m_s, memory.setpoint_m_s, memory.model_m_s
-        dm, d = memory.model_m_s2, memory.disturbance_m_s
+        dm, d, loop, t = memory.model_m_s2, memory.disturbance_m_s, self.loop, self.period_s
         if self.late_ticks:
             u = self._arrived(u)
         if self.by_feedback:
-            numbers = self.feedback
-            mx, dmx, dx = feedback_observed(numbers, v[0], u[0], m[0], dm[0], d[0])
-            my, dmy, dy = feedback_observed(numbers, v[1], u[1], m[1], dm[1], d[1])
+            near, delay_s = self.near, self.delay_s
+            mx, dmx, dx = feedback_observed(loop, near, delay_s, t, v[0], u[0], m[0], dm[0], d[0])
+            my, dmy, dy = feedback_observed(loop, near, delay_s, t, v[1], u[1], m[1], dm[1], d[1])
         else:
-            mx, dmx, dx = lead_observed(self.lead_xy, v[0], u[0], m[0], dm[0], d[0])
-            my, dmy, dy = lead_observed(self.lead_xy, v[1], u[1], m[1], dm[1], d[1])
-        mz, dmz, dz = lead_observed(self.lead_z, v[2], u[2], m[2], dm[2], d[2])
+            mx, dmx, dx = lead_observed(loop, t, v[0], u[0], m[0], dm[0], d[0])
+            my, dmy, dy = lead_observed(loop, t, v[1], u[1], m[1], dm[1], d[1])
+        mz, dmz, dz = lead_observed(self.vertical, t, v[2], u[2], m[2], dm[2], d[2])
         memory.model_m_s, memory.model_m_s2 = (mx, my, mz), (dmx, dmy, dmz)
         memory.disturbance_m_s = (dx, dy, dz)
 
@@ -200,15 +175,15 @@ class VelocityTracking:
     @rare
     def carried(self, velocity_m_s: Vec3) -> tuple[tuple[float, float], Vec3]:
         """Predict the horizontal motion, m, until a new set-point takes effect, and the velocity after it."""
-        memory, sent, lead = self.memory, self.late.sent_m_s, self.lead_xy
+        memory, sent, loop, t = self.memory, self.late.sent_m_s, self.loop, self.period_s
         if not sent or self.by_feedback:
             return (0.0, 0.0), velocity_m_s
         given = (velocity_m_s, memory.model_m_s, memory.model_m_s2, sent)
         if given == self._carried[0]:  # a second call in one tick: the result is known
             return self._carried[1]
         (vx, vy, vz), (mx, my, _), (dmx, dmy, _) = given[:3]
-        x_m, vx = lead_carried(lead, vx, mx, dmx, [x for x, _ in sent])
-        y_m, vy = lead_carried(lead, vy, my, dmy, [y for _, y in sent])
+        x_m, vx = lead_carried(loop, t, vx, mx, dmx, [x for x, _ in sent])
+        y_m, vy = lead_carried(loop, t, vy, my, dmy, [y for _, y in sent])
         self._carried = (given, ((x_m, y_m), (vx, vy, vz)))
         return self._carried[1]
 
@@ -217,18 +192,20 @@ class VelocityTracking:
         least_z_m_s: float = -math.inf, far: bool = False,
     ) -> Vec3:  # fmt: skip
         """Return the set-point with which the vehicle follows the reference velocity."""
-        memory, b, r, v = self.memory, before_m_s, reference_m_s, velocity_m_s
+        memory, b, r, v, loop, t = (
+            self.memory, before_m_s, reference_m_s, velocity_m_s, self.loop, self.period_s
+        )  # fmt: skip
         if self.late_ticks:
             v = self.carried(v)[1]
         m, dm, d, s = memory.model_m_s, memory.model_m_s2, memory.disturbance_m_s, memory.slope_m_s2
         if self.by_feedback:
-            numbers = self.far_feedback if far else self.feedback
-            sx, ux = feedback_commanded(numbers, b[0], r[0], s[0], m[0], dm[0], d[0], most_m_s[0])
-            sy, uy = feedback_commanded(numbers, b[1], r[1], s[1], m[1], dm[1], d[1], most_m_s[1])
+            fed, age_s = self.far if far else self.near, self.delay_s
+            sx, ux = feedback_commanded(loop, fed, age_s, t, b[0], r[0], s[0], m[0], dm[0], d[0], most_m_s[0])
+            sy, uy = feedback_commanded(loop, fed, age_s, t, b[1], r[1], s[1], m[1], dm[1], d[1], most_m_s[1])
         else:
-            sx, ux = lead_commanded(self.lead_xy, b[0], r[0], v[0], s[0], d[0], most_m_s[0])
-            sy, uy = lead_commanded(self.lead_xy, b[1], r[1], v[1], s[1], d[1], most_m_s[1])
-        sz, uz = lead_commanded(self.lead_z, b[2], r[2], v[2], s[2], d[2], most_m_s[2])
+            sx, ux = lead_commanded(loop, t, b[0], r[0], v[0], s[0], d[0], most_m_s[0])
+            sy, uy = lead_commanded(loop, t, b[1], r[1], v[1], s[1], d[1], most_m_s[1])
+        sz, uz = lead_commanded(self.vertical, t, b[2], r[2], v[2], s[2], d[2], most_m_s[2])
         uz = min(max(uz, least_z_m_s - d[2]), most_m_s[2])
         memory.slope_m_s2, memory.setpoint_m_s = (sx, sy, sz), (ux, uy, uz)
         return memory.setpoint_m_s

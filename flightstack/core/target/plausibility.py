@@ -87,9 +87,8 @@ class Plausibility:
     def trusts(self, now_s: float) -> bool:
         """Whether the vehicle state is usable now."""
         last = self.memory.last
-        if last is None or self.memory.distrusted:
-            return False
-        return now_s - last.arrival_s <= self._checks.own_age_max_s
+        fresh = last is not None and now_s - last.arrival_s <= self._checks.own_age_max_s
+        return fresh and not self.memory.distrusted
 
     def follow(self, wanted_m_s: Vec3, velocity_m_s: Vec3) -> None:
         """Compare the velocity with the command of the last tick; call this method once a tick."""
