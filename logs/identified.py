@@ -78,19 +78,14 @@ def _try(what: str, missing: list[str], find: Callable[[], T]) -> T | None:
         return None
 
 
-def _segments(steps: Steps) -> tuple[list[Segment], list[Segment], list[Segment]]:
+def _segments(steps: Steps) -> list[list[Segment]]:
     """Return, for each axis, the spans without gaps in which the vehicle follows the set-points."""
+    command, flown = steps.command_enu_m_s, steps.own_velocity_enu_m_s
     good = steps.setpoint_sent & steps.own_valid & np.isin(steps.phase, FLYING)
-    good &= np.isfinite(steps.own_velocity_enu_m_s).all(1) & np.isfinite(steps.command_enu_m_s).all(1)
-    new = np.concatenate(([True], (np.diff(steps.tick) != 1) | (good[1:] != good[:-1])))
-    starts = np.flatnonzero(new)
-    axes: tuple[list[Segment], list[Segment], list[Segment]] = ([], [], [])
-    for start, end in zip(starts, [*starts[1:], len(good)], strict=True):
-        if good[start]:
-            command, flown = steps.command_enu_m_s[start:end], steps.own_velocity_enu_m_s[start:end]
-            for axis, pieces in enumerate(axes):
-                pieces.append(Segment(command[:, axis], flown[:, axis]))
-    return axes
+    good &= np.isfinite(flown).all(1) & np.isfinite(command).all(1)
+    starts = np.flatnonzero((np.diff(steps.tick) != 1) | (good[1:] != good[:-1])) + 1
+    runs = [run for run in np.split(np.arange(len(good)), starts) if good[run[0]]]
+    return [[Segment(command[run, axis], flown[run, axis]) for run in runs] for axis in range(3)]
 
 
 def _own_noise_m(steps: Steps) -> float:
@@ -104,14 +99,12 @@ def _own_noise_m(steps: Steps) -> float:
 def _target(flights: list[Flight]) -> list[tuple[Floats, Floats, Floats, Floats]]:
     """Return stamp, arrival, position and velocity of each log's samples, in the order of measurement."""
     rows = []
-    for flight in flights:
-        target = flight.target
-        if target is None:
-            continue
+    for target, origin_ns in ((each.target, each.origin_ns) for each in flights if each.target is not None):
         stamps, first = np.unique(target.stamp_ns, return_index=True)
-        arrival = target.t_s[first]
-        stamp = np.asarray((stamps - flight.origin_ns) * _NS, dtype=np.float64)
-        rows.append((stamp, arrival, target.position_enu_m[first], target.velocity_child_m_s[first]))
+        stamp_s = np.asarray((stamps - origin_ns) * _NS, dtype=np.float64)
+        rows.append(
+            (stamp_s, target.t_s[first], target.position_enu_m[first], target.velocity_child_m_s[first])
+        )
     if not rows:
         raise ValueError("no odometry in the log")
     return rows

@@ -207,12 +207,8 @@ def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tupl
     gains = _gains(linear(config, middle), inputs, outputs)
     if gains is None:
         return math.inf, 0.0
-    bounds = np.array(
-        [
-            x.target_acceleration_m_s2,
-            x.velocity_error_m_s + config.robust.gain_over_pad_1_s * x.position_error_m,
-        ]
-    )
+    error_m_s = x.velocity_error_m_s + config.robust.gain_over_pad_1_s * x.position_error_m
+    bounds = np.array([x.target_acceleration_m_s2, error_m_s])
     own = (gains + through)[:, :_OTHER] @ bounds  # bounds of position, u - v, a
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
     stiff = max(high**2 - middle**2, middle**2 - low**2) * w * w

@@ -47,14 +47,8 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
     acts = LATE_TICKS + round(slower * loop.dead_time_s / period_s)
     aged = round(config.own.delay_s / period_s)
     w = loop.rate_xy_1_s / slower
-    rates = np.array(
-        [
-            [0.0, 1.0, 0.0, 0.0],
-            [0.0, 0.0, 1.0, 0.0],
-            [0.0, -w * w, -2.0 * loop.damping * w, response * w * w],
-            [0.0, 0.0, 0.0, 0.0],
-        ]
-    )
+    rates = np.eye(4, k=1)  # derivatives of position, velocity, acceleration and (constant) set-point
+    rates[2] = 0.0, -w * w, -2.0 * loop.damping * w, response * w * w
     step = matrix_exp(rates * period_s)[:3].tolist()
     sent = max(late, acts) + 1  # number of stored set-points, the newest last
     size = STATES + sent + 2 * aged
@@ -91,13 +85,9 @@ def drift_m(config: FlightConfig, x: Extremes, time_s: float, slower: float, res
     target's acceleration and the velocity command's error times their sums of absolute impulse responses.
     """
     robust, period_s = config.robust, 1.0 / config.loop.rate_hz
-    gain = robust.gain_over_pad_1_s
+    gain, slip = robust.gain_over_pad_1_s, robust.commit_speed_m_s + x.velocity_error_m_s
     step = tick_matrix(config, gain, slower, response)
-    now = np.zeros((len(step), 4))
-    slip, sent = (
-        robust.commit_speed_m_s + x.velocity_error_m_s,
-        len(step) - 2 * round(config.own.delay_s / period_s),
-    )
+    now, sent = np.zeros((len(step), 4)), len(step) - 2 * round(config.own.delay_s / period_s)
     now[0, 0] = now[sent::2, 0] = robust.commit_radius_m + x.position_error_m
     now[[1, 3, 7], 1] = now[STATES:sent, 1] = now[sent + 1 :: 2, 1] = slip
     now[_TARGET, 2] = x.target_acceleration_m_s2 * period_s
