@@ -150,11 +150,7 @@ class RobustFilter(Filter):
         return t[2] - sinks_m_s - (gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1]))
 
     def _braked_m_s(self, left_m: float) -> float:
-        """Return the fastest descent that can be stopped within ``left_m``; inf without a table [reserve].
-
-        The upward acceleration is the one that the thrust reserve allows in this tick; the certificate shows
-        that the configured one is sufficient for the rates of the filter.
-        """
+        """Return the fastest descent that the reserve can stop in ``left_m``; inf without table [reserve]."""
         if not self._has_reserve:
             return math.inf
         return math.sqrt(2.0 * BRAKING * self.acceleration_max_m_s2[2] * max(0.0, left_m))
@@ -201,10 +197,9 @@ class RobustFilter(Filter):
         return (ex + x - late_s * tx, ey + y - late_s * ty, ez), (vx - tx, vy - ty)
 
     def _ahead_m(self, e_m: Vec3, slip_m_s: tuple[float, float]) -> float:
-        """Return the height of the boundary ahead that the vehicle may be too slow to climb over.
+        """Return the height of the boundary ahead, at its peak ring or where the vehicle stops.
 
-        Far from the pad this is the peak ring of the boundary, which the path crosses. Near the centre it is
-        the height at which the vehicle stops beyond the centre: the barrier shows an overshoot only there.
+        The barrier shows an overshoot of the centre only when it is too late to climb.
         """
         (ex, ey, _), (vx, vy), barrier = e_m, slip_m_s, self._barrier
         if hypot(ex, ey) > 1.0 / barrier.alpha_1_m:

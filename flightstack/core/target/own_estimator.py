@@ -1,11 +1,9 @@
 """Estimate of the vehicle state from delayed positions and velocities with errors.
 
-The onboard estimate uses late positions, so its velocity has two errors: one changes within a fraction of a
-second, the other is a fraction of the speed for a whole flight (docs/how_it_works/own_state.md). The
-vehicle's velocity loop controls the reported velocity. Each horizontal axis has the position p, the velocity
-v, the acceleration a of the loop, the error e of the reported velocity, and the acceleration f of gusts and
-turning moments.
-With velocity feedback, which needs the same model, the equations are:
+docs/how_it_works/own_state.md describes the errors. The vehicle's velocity loop controls the reported
+velocity. Each horizontal axis has the position p, the velocity v, the acceleration a of the loop, the error e
+of the reported velocity, and the acceleration f of gusts and turning moments. With velocity feedback, which
+needs the same model, the equations are:
 
     p' = v,   v' = a + f,   a' = w^2 (u - v - e) - 2 z w a,   e' = -e / T + noise,   f' = -f / T_f + noise
 

@@ -1,10 +1,7 @@
 """Estimate of the thrust reserve in flight; it limits accelerations and decides whether to land.
 
-In flight the estimate uses the throttle: the upward part of throttle^p is the thrust as a fraction of the
-largest thrust. Its average over a few seconds is the weight plus the mean acceleration. The same low-pass of
-the vertical velocity gives this mean without a derivative: it is (v - smoothed v) / smoothing time. Before
-the flight, and without a reported throttle, the estimate uses the voltage. Without data the lowest reserve is
-used, for which the certificate holds.
+docs/how_it_works/robust_filter.md, *The thrust reserve*, derives the estimate: from the throttle in flight,
+else from the voltage. Without data the lowest reserve is used, for which the certificate holds.
 """
 
 from __future__ import annotations
