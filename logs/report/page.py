@@ -1,7 +1,7 @@
 """HTML pages of flights and campaigns: a page is a list of panels and needs no network.
 
-``render(Page(...))`` makes a page of any figures and tables. It escapes texts; the functions of this module
-return HTML, which is not escaped again.
+``render(Page(...))`` makes a page of any figures and tables. It escapes texts, but not the HTML that ``part``
+makes.
 """
 
 from __future__ import annotations
@@ -50,8 +50,7 @@ def render(page: Page) -> str:
     """Return a page as text. Raises as ``need_libraries``."""
     need_libraries()
     template = _templates().get_template("report_template.html")
-    body = html("".join(map(_drawn, page.panels)))
-    text: str = template.render(page=page, body=body, plotly=plotly_source())
+    text: str = template.render(page=page, plotly=plotly_source())
     return text
 
 
@@ -66,52 +65,6 @@ def write(path: Path, page: Page) -> Path:
             path.unlink()  # removes the incomplete file
         raise ReportError(f"{path}: cannot be written: {error.strerror}") from error
     return path
-
-
-def _drawn(panel: Panel | Sequence[Panel] | str) -> str:
-    if isinstance(panel, str):
-        return panel
-    if not isinstance(panel, Panel):
-        return html('<div class="columns">{}</div>').format(html("".join(map(_drawn, panel))))
-    figure = None
-    if hasattr(panel.content, "to_json"):  # "<" is escaped, because a name could end the script element
-        figure = html(panel.content.to_json().replace("<", "\\u003c"))
-    return part("panel", panel, figure)
-
-
-def details(title: str, text: str, name: str = "") -> str:
-    """Return a collapsible HTML block with a text; with a file ``name`` the reader can also save it."""
-    return part("details", title, text, name, base64.b64encode(text.encode()).decode("ascii"))
-
-
-def table(
-    head: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    numbers: Sequence[int] = (),
-    row_class: int | None = None,
-    empty: str = "",
-) -> str:
-    """Return an HTML table with these rows, or the text ``empty`` if there are none.
-
-    Columns ``numbers`` are right-aligned; column ``row_class`` is the style of its row.
-    """
-    return part("table", head, rows, numbers, row_class) if rows else paragraph(empty)
-
-
-def time_link(t_s: float, text: str) -> str:
-    """Return a time as HTML link that moves the figures to this time."""
-    return part("at_link", f"{t_s:.2f}", text)
-
-
-def html(text: str) -> str:
-    """Mark a text as HTML, which is not escaped."""
-    from markupsafe import Markup
-
-    return Markup(text)
-
-
-def paragraph(text: str) -> str:
-    return html("<p>{}</p>").format(text)
 
 
 def need_libraries() -> None:
@@ -131,8 +84,13 @@ def plotly_source() -> str:
 @cache
 def _templates() -> Any:
     from jinja2 import Environment, FileSystemLoader
+    from markupsafe import Markup
 
-    return Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True)
+    made = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True)
+    made.filters["base64"] = lambda text: base64.b64encode(text.encode()).decode("ascii")
+    # "<" is escaped, because a name could end the script element
+    made.filters["json"] = lambda figure: Markup(figure.to_json().replace("<", "\\u003c"))
+    return made
 
 
 def part(macro: str, *values: Any, **named: Any) -> str:

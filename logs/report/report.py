@@ -16,10 +16,7 @@ from logs.report.page import (
     Page,
     Panel,
     ReportError,
-    details,
-    html,
     need_libraries,
-    paragraph,
     part,
     write,
 )
@@ -107,7 +104,7 @@ def page(
         " · ".join([*[f"{len(sides)} vehicles"] * several, *about, verdict.reason]),
         tables.key_numbers(verdict, sides),
         [
-            html('<p><a href="{}">The whole fleet</a></p>').format(of) if of is not None else "",
+            part("paragraph", part("link", of, "The whole fleet")) if of is not None else "",
             picture,
             Panel("result", "Result", _source(verdict), tables.result_table(verdict, sides, pages or {})),
             part("bar", True),
@@ -135,12 +132,8 @@ def _configuration(fleet: Fleet) -> tuple[Panel, str]:
         for flight in fleet.flights.values()
     ]  # fmt: skip
     files.append(("Scenario, whole", fleet.attachments.get(SCENARIO), SCENARIO))
-    texts = [
-        details(what, data.decode(errors="replace"), name) for what, data, name in files if data is not None
-    ]
-    inner = html("".join(texts) or paragraph("The log holds none."))
-    end = html("<footer>Log: {}. Frames: east, north, up; SI units.</footer>").format(fleet.path.name)
-    return Panel("configuration", "Configuration", "", inner), end
+    found = [(what, data.decode(errors="replace"), name) for what, data, name in files if data is not None]
+    return Panel("configuration", "Configuration", "", part("files", found)), part("footer", fleet.path.name)
 
 
 def _source(verdict: FleetVerdict) -> str:
@@ -212,6 +205,6 @@ def repeat_section(fleet: Fleet, member: str = "") -> str:
         command=command(run, SCENARIO),
         revision=fleet.metadata.get("made", {}).get("git_revision", ""),
         lockstep=run.get("mode") == "lockstep",
-        scenario=details("The scenario as it was flown", whole.decode(errors="replace"), SCENARIO),
+        scenario=whole.decode(errors="replace"),
         by_name=command(run, run["scenario"]) if by_name else "",
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from logs.reader.flight_data import Event, Fleet, Floats, Span, Steps
 from logs.report.derived import Side, fault_spans
-from logs.report.page import html, paragraph, part, table, time_link
+from logs.report.page import part
 from logs.schema import FLEET, LOSSES
 from logs.schema.events import Severity
 from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, FALL_M_S, FALLS, Outcome
@@ -46,25 +46,25 @@ def run_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
     found = {**metadata.get(FLEET, {}), **metadata.get("run", {}), **metadata.get("made", {})}
     rows = [(key.replace("_", " "), value or "–") for key, value in found.items()]
     rows += [(f"records lost by {who}", n) for who, n in metadata.get(LOSSES, {}).items()]
-    return table(("run", "value"), rows, empty="The log has no metadata of the run.")
+    return part("table", ("run", "value"), rows, empty="The log has no metadata of the run.")
 
 
 def events_table(events: Sequence[Event], zero_s: float | None = None) -> str:
     """Return the events in order, each with a link to its time since ``zero_s``, else since the log began."""
     rows = [
-        (time_link(e.t_s, f"{e.t_s:.2f}") if zero_s is None else _at(e.t_s - zero_s), severity(e.level),
+        (part("at_link", e.t_s, f"{e.t_s:.2f}") if zero_s is None else _at(e.t_s - zero_s), severity(e.level),
          e.source, e.text)
         for e in events[:EVENTS_MAX]
     ]  # fmt: skip
     more = len(events) - len(rows)
-    shown = table(("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1,
+    shown = part("table", ("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1,
                   empty="No events in this log.")  # fmt: skip
-    return shown + paragraph(f"{more} later events are in the log only.") if more > 0 else shown
+    return shown + part("paragraph", f"{more} later events are in the log only.") if more > 0 else shown
 
 
 def _at(t_s: float) -> str:
     """Return a time since the start of the landing as an HTML link that moves the figures to it."""
-    return time_link(t_s, number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}")
+    return part("at_link", t_s, number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}")
 
 
 def severity(level: int) -> str:
@@ -155,9 +155,8 @@ def result_table(verdict: FleetVerdict, sides: Sequence[Side], pages: Mapping[st
         if name == _VERTICAL and any((each or 0.0) > FALL_M_S for each in found):
             meaning = f"{meaning}. {FALLS}"
         rows.append((name, *(number(each, digits, factor) for each in found), unit, meaning))
-    link = html('<a href="{}">{}</a>').format
-    names = [link(pages[s.name].name, s.name) if s.name in pages else "value" for s in sides]
-    text = table(("result", *names, "unit", "meaning"), rows, numbers=range(1, len(sides) + 1))
+    names = [part("link", pages[s.name].name, s.name) if s.name in pages else "value" for s in sides]
+    text = part("table", ("result", *names, "unit", "meaning"), rows, numbers=range(1, len(sides) + 1))
     return text + (_pairs_result(verdict) if len(sides) > 1 else "") + part("definitions")
 
 
@@ -174,7 +173,7 @@ def _pairs_result(verdict: FleetVerdict) -> str:
          "both in flight; below 1: inside"),
         ("smallest distance", number(v.distance_min_m, 3), "m", "of two centres of mass, at any time"),
     ]  # fmt: skip
-    return table(("fleet", "value", "unit", "meaning"), rows, numbers=(1,))
+    return part("table", ("fleet", "value", "unit", "meaning"), rows, numbers=(1,))
 
 
 def _count(value: int | None) -> str:
@@ -192,16 +191,18 @@ def pairs_table(fleet: Fleet) -> str:
         inside = number(pair.inside_ms, 2, 1e-3)
         rows.append((names, number(least, 2), number(flying_m, 3), str(pair.violations), inside, hit))
     head = ("pair", "measure [1]", "distance [m]", "times inside", "inside [s]", "collided [s]")
-    return table(head, rows, numbers=range(1, 6), empty="The log has no simulator records of pairs.")
+    return part("table", head, rows, numbers=range(1, 6), empty="The log has no simulator records of pairs.")
 
 
 def waits_table(sides: Sequence[Side]) -> str:
     waits = [(span.begin_s + side.offset_s, side.name, span) for side, span in _waits(sides)]
     rows = [
-        (time_link(at_s, f"{at_s:.2f}"), name, ", ".join(s.gives_way_to), f"{s.end_s - s.begin_s:.2f}")
+        (part("at_link", at_s, f"{at_s:.2f}"), name, ", ".join(s.gives_way_to), f"{s.end_s - s.begin_s:.2f}")
         for at_s, name, s in sorted(waits)
     ]
-    return table(("from [s]", "who", "for whom", "for [s]"), rows, numbers=(0, 3), empty="No member waited.")
+    return part(
+        "table", ("from [s]", "who", "for whom", "for [s]"), rows, numbers=(0, 3), empty="No member waited."
+    )
 
 
 def _waits(sides: Sequence[Side]) -> list[tuple[Side, Span]]:

@@ -25,7 +25,7 @@ import numpy as np
 
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import refuse
-from logs.report.page import Page, Panel, details, need_libraries, table, write
+from logs.report.page import Page, Panel, need_libraries, part, write
 from logs.verdict.types import VIOLATION_LIMIT_M
 from sim.campaign.rows import (
     CELL_M,
@@ -271,12 +271,10 @@ def campaign_page(wanted: Plan, flown: Flown) -> Page:
         [line for line in shown if line[0] in first],
         [
             Panel("map", "Lowest h over d and e_z", _MAP, h_map(wanted, flown.rows)),
-            Panel(
-                "result", "Result", _JUDGED, table(("result", "value", "unit"), shown, numbers=(1,))
-            ),
-            Panel("worst", "Worst seeds", _ALONE, table(("seed", "why", "command"), worst, numbers=(0,))),
+            Panel("result", "Result", _JUDGED, part("table", ("result", "value", "unit"), shown, (1,))),
+            Panel("worst", "Worst seeds", _ALONE, part("table", ("seed", "why", "command"), worst, (0,))),
             *(_histogram(flown.rows, *each) for each in _HISTOGRAMS),
-            Panel("scenario", "", "", details("Scenario", wanted.scenario_toml, "scenario.toml")),
+            Panel("scenario", "", "", part("details", "Scenario", wanted.scenario_toml, "scenario.toml")),
         ],
         apart(summary),
     )  # fmt: skip
