@@ -7,7 +7,6 @@ import socket
 import subprocess
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -34,8 +33,8 @@ class LiveRecording:
     """Rerun recording of a running flight; each call adds newer data."""
 
     def __init__(self, where: str, name: str, config: FlightConfig | None = None) -> None:
-        """Open the view; ``name``: namespace of the vehicle; without ``config`` there is no barrier."""
-        self._name, self._config = name, config
+        """Open the view under a name; without ``config`` there is no barrier."""
+        self._config = config
         self._stream = rr.RecordingStream("flightstack")
         self._stream.send_recording_name(name)
         self._canvas: Canvas | None = None
@@ -75,7 +74,6 @@ class LiveRecording:
             steps=columns(Steps, steps, _since(origin_ns, steps)),
             timing=columns(Timing, timings, _since(origin_ns, timings)) if timings else None,
             events=tuple(self._entered(origin_ns, steps, reason)),
-            metadata={"run": {"namespace": self._name}},
             config=self._config,
         )
         draw(self._canvas, piece)
@@ -110,16 +108,15 @@ class LiveRecording:
 
     def _entered(self, origin_ns: int, steps: Sequence[ControllerStepRow], reason: str) -> list[Event]:
         """Return the phases that began since the last call; the reason belongs to the newest phase."""
+        before = [self._phase, *(row.phase for row in steps)]
+        self._phase = before[-1]
+        begun = [row for row, phase in zip(steps, before, strict=False) if row.phase != phase]
         events = []
-        for row in steps:
-            if row.phase != self._phase:
-                self._phase = row.phase
-                level = Severity.ERROR if row.phase == Phase.ABORT else Severity.INFO
-                events.append(
-                    Event((row.stamp_ns - origin_ns) * 1e-9, level, CONTROLLER, phase_name(row.phase))
-                )
-        if events and reason:
-            events[-1] = replace(events[-1], text=f"{events[-1].text}: {reason}")
+        for row in begun:
+            level = Severity.ERROR if row.phase == Phase.ABORT else Severity.INFO
+            why = f": {reason}" if reason and row is begun[-1] else ""
+            text = f"{phase_name(row.phase)}{why}"
+            events.append(Event((row.stamp_ns - origin_ns) * 1e-9, level, CONTROLLER, text))
         return events
 
 

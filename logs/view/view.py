@@ -15,7 +15,6 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from flightstack.common.text import one_line
 from logs import curves
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Event, Flight, Floats, Ints, Steps, phase_name, sizes_of
@@ -25,7 +24,7 @@ from logs.schema.events import Severity
 
 FLIGHT = "flight"  # timeline of seconds since the first step
 LOG_TIME = "log_time"  # timeline of date and time in the log
-EVENTS, RUN, WORLD, PHASE = "/events", "/run", "/world", "/phase"
+EVENTS, WORLD, PHASE = "/events", "/world", "/phase"
 BODY_HALF_M = tuple(0.5 * size for size in markers.BODY_SIZE_M)
 ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
 SPOT = f"{WORLD}/target_pad"
@@ -37,13 +36,7 @@ VELOCITIES: tuple[tuple[str, Callable[[Steps], Floats], str], ...] = (
     ("command", curves.sent_m_s, curves.COMMAND),
     ("flown", curves.flown_m_s, curves.FLOWN),
 )
-_LEVELS: dict[int, str] = {
-    Severity.DEBUG: "DEBUG",
-    Severity.INFO: "INFO",
-    Severity.WARN: "WARN",
-    Severity.ERROR: "ERROR",
-    Severity.FATAL: "CRITICAL",
-}
+_LEVELS: dict[int, str] = dict(zip(Severity, ("DEBUG", "INFO", "WARN", "ERROR", "CRITICAL"), strict=True))
 
 
 def blueprint(members: Sequence[str] = ()) -> Any:
@@ -53,18 +46,14 @@ def blueprint(members: Sequence[str] = ()) -> Any:
         tabs = [_fleet(members), *(rrb.Tabs(*_tabs(m), name=m, active_tab=0) for m in members)]
     else:
         tabs = list(_tabs(""))
-    runs = [(of_member(RUN, m), f"Run of {m}") for m in members] or [(RUN, "Run")]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
                 scene,
-                rrb.Tabs(
-                    rrb.TextLogView(
-                        origin=EVENTS,
-                        name="Events",
-                        columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),
-                    ),
-                    *(rrb.TextDocumentView(origin=origin, name=name) for origin, name in runs),
+                rrb.TextLogView(
+                    origin=EVENTS,
+                    name="Events",
+                    columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),
                 ),
                 row_shares=[3, 1],
             ),
@@ -190,7 +179,6 @@ def draw(canvas: Canvas, flight: Flight) -> None:
     """Send a complete flight, or its next part, to the viewer."""
     for part in (_scene, _velocities, _truth, _curves):
         part(canvas, flight)
-    canvas.style(RUN, rr.TextDocument(_run_text(flight)))
 
 
 def _scene(canvas: Canvas, flight: Flight) -> None:
@@ -275,10 +263,8 @@ def _paths(canvas: Canvas, flight: Flight) -> None:
         path = canvas.paths.setdefault(name, markers.Path())
         for time_ns, (x, y, z) in zip(at_ns[valid].tolist(), position_m[valid].tolist(), strict=True):
             path.add(time_ns, (x, y, z))
-        if (marker := path.marker(0, markers.TARGET_COLOR)) is not None:
-            strip = np.frombuffer(marker.points, dtype="<f8").reshape(-1, 3)
-            drawn = rr.LineStrips3D([strip], radii=[LINE_RADIUS_M], colors=[rgba(color)])
-            canvas.style(f"{WORLD}/{name}", drawn, again=True)
+        drawn = rr.LineStrips3D([path.points], radii=[LINE_RADIUS_M], colors=[rgba(color)])
+        canvas.style(f"{WORLD}/{name}", drawn, again=True)
 
 
 def _velocities(canvas: Canvas, flight: Flight) -> None:
@@ -325,9 +311,3 @@ def events(canvas: Canvas, origin_ns: int, said: Sequence[Event]) -> None:
         levels = [_LEVELS.get(event.level, "INFO") for event in said]
         at_ns = times(origin_ns, np.array([event.t_s for event in said]))
         canvas.columns(EVENTS, at_ns, rr.TextLog.columns(text=texts, level=levels))
-
-
-def _run_text(flight: Flight) -> str:
-    lines = [f"the log is broken: {'; '.join(flight.damage)}"] if flight.damage else []
-    lines += [f"{key} = {value}" for key, value in flight.metadata.get("run", {}).items()]
-    return "\n".join(map(one_line, lines)) or "no metadata"

@@ -126,7 +126,6 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
         ("/world/vehicle_path", "LineStrips3D:strips"),
         ("/world/velocity/command", "Arrows3D:vectors"),
         ("/phase", "StateChange:state"),
-        ("/run", "TextDocument:text"),
     ):
         assert any(c.startswith(column) for c in found[entity][1]), (entity, found[entity])
     assert found["/events"][0] == len(bag["/rosout"])
