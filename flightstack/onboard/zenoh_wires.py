@@ -12,7 +12,7 @@ from flightstack.common.pacing import Tick
 from flightstack.config.options import OnboardOptions
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
-from logs.recorder.derive import STEP_SUFFIX, Deriver
+from logs.recorder.derive import Deriver
 from logs.schema.events import pack_string
 from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import (
@@ -108,13 +108,13 @@ class LiveRos2:
     def __init__(self, session: zenoh_link.Session, domain: int, namespace: str, rate_hz: int) -> None:
         space = f"/{namespace}"
         self._node = Ros2Node(session, NODE, domain=domain, namespace=space)
-        self._derive = Deriver(space + STEP_SUFFIX)
+        self._derive = Deriver(namespace)
         self._derived = {space + name: self._publisher(space + name, kind) for name, kind in _DERIVED.items()}
         self._derived["/tf"] = self._publisher("/tf", TF_MESSAGE)
         self._pack_float = packer(FLOAT64)
         self._h = self._publisher(space + "/h", FLOAT64)
         self._phase = self._publisher(space + "/phase", STRING)
-        self._step = self._publisher(space + STEP_SUFFIX, CONTROLLER_STEP)
+        self._step = self._publisher(space + "/controller/step", CONTROLLER_STEP)
         self._health = self._publisher(space + "/health", HEALTH)
         self._every = max(1, round(rate_hz / PLAIN_HZ))
 

@@ -148,7 +148,6 @@ def _flight(log: LogFile, label: str, by_schema: Mapping[str, list[Message]]) ->
         )
     return Flight(
         path=log.path,
-        member=log.member,
         label=label,
         complete=log.complete,
         origin_ns=origin_ns,
@@ -205,7 +204,6 @@ def _target(rows: Sequence[Any], t_s: Floats) -> TargetOdometry:
         stamp_ns=np.array([stamp_ns for stamp_ns, _ in headers], dtype=np.int64),
         position_enu_m=np.array([position for (position, _), _ in poses]),
         velocity_child_m_s=np.array([linear for (linear, _), _ in twists]),
-        frame_id=[frame for _, frame in headers],
     )
 
 

@@ -92,7 +92,6 @@ class TargetOdometry:
     stamp_ns: Ints  # measurement times on the sender's clock, (n,)
     position_enu_m: Floats  # centre of the pad's top, (n, 3)
     velocity_child_m_s: Floats  # velocity in the robot's frame, as sent, (n, 3)
-    frame_id: list[str]  # frame of each pose, usually "map"
 
 
 @dataclass(frozen=True)
@@ -164,7 +163,6 @@ class Flight(Judged):
     spans: tuple[Span, ...] = ()  # messages to the other members, in order; empty for a vehicle alone
     attachments: dict[str, bytes] = field(default_factory=dict)  # files stored in the log, by name
     barrier: Barrier | None = None  # barrier of the verdict; ``None`` if the log does not hold it
-    member: str | None = None  # name of the vehicle in the log; None for a flight without a log
     label: str = ""  # name of the vehicle if the log has several
     pad_carries: bool = True  # whether the vehicle can stand on the pad; False only if the log says so
 

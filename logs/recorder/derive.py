@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
@@ -40,7 +39,6 @@ from logs.schema.schemas import (
 PERIOD_NS = 20_000_000  # period of 50 Hz, the refresh rate of a screen
 MARKER_PERIOD_NS = 200_000_000  # period of 5 Hz, since marker messages are large
 STATIC_PERIOD_NS = 5_000_000_000  # period of static transforms; a viewer needs them after a jump in the log
-STEP_SUFFIX = "/controller/step"
 
 TOPICS_MAX = 512  # maximum number of derived topics, since a sender can invent system ids
 
@@ -54,21 +52,24 @@ _NED_IN_ENU = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
 class Deriver:
-    def __init__(self, step_topic: str) -> None:
-        """Take the name space from the topic of the steps, for example ``/cf1/controller/step``."""
-        self._space = step_topic.removesuffix(STEP_SUFFIX)
-        name = self._space.strip("/")
-        self._base, self._target = f"{name}/base_link", f"{name}/target"
+    def __init__(self, member: str) -> None:
+        """Derive the messages of a member under its name space, for example ``cf1``."""
+        self._space = f"/{member}"
+        self._base, self._target = f"{member}/base_link", f"{member}/target"
+        self._run: dict[str, str] = {}
+        self._config: FlightConfig | None = None
         self._run_text = b""
         # the packers are created before the flight, because the first packer of a type takes milliseconds
         self._pack = {kind: packer(kind) for kind in (TF_MESSAGE, ODOMETRY, POSE_STAMPED, TWIST_STAMPED)}
         self._scene = Scene(self._base, self._target)
         self._slots: dict[int, int] = {}
 
-    def configure(self, run: Mapping[str, str], config: FlightConfig | None) -> None:
-        """Set the displayed text from the metadata of the run, and the sizes of barrier and pad."""
-        self._scene.configure(sizes_of(config, run))
-        self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in run.items()))
+    def configure(self, run: Mapping[str, str], config: FlightConfig | None = None) -> None:
+        """Add metadata of the run, which are shown as text, and set the sizes of barrier and pad."""
+        self._run.update(run)
+        self._config = config or self._config
+        self._scene.configure(sizes_of(self._config, self._run))
+        self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in self._run.items()))
 
     def step(self, log_time_ns: int, row: ControllerStepRow) -> list[Derived]:
         """Return the messages for one controller step; empty if no message is due at this time."""
@@ -82,7 +83,7 @@ class Deriver:
 
         if self._due(STATIC_PERIOD_NS, log_time_ns):
             add("/tf_static", TF_MESSAGE, ([(stamp_ns, "map_ned", (ZERO, _NED_IN_ENU))],))
-            if self._run_text:
+            if self._run:
                 made.append((f"{space}/run", STRING, self._run_text))
         own = row.own_position_enu_m, _heading(row.own_yaw_rad)
         target = row.target_position_enu_m, _heading(row.target_yaw_rad)
@@ -164,18 +165,20 @@ class Derivers:
     """Functions that derive messages, for all clients of one recorder; a client that reconnects continues."""
 
     def __init__(self) -> None:
-        self._runs: dict[str, dict[str, str]] = defaultdict(dict)  # metadata of each member's run
-        self._configs: dict[str, FlightConfig] = {}  # configuration of each member
         self._spaces: dict[str, str] = {}  # name spaces by the first part of the topics of frames
-        self._steps: dict[str, Deriver] = {}
+        self._members: dict[str, Deriver] = {}
         self._frames: dict[str, FrameDecoder] = {}
+
+    def _member(self, name: str) -> Deriver:
+        if name not in self._members:
+            self._members[name] = Deriver(name)
+        return self._members[name]
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Pass the metadata of a run or of an onboard process to these functions."""
         member, name = split(name)
         if name == "run":
-            self._runs[member].update(values)
-            self._configure(member)
+            self._member(member).configure(values)
         elif name == "onboard":  # it is sent before the first frame
             first = Names(member, int(values.get("system_id", "1"))).frames("").strip("/")
             self._spaces[first] = values.get("namespace", member).strip("/")
@@ -184,20 +187,13 @@ class Derivers:
         member, name = split(name)
         if name == ATTACHMENT:
             with contextlib.suppress(ConfigError):  # an incompatible version: no barrier and pad
-                self._configs[member] = read_config(data)
-            self._configure(member)
+                self._member(member).configure({}, read_config(data))
 
     def declare(self, topic: str, schema: str) -> Derive | None:
         """Return the function that derives messages from a channel; None: no messages are derived."""
         if schema == CONTROLLER_STEP:
-            member = topic.removesuffix(STEP_SUFFIX).strip("/")
-            step = self._steps.setdefault(member, Deriver(topic)).step
-            self._configure(member)
+            step = self._member(topic.removesuffix("/controller/step").strip("/")).step
             return lambda log_time_ns, payload: step(log_time_ns, ControllerStepRow.unpack(payload))
         if schema == MAVLINK:
             return self._frames.setdefault(topic, FrameDecoder(topic, self._spaces)).step
         return None
-
-    def _configure(self, member: str) -> None:
-        if member in self._steps:
-            self._steps[member].configure(self._runs[member], self._configs.get(member))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from itertools import chain
 from typing import NamedTuple
 
 from flightstack.core.safety.barrier import Barrier
@@ -64,7 +65,7 @@ class Path:
     """Path with a limited number of points, whose spacing increases with the length of the path."""
 
     def __init__(self) -> None:
-        self._points: list[bytes] = []
+        self.points: list[Vec3] = []
         self._period_ns = PATH_PERIOD_NS
         self._slot: int | None = None
 
@@ -73,17 +74,17 @@ class Path:
         if slot == self._slot:
             return
         self._slot = slot
-        self._points.append(struct.pack("<3d", *point_m))
-        if len(self._points) >= PATH_POINTS:
-            del self._points[1::2]
+        self.points.append(point_m)
+        if len(self.points) >= PATH_POINTS:
+            del self.points[1::2]
             self._period_ns *= 2
             self._slot = log_time_ns // self._period_ns
 
     def marker(self, number: int, color: Color) -> Marker | None:
         """Return the path as a line marker; None if it has fewer than two points."""
-        if len(self._points) < 2:
+        if len(self.points) < 2:
             return None
-        points = b"".join(self._points)
+        points = struct.pack(f"<{3 * len(self.points)}d", *chain.from_iterable(self.points))
         return Marker("map", "path", number, LINE_STRIP, (0.008, 0.0, 0.0), color, points)
 
 

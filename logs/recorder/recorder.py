@@ -2,8 +2,8 @@
 
 A separate process survives a crash of other processes and then closes the file; disk and compressor never
 delay the control loop. Written data immediately survive a crash of the recorder, but the kernel may hold them
-for half a minute. A thread syncs the file to the disk, since this may take long on a memory card; the loop
-continues to read meanwhile.
+for half a minute, so the recorder also syncs the file to the disk. This may take long on a memory card;
+meanwhile the clients buffer their data.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import socket
 import stat
 import sys
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from flightstack.common.hangup import ASK, begun, handle
@@ -42,7 +41,7 @@ class RecorderProcess:
         self._listener = _listen(socket_path)
         try:
             file = McapFile(out)
-            self._syncer = Syncer(file.output.fileno(), out)
+            _sync_directory(out.parent)
         except OSError as error:
             self._stop_listening()
             if isinstance(error, DiskError):  # the disk cannot even store the start of the file
@@ -82,8 +81,7 @@ class RecorderProcess:
         while self._stops < 2 and time.monotonic() < end_s:
             self._pass(max(0.0, flush_s - time.monotonic()))
             if time.monotonic() >= flush_s:
-                self._recorder.flush()
-                self._syncer.ask()
+                self._recorder.sync()
                 flush_s = time.monotonic() + FLUSH_PERIOD_S
             if self._stops:
                 end_s = min(end_s, time.monotonic() + GRACE_S)
@@ -144,10 +142,7 @@ class RecorderProcess:
                 pass
         for sock in list(self._clients):
             self._drop(sock)
-        counts = self._recorder.statistics
-        counts.syncs, counts.sync_worst_s = self._syncer.count, self._syncer.worst_s
         self._recorder.finish()
-        self._syncer.close()
 
     def _stop_listening(self) -> None:
         self._listener.close()
@@ -183,45 +178,6 @@ def _remove_stale(path: Path) -> None:
             probe.connect(str(path))
         except ConnectionRefusedError:
             path.unlink(missing_ok=True)
-
-
-class Syncer:
-    """Calls ``fdatasync`` on one open file in a thread, one call at a time."""
-
-    def __init__(self, descriptor: int, path: Path) -> None:
-        """Start the thread; sync the directory entry of the file to the disk immediately."""
-        _sync_directory(path.parent)
-        self._descriptor = os.dup(descriptor)  # the file may be closed before the last sync
-        self._thread = ThreadPoolExecutor(1, "sync")
-        self._call: Future[None] | None = None  # newest call
-        self.count = 0  # number of syncs so far
-        self.worst_s = 0.0  # wall time of the longest call, s
-
-    def ask(self) -> None:
-        """Start to sync the data written so far, unless a call is still running; never waits.
-
-        Raises DiskError: the previous call failed.
-        """
-        if self._call is None or self._call.done():
-            if self._call is not None:
-                self._call.result()
-            self._call = self._thread.submit(self._sync)
-
-    def close(self) -> None:
-        """Sync all data written so far for the last time, and end the thread. Raises DiskError as ``ask``."""
-        last = self._thread.submit(self._sync)
-        self._thread.shutdown()
-        os.close(self._descriptor)
-        last.result()
-
-    def _sync(self) -> None:
-        begun_s = time.monotonic()
-        try:
-            os.fdatasync(self._descriptor)
-        except OSError as error:
-            raise DiskError(error.errno, error.strerror or str(error)) from error
-        self.count += 1
-        self.worst_s = max(self.worst_s, time.monotonic() - begun_s)
 
 
 def _sync_directory(directory: Path) -> None:

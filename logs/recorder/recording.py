@@ -8,16 +8,16 @@ without further information (MCAP format registry).
 from __future__ import annotations
 
 import contextlib
+import os
 import struct
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import BinaryIO
 
 import msgspec
-from mcap.data_stream import RecordBuilder
-from mcap.records import Attachment, Channel, McapRecord, Metadata
 from mcap.writer import CompressionType, Writer
 
 from logs.recorder import feed
@@ -28,6 +28,7 @@ from logs.schema.events import Severity, pack_log
 from logs.schema.schemas import LOG, schema_text, type_hash
 
 CHUNK_BYTES = 256 * 1024  # maximum size of a chunk, bytes; a killed recorder loses at most the open chunk
+_LIBRARY = f"crazyflie-flightstack {version('crazyflie-flightstack')}; mcap {version('mcap')}"
 _QOS = "[]"  # empty list, as rosbags writes: the sender's quality of service is unknown
 
 
@@ -44,9 +45,6 @@ class SafeStream:
 
     def __init__(self, raw: BinaryIO) -> None:
         self._raw, self._position = raw, 0
-
-    def fileno(self) -> int:
-        return self._raw.fileno()
 
     def tell(self) -> int:
         return self._position
@@ -68,6 +66,13 @@ class SafeStream:
     def flush(self) -> None:
         """Do nothing: each write is passed to the system immediately."""
 
+    def sync(self) -> None:
+        """Pass the written data to the disk, which may take seconds. Raises DiskError: it failed."""
+        try:
+            os.fdatasync(self._raw.fileno())
+        except OSError as error:
+            raise DiskError(error.errno, error.strerror or str(error)) from error
+
     def close(self) -> None:
         with contextlib.suppress(OSError):
             self._raw.close()
@@ -78,11 +83,9 @@ class McapFile(Writer):  # type: ignore[misc]
 
     def __init__(self, path: Path, *, stream: SafeStream | None = None) -> None:
         """Create the file; ``stream`` replaces the disk in tests."""
-        self.path = path
         self.output = stream or SafeStream(path.open("xb", buffering=0))
         super().__init__(self.output, CHUNK_BYTES, CompressionType.LZ4, enable_data_crcs=True)
-        self.messages = 0  # number of messages written so far
-        self.start("ros2", _library())
+        self.start("ros2", _LIBRARY)
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}
 
@@ -93,7 +96,6 @@ class McapFile(Writer):  # type: ignore[misc]
             if schema not in self._schemas:
                 self._schemas[schema] = self.register_schema(schema, "ros2msg", schema_text(schema).encode())
             properties = {"offered_qos_profiles": _QOS, "topic_type_hash": type_hash(schema)}
-            _encodable(Channel(0, topic, "cdr", properties, 0))
             number = self.register_channel(topic, "cdr", self._schemas[schema], properties)
             self._channels[topic, schema] = number
         return number
@@ -102,31 +104,17 @@ class McapFile(Writer):  # type: ignore[misc]
         self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
     ) -> None:
         self.add_message(channel, log_time_ns, payload, publish_time_ns, sequence)
-        self.messages += 1
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        _encodable(Metadata(name, dict(values)))
         self.add_metadata(name, dict(values))
 
     def attachment(self, name: str, media_type: str, log_time_ns: int, data: bytes) -> None:
-        _encodable(Attachment(log_time_ns, log_time_ns, name, media_type, data))
         self.add_attachment(log_time_ns, log_time_ns, name, media_type, data)
 
     def close(self) -> None:
         self.finish()
+        self.output.sync()
         self.output.close()
-
-
-def _encodable(record: McapRecord) -> None:
-    """Check that a text can be encoded, before the writer has stored a part of its record."""
-    record.write(RecordBuilder())
-
-
-def _library() -> str:
-    try:
-        return f"crazyflie-flightstack {version('crazyflie-flightstack')}; mcap {version('mcap')}"
-    except PackageNotFoundError:
-        return "crazyflie-flightstack"
 
 
 # Maximum log time of a chunk, ns; important in lockstep, which runs faster than the wall clock.
@@ -144,7 +132,6 @@ class RecorderError(Exception):
 
 @dataclass
 class Statistics:
-    messages: int = 0  # number of messages in the file, including derived ones
     clients: int = 0
     invalid: int = 0  # number of records that could not be interpreted
     unfinished_bytes: int = 0  # number of bytes of records that are incomplete because their sender crashed
@@ -187,6 +174,8 @@ class Recorder:
         client.received += data
         for record in feed.split(client.received):
             try:
+                if record.log_time_ns < 0 or record.publish_time_ns < 0:
+                    raise ValueError(f"times {record[1:3]}; they begin at 0 (1970)")
                 if record.channel == feed.CONTROL:
                     self._control(client, record)
                 else:
@@ -208,13 +197,20 @@ class Recorder:
         self._file.flush()
         self._flushed_log_time_ns = self._log_time_ns
 
+    def sync(self) -> None:
+        """Pass all data written so far to the disk, where they survive a power cut."""
+        self.flush()
+        begun_s, counts = time.monotonic(), self.statistics
+        self._file.output.sync()
+        counts.syncs += 1
+        counts.sync_worst_s = max(counts.sync_worst_s, time.monotonic() - begun_s)
+
     def finish(self) -> None:
         """Write the counts and the index, and close the file."""
         counts = self.statistics
         self._file.metadata(LOSSES, {name: str(n) for name, n in sorted(counts.dropped.items())})
         self._file.metadata(RECORDER, {name: str(getattr(counts, name)) for name in _TOLD})
         self._file.close()
-        counts.messages = self._file.messages
 
     def _event(self, level: Severity, text: str) -> None:
         now = self._log_time_ns
@@ -226,8 +222,6 @@ class Recorder:
         number, log_time_ns, publish_time_ns, sequence, payload = record
         if number not in client.channels:
             raise ValueError("it was never declared")
-        if log_time_ns < 0 or publish_time_ns < 0:
-            raise ValueError(f"times {log_time_ns} and {publish_time_ns}; they begin at 0 (1970)")
         if log_time_ns > self._log_time_ns:
             self._log_time_ns = log_time_ns
             if log_time_ns - self._flushed_log_time_ns >= FLUSH_LOG_TIME_NS:

@@ -13,8 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bridge.mavlink.line_budget import plan
-from bridge.mavlink.profiles import AUTO, PROFILES, PX4
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.parameters.flight import FlightConfig
@@ -93,7 +91,12 @@ class _Run:
         self.controller = Controller(self.config)
         self.result = Result(flight.log.path)
         self.text = state_text(self.config)
-        self.wire = None if self.changed else self._recorded_wire()
+        self.wire: WireReplay | None = None
+        if not self.changed and {"system_id", "lockstep"} <= flight.onboard.keys():
+            self.result.wire = Tally()
+            self.wire = WireReplay(flight, self.config, self.result.wire)
+        elif not self.changed:
+            self.result.notes.append("the log does not contain the vehicle's connection: wire not replayed")
         self.acted = False  # whether a set-point was sent in a phase of the landing
 
     def whole(self, ticks: Iterator[TickRecord]) -> Iterator[TickRecord]:
@@ -133,24 +136,6 @@ class _Run:
         if self.wire is not None:
             self.wire.answer(record, given, out)
         self._compare(record, given, out)
-
-    def _recorded_wire(self) -> WireReplay | None:
-        """Return the vehicle's connection; None: the log does not describe it."""
-        onboard = self.flight.onboard
-        if "system_id" not in onboard or "lockstep" not in onboard:
-            self.result.notes.append("the log does not contain the vehicle's connection: wire not replayed")
-            return None
-        autopilot = onboard.get("autopilot", PX4.name)
-        recognised = self.flight.preflight.get("profile", AUTO)
-        if autopilot == AUTO and recognised in PROFILES:
-            autopilot = recognised
-        lockstep = onboard["lockstep"] == "true"
-        every = 1
-        if "baud" in onboard:
-            signed, age_max_s = onboard.get("signed") == "true", self.config.checks.own_age_max_s
-            every = plan(int(onboard["baud"]), self.config.loop.rate_hz, age_max_s, signed=signed).every
-        self.result.wire = Tally()
-        return WireReplay(self.flight, self.config, lockstep, autopilot, every, self.result.wire)
 
     def _compare(self, record: TickRecord, given: TickInputs, out: Outputs) -> None:
         assert record.step is not None

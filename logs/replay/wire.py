@@ -17,7 +17,8 @@ from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
 from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.endpoint import Endpoint, Received
-from bridge.mavlink.profiles import profile
+from bridge.mavlink.line_budget import plan
+from bridge.mavlink.profiles import AUTO, PROFILES, PX4, profile
 from bridge.mavlink.transport.address import Peer
 from bridge.target.odometry import RawSample
 from flightstack.core.controller import Outputs
@@ -67,12 +68,16 @@ class RecordedEndpoint(Endpoint):
 class WireReplay:
     """MAVLink link of one recorded flight; for each tick call ``take``, then ``answer``."""
 
-    def __init__(
-        self, flight: FlightInputs, config: FlightConfig, lockstep: bool, autopilot: str, every: int,
-        found: Tally,
-    ) -> None:  # fmt: skip
+    def __init__(self, flight: FlightInputs, config: FlightConfig, found: Tally) -> None:
         """Create the replayed link at tick 0; differences between it and the log are added to ``found``."""
-        self._flight, self._found = flight, found
+        self._flight, self._found, onboard = flight, found, flight.onboard
+        autopilot, recognised = onboard.get("autopilot", PX4.name), flight.preflight.get("profile", AUTO)
+        if autopilot == AUTO and recognised in PROFILES:
+            autopilot = recognised
+        lockstep, every = onboard["lockstep"] == "true", 1
+        if "baud" in onboard:
+            signed, age_max_s = onboard.get("signed") == "true", config.checks.own_age_max_s
+            every = plan(int(onboard["baud"]), config.loop.rate_hz, age_max_s, signed=signed).every
         system_id, origin = flight.names.system_id, config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)
         self._heard, self._refusals = False, Refusals()

@@ -36,7 +36,6 @@ def test_a_member_is_read_as_a_single_flight(fleet):
         "cf2.controller", "cf2.onboard", "cf2.vehicle",
     }  # fmt: skip
     flight = load_flight(fleet.log, "cf2")
-    assert flight.member == "cf2"
     assert flight.config.fleet.id == 2
     assert judge(flight) == fleet.verdict.members["cf2"]
 

@@ -45,7 +45,6 @@ def test_arrays_hold_what_was_written(log):
         assert tuple(flight.truth.orientation[index]) == true.orientation
         assert flight.timing.solve_s[index] == timing.solve_s
     assert len(flight.target.t_s) == len(rows.odometry)
-    assert set(flight.target.frame_id) == {"map"}
     assert np.allclose(flight.target.position_enu_m[-1], rows.truth[-1].pad_position_enu_m)
 
 

@@ -37,13 +37,13 @@ def step(t_ns=0, own=(1.0, 2.0, 3.0), velocity=(0.3, 0.0, -0.1), yaw=0.0, **chan
 
 
 def derive(row, deriver=None):
-    deriver = deriver or Deriver("/cf1/controller/step")
+    deriver = deriver or Deriver("cf1")
     made = deriver.step(row.stamp_ns, row)
     return {topic: STORE.deserialize_cdr(data, schema) for topic, schema, data in made}
 
 
 def test_every_message_is_what_the_generic_codec_writes():
-    deriver = Deriver("/cf1/controller/step")
+    deriver = Deriver("cf1")
     deriver.configure({"seed": "1"}, CONFIG)
     topics = set()
     for t_ns in range(0, 2_000_000_000, 10_000_000):
@@ -108,7 +108,7 @@ def test_what_is_not_valid_is_not_shown():
 
 def test_rates_follow_the_log_time_only():
     counts: dict[str, int] = {}
-    deriver = Deriver("/cf1/controller/step")
+    deriver = Deriver("cf1")
     for t_ns in range(0, 10_000_000_000, 2_000_000):  # states arrive at 500 Hz for ten seconds
         for topic in derive(step(t_ns), deriver):
             counts[topic] = counts.get(topic, 0) + 1
@@ -122,7 +122,7 @@ def markers_of(deriver, row):
 
 
 def test_markers():
-    deriver = Deriver("/cf1/controller/step")
+    deriver = Deriver("cf1")
     deriver.configure({"seed": "1"}, CONFIG)
     for t_ns in range(0, 1_000_000_000, 20_000_000):
         derive(step(t_ns, own=(t_ns * 1e-9, 0.0, 1.0)), deriver)
@@ -204,11 +204,11 @@ def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart(
 
 
 def test_no_surface_without_a_barrier_in_the_run():
-    assert ("barrier", 0) not in markers_of(Deriver("/cf1/controller/step"), step())
+    assert ("barrier", 0) not in markers_of(Deriver("cf1"), step())
 
 
 def test_paths_stay_bounded_and_keep_the_start():
-    deriver = Deriver("/cf1/controller/step")
+    deriver = Deriver("cf1")
     longest = 0
     for t_ns in range(0, 300_000_000_000, 100_000_000):
         shown = derive(step(t_ns, own=(t_ns * 1e-9, 0.0, 1.0)), deriver)

@@ -88,7 +88,7 @@ def test_two_clients_one_channel_every_byte(tmp_path):
     assert (attachment.name, attachment.media_type) == ("scenario.toml", "application/toml")
     assert attachment.data == b"a = 1\n\x00\xff"
     counts = recorder.statistics
-    assert (counts.messages, counts.clients, counts.invalid, counts.crashed) == (1000, 2, 0, 0)
+    assert (counts.clients, counts.invalid, counts.crashed) == (2, 0, 0)
     assert problems(counts) == []
     with recorder.out.open("rb") as stream:
         reader = make_reader(stream)

@@ -6,7 +6,6 @@ from dataclasses import replace as with_
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.profiles import PX4
 from bridge.ros2.cdr import OdometryError
 from bridge.target.odometry import RawSample, sample_of
 from flightstack.core.types import Inputs
@@ -61,7 +60,7 @@ def frame_changed(target, topic, message_id, byte):
 def misread(path):
     """Return the names of the inputs that differ if they are computed from the recorded data."""
     flight = FlightInputs(path)
-    wire = WireReplay(flight, flight.config(), True, flight.onboard["autopilot"], 1, found := Tally())
+    wire = WireReplay(flight, flight.config(), found := Tally())
     for tick in flight.ticks():
         wire.take(tick, tick.given)
     return found.first
@@ -165,8 +164,7 @@ def test_samples_that_never_decoded_do_not_disturb_and_their_refusal_is_compared
         ([refusal, "no heartbeat of system 1, component 1 for 4 s: no data arrives"], 0),
     ):
         record = tick_of([b"\x00\x01\x02", payload], said)
-        wire = WireReplay(FlightInputs(GOLDEN), CONFIG, False, PX4.name, 1, found := Tally())
-        wire.take(record, record.given)
+        WireReplay(FlightInputs(GOLDEN), CONFIG, found := Tally()).take(record, record.given)
         assert sum(d.topic == "/rosout" for d in found.first) == count, found
         assert [d.field for d in found.first if d.topic == "wire, inputs"] == ["target_samples.length"]
 
