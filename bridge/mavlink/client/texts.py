@@ -98,17 +98,10 @@ def event_text(message: Message) -> tuple[int, str] | None:
 
 def _values(kinds: list[str], data: bytes) -> list[float | str]:
     """Decode arguments, which are packed without padding, little-endian."""
-    values: list[float | str] = []
-    at = 0
-    for kind in kinds:
-        enum = _table().enums.get(kind)
-        layout = struct.Struct("<" + _CODES[enum.kind if enum is not None else kind])
-        if at + layout.size > len(data):
-            break
-        (value,) = layout.unpack_from(data, at)
-        values.append(enum.text(value) if enum is not None else value)
-        at += layout.size
-    return values
+    enums = [_table().enums.get(kind) for kind in kinds]
+    codes = (_CODES[enum.kind if enum else kind] for enum, kind in zip(enums, kinds, strict=True))
+    numbers = struct.unpack_from("<" + "".join(codes), data)
+    return [enum.text(n) if enum else n for enum, n in zip(enums, numbers, strict=True)]
 
 
 def _filled(template: str, values: list[float | str]) -> str:
