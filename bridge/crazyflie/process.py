@@ -154,16 +154,10 @@ def check_uri(uri: str) -> None:
         )
 
 
-def run(
-    options: CrazyflieOptions,
-    drag_1_s: Vec3 | None,
-    poses: MocapSource | None = None,
-    say: Callable[[str], None] = print,
-) -> int:
+def run(options: CrazyflieOptions, drag_1_s: Vec3 | None, say: Callable[[str], None] = print) -> int:
     """Serve clients until a signal arrives; print ``ready URL`` when clients can connect.
 
-    ``drag_1_s`` is the rotor drag of the firmware's filter, body axes; None leaves it unchanged. ``poses``
-    come from motion capture; None: the Crazyflie uses its own positioning.
+    ``drag_1_s`` is the rotor drag of the firmware's filter, body axes; None leaves it unchanged.
     """
     try:
         from bridge.crazyflie.link import CrazyflieLink
@@ -172,7 +166,12 @@ def run(
         raise ValueError(f"{package} is not installed: {pip_install('crazyflie')}") from error
     check_uri(options.uri)
     kind, host, port = parse_url(options.url)
+    poses: MocapSource | None = None  # without motion capture the Crazyflie uses its own positioning
     with ExitStack() as stack:
+        if options.mocap_key is not None:
+            from bridge.mocap.process import MocapSource, summary
+
+            poses = stack.enter_context(MocapSource.opened(options.mocap_key, options))
         endpoint = open_endpoint(
             "crazyflie", options.url, options.system_id, COMPONENT_ID, options, options.peers
         )
@@ -183,5 +182,7 @@ def run(
         stop = Stop().install()
         say(f"ready {kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}")
         sys.stdout.flush()
-        loop = Loop(Node(options, drag_1_s), link, endpoint, poses, say)
-        return loop.run(stop, options.duration_s)
+        status = Loop(Node(options, drag_1_s), link, endpoint, poses, say).run(stop, options.duration_s)
+    if poses is not None:
+        say(summary(poses.checks))
+    return status

@@ -100,17 +100,7 @@ def crazyflie(options: CrazyflieOptions) -> None:
     """
     from bridge.crazyflie import process
 
-    drag_1_s = _drag_1_s(options.airframe)
-    if options.mocap_key is None:
-        sys.exit(process.run(options, drag_1_s, say=say))
-
-    from bridge.mocap.process import MocapSource, summary
-
-    process.check_uri(options.uri)
-    with MocapSource.opened(options.mocap_key, options) as poses:
-        status = process.run(options, drag_1_s, poses, say)
-    say(summary(poses.checks))
-    sys.exit(status)
+    sys.exit(process.run(options, _drag_1_s(options.airframe), say))
 
 
 def _drag_1_s(airframe: str) -> Vec3 | None:

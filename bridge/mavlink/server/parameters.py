@@ -56,10 +56,6 @@ def real(name: str, default: float, low: float, high: float, *, in_flight: bool 
     return Parameter(name, REAL32, default, low, high, in_flight)
 
 
-def integer(name: str, default: int, low: int, high: int) -> Parameter:
-    return Parameter(name, INT32, default, low, high)
-
-
 def one_of(name: str, default: int, *choices: int) -> Parameter:
     """Return an integer parameter with the given choices, in ascending order."""
     return Parameter(name, INT32, default, choices[0], choices[-1], choices=choices)
