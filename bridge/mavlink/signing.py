@@ -36,10 +36,6 @@ class SigningKey:
     secret: bytes = field(repr=False)
     path: Path | None = None
 
-    def __post_init__(self) -> None:
-        if len(set(self.secret)) == 1:
-            raise ValueError(f"signing key is one byte repeated, which can be guessed; {_HELP}")
-
 
 def load_key(path: Path) -> SigningKey:
     """Read a key from a regular file with mode 0600 or 0400."""
@@ -53,11 +49,11 @@ def load_key(path: Path) -> SigningKey:
         data = path.read_bytes() if stat.S_ISREG(mode) else b""  # a device or pipe may have no end
     except OSError as error:
         raise ValueError(f"signing key {path}: {error.strerror}; {_HELP}") from error
-    if len(data) == KEY_BYTES:
-        return SigningKey(data, path)
-    if not _HEX.fullmatch(data.strip()):
+    if _HEX.fullmatch(data.strip()):
+        data = bytes.fromhex(data.decode())
+    if len(data) != KEY_BYTES or len(set(data)) == 1:  # one byte repeated could be guessed
         raise ValueError(f"signing key {path} holds {len(data)} bytes that are no key; {_HELP}")
-    return SigningKey(bytes.fromhex(data.decode()), path)
+    return SigningKey(data, path)
 
 
 def make_key(path: Path) -> None:
