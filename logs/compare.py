@@ -64,7 +64,6 @@ class Compared(NamedTuple):
 
 
 def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> Compared:
-    """Compare two logs."""
     first, second = _content(a), _content(b)
     return Compared(list(islice(_all(first, second), limit)), _first_tick(first.messages, second.messages))
 
@@ -87,8 +86,6 @@ def _first_tick(a: dict[str, list[Message]], b: dict[str, list[Message]]) -> int
 
 
 class _Content(NamedTuple):
-    """The compared content of a log."""
-
     records: dict[str, dict[str, str]]  # values of each metadata record, and summary of each attachment
     messages: dict[str, list[Message]]  # messages by topic, by log time and sequence
 

@@ -63,7 +63,6 @@ def summary(log: LogFile) -> dict[str, Any]:
 
 
 def summary_lines(found: dict[str, Any]) -> list[str]:
-    """Return a summary as lines of text."""
     lines = [
         f"{one_line(found['path'])}: {found['size_bytes']} bytes, written by {one_line(found['library'])}",
         f"{found['messages']} messages in {found['duration_s']:.3f} s of log time from {found['start']}",

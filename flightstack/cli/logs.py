@@ -116,7 +116,6 @@ def verdict(log_file: Log, as_json: JsonVerdict = False) -> None:
 
 
 def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
-    """Print a verdict as a table, or as one line of JSON."""
     if as_json:
         click.echo(json.dumps(values))
         return

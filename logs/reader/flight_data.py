@@ -220,13 +220,10 @@ def _rate(values: Floats, t_s: Floats) -> Floats:
 
 
 def read_config(data: bytes) -> FlightConfig:
-    """Read the configuration from its attachment."""
     return from_table(FlightConfig, parse_toml(data))
 
 
 class Sizes(NamedTuple):
-    """Sizes of the shapes that viewers draw."""
-
     barrier: Barrier | None  # None: unknown
     pad_radius_m: float
     # semi-axes of the ellipsoid around a vehicle pair, m: horizontal, vertical; None: no fleet

@@ -38,8 +38,6 @@ class DamageError(ValueError):
 
 
 class Records:
-    """One pass over the records of a file."""
-
     def __init__(self, stream: BinaryIO, *, messages: bool) -> None:
         """Start a pass over an open file; if ``messages`` is False, messages are checked but not yielded."""
         self._stream, self._messages = stream, messages
@@ -170,6 +168,5 @@ _FORMATS = {
 
 
 def named(head: bytes) -> str:
-    """Return the format of a file by its first bytes."""
     known = (f"it is {what}" for begins, what in _FORMATS.items() if head.startswith(begins))
     return next(known, f"it begins with {head[:8].hex(' ')}")

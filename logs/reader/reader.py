@@ -221,7 +221,6 @@ class LogFile:
         return seen
 
     def attachments(self) -> list[Attachment]:
-        """Return the files stored in the log, in the order in which they were written."""
         found = self.outline.attachments
         names = self._names(each.name for each in found)
         return [replace(each, name=names[each.name]) for each in found if each.name in names]

@@ -74,7 +74,6 @@ def encode(channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, 
 
 
 def control(content: Control, log_time_ns: int = 0) -> bytes:
-    """Return a control record as bytes."""
     return encode(CONTROL, log_time_ns, log_time_ns, 0, msgspec.msgpack.encode(content))
 
 
@@ -173,7 +172,6 @@ class Feed:
         self._control(Metadata(name, texts))
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Add a complete file to the log."""
         if len(data) > MAX_ATTACHMENT:
             raise ValueError(f"attachment {name} has {len(data)} bytes; at most {MAX_ATTACHMENT} are allowed")
         self._control(Attachment(name, media_type, data))

@@ -109,8 +109,6 @@ def shapes(own_frame: str, target_frame: str, sizes: Sizes) -> list[Marker]:
 
 
 class Scene:
-    """Markers of a flight: shapes, both paths, and velocities."""
-
     def __init__(self, own_frame: str, target_frame: str) -> None:
         """Draw the vehicle in its own frame, for example ``cf1/base_link``, and the pad in the target's."""
         self._own_frame, self._target_frame = own_frame, target_frame
@@ -129,7 +127,6 @@ class Scene:
             self._target_path.add(log_time_ns, row.target_position_enu_m)
 
     def pack(self, row: ControllerStepRow) -> bytes:
-        """Return the markers of one step as a MarkerArray in CDR."""
         paths = (self._own_path.marker(0, OWN_COLOR), self._target_path.marker(1, TARGET_COLOR))
         markers = [path for path in paths if path is not None]
         for shape in self._shapes:

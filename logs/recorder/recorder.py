@@ -32,10 +32,7 @@ _RECEIVE_BYTES = 2**18
 
 
 class RecorderProcess:
-    """The recorder: its listening socket, its clients, and the file."""
-
     def __init__(self, socket_path: Path, out: Path) -> None:
-        """Open the socket and create the file."""
         self._selector = selectors.DefaultSelector()
         self._socket_path = socket_path
         self._listener = _listen(socket_path)

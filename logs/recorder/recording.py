@@ -143,8 +143,6 @@ class Statistics:
 
 
 class Client:
-    """A connection to the recorder, with its state."""
-
     def __init__(self, number: int) -> None:
         self.name = f"client {number}"
         self.received = bytearray()  # data without the records that are already written
@@ -165,7 +163,6 @@ class Recorder:
         self.statistics = Statistics()  # counts of the recording so far
 
     def client(self) -> Client:
-        """Return a new connection."""
         self.statistics.clients += 1
         return Client(self.statistics.clients)
 
@@ -184,7 +181,6 @@ class Recorder:
                 self._invalid(client, f"record of channel {record.channel}: {error}")
 
     def gone(self, client: Client) -> None:
-        """Record the end of a connection."""
         unfinished_bytes = len(client.received)
         self.statistics.unfinished_bytes += unfinished_bytes
         if not client.goodbye:

@@ -93,7 +93,6 @@ class FlightInputs:
             raise ReplayError(f"{path}: the attachment {ATTACHMENT} is {error}") from error
 
     def config(self) -> FlightConfig:
-        """Return the configuration of the flight."""
         try:
             return from_table(FlightConfig, self.table)
         except ConfigError as error:

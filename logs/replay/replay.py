@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -160,7 +160,12 @@ class _Run:
                 recorded = ControllerStepRow.unpack(record.step)
             except ValueError:  # the difference is already counted; no detail is available
                 return
-            self._command_change(tick, recorded.command_enu_m_s, row.command_enu_m_s)
+            change = math.dist(recorded.command_enu_m_s, row.command_enu_m_s)
+            if change != 0.0:  # NaN counts as the largest change
+                result.command_ticks += 1
+                result.command_first = tick if result.command_first is None else result.command_first
+                if not change <= result.command_most_m_s:
+                    result.command_most_m_s = change
         self.acted = self.acted or (recorded.setpoint_sent and recorded.phase in _ACTING)
         _note_phase(result.phases_recorded, tick, recorded.phase)
         _note_phase(result.phases_replayed, tick, row.phase)
@@ -179,17 +184,6 @@ class _Run:
                 found = []
             found = found or [("state", recorded.state, state)]
             self.result.states.add(self.flight.topic("controller/state"), recorded.tick, found)
-
-    def _command_change(self, tick: int, recorded: Sequence[float], replayed: Sequence[float]) -> None:
-        if tuple(recorded) == tuple(replayed):
-            return
-        result = self.result
-        result.command_ticks += 1
-        if result.command_first is None:
-            result.command_first = tick
-        change = math.dist(recorded, replayed)
-        if not change <= result.command_most_m_s:  # NaN counts as the largest change
-            result.command_most_m_s = change
 
 
 def _note_phase(changes: list[PhaseChange], tick: int, number: int) -> None:

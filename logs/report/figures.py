@@ -58,8 +58,6 @@ PAIRS_SHOWN = len(PAIR_COLORS)  # number of drawn pairs: the nearest ones
 
 
 class Bar(NamedTuple):
-    """A bar of the timeline."""
-
     lane: str
     begin_s: float
     end_s: float

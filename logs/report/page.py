@@ -24,8 +24,6 @@ class ReportError(ValueError):
 
 
 class Panel(NamedTuple):
-    """A figure or a table with its title and note."""
-
     key: str  # name in links: ``page.html#key``
     title: str
     note: str

@@ -137,7 +137,6 @@ def _configuration(fleet: Fleet) -> tuple[Panel, str]:
 
 
 def _source(verdict: FleetVerdict) -> str:
-    """Return the sources of the verdict as text."""
     sources = dict.fromkeys(each.judged_from for each in verdict.members.values())
     text = f"Judged from {' and '.join(SOURCES[each] for each in sources)}. "
     if TRUTH in sources:

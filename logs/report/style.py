@@ -67,7 +67,6 @@ def layout(figure: go.Figure, height_px: int) -> go.Figure:
 
 
 def layout_3d(figure: go.Figure, titles: tuple[str, str, str], **scene: Any) -> go.Figure:
-    """Apply the common layout to a spatial figure."""
     layout(figure, _SPACE_PX)
     axis = {"gridcolor": GRID, "backgroundcolor": "white", "zerolinecolor": GRID}
     axes = {

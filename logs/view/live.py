@@ -60,7 +60,6 @@ class LiveRecording:
     def add(
         self, steps: Sequence[ControllerStepRow], timings: Sequence[LoopTimingRow], reason: str = ""
     ) -> None:
-        """Draw the next rows of the flight."""
         if not steps:
             return
         if self._canvas is None:

@@ -79,7 +79,6 @@ def _tabs(member: str) -> Iterator[Any]:
 
 
 def _fleet(members: Sequence[str]) -> Any:
-    """Return the view with the phases of all members."""
     phases = [of_member(PHASE, member) for member in members]
     return rrb.StateTimelineView(origin="/", contents=[f"+ {each}" for each in phases], name="Fleet")
 
@@ -208,7 +207,6 @@ def _scene(canvas: Canvas, flight: Flight) -> None:
 
 
 def _truth(canvas: Canvas, flight: Flight) -> None:
-    """Send the simulator's true states, if there are any."""
     if flight.truth is None:
         return
     at_ns = times(flight.origin_ns, flight.truth.t_s)
@@ -221,7 +219,6 @@ def _truth(canvas: Canvas, flight: Flight) -> None:
 
 
 def _shape(shape: markers.Marker, color: markers.Color | str, label: str) -> rr.AsComponents:
-    """Convert a marker into a shape of Rerun."""
     half_m, colors = [0.5 * size for size in shape.scale], [rgba(color)]
     if shape.kind == markers.CUBE:
         labels = [label] if label else None
