@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import Silence
+from flightstack.common.pacing import wait_until
 
 NS_PER_S = 1_000_000_000
 STARTUP_S = 600.0  # time-out of the start of a run's other processes, wall time, s; long for slow computers
-_SAID_S = 10.0  # waiting time after which a text reports the wait, s
-_PAUSE_S = 50e-6  # sleep between two polls, s; with the system's timer slack about 0.1 ms
+_MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
 
 
 class NoAnswerError(RuntimeError):
@@ -62,35 +59,14 @@ class TickGrid:
         return None if duration_s is None else max(1, round(duration_s * self.rate_hz))
 
 
-def wait_until(
-    done: Callable[[], bool],
-    stop: Stop,
-    timeout_s: float,
-    *,
-    pause_s: float = _PAUSE_S,
-    yields: int = 0,
-    what: str = "",
-) -> bool:
-    """Poll ``done`` until it is true, ``stop`` is set, or the time-out has passed.
+def await_subscriber(matched: Callable[[], bool], key: str, stop: Stop) -> None:
+    """Wait until an onboard process has subscribed to a key; messages without a subscriber are lost.
 
-    Zenoh's handlers cannot wait with a time-out. This function polls, first without, then with short sleeps.
-
-    ``timeout_s``: wall time, not counting suspension of the machine; ``pause_s``: sleep between
-    two polls; ``yields``: number of polls that only yield the processor, before the first sleep; ``what``:
-    text on standard error during a long wait, if not empty. Returns False after the time-out; after True,
-    check ``stop``.
+    Raises NoAnswerError: time-out.
     """
-    if done() or stop.is_set:
-        return True
-    silence = Silence()
-    looks = 0
-    while (silent_s := silence.look()) < timeout_s:
-        looks += 1
-        if what and silent_s > _SAID_S:
-            with contextlib.suppress(OSError):  # standard error may be closed
-                print(f"waits for {what}", file=sys.stderr, flush=True)
-            what = ""
-        time.sleep(0.0 if looks <= yields else pause_s)
-        if done() or stop.is_set:
-            return True
-    return False
+    what = f"a subscriber to {key}"
+    if not wait_until(matched, lambda: stop.is_set, STARTUP_S, pause_s=_MATCH_PAUSE_S, what=what):
+        raise NoAnswerError(
+            f"nobody subscribed to {key} within {STARTUP_S:g} s; does the onboard process run in lockstep, "
+            "with [fleet] in a team, and is it connected to this process's endpoint?"
+        )

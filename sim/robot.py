@@ -28,13 +28,11 @@ from sim.scenarios.tables import PathKind, TargetLink, TargetSpec
 DRIVE_LAG_S = 0.1  # first-order lag of the drive, s; not documented by ROBOTIS, assumed 0.05 to 0.15 s
 
 
-class Pad(NamedTuple):
-    """Motion of the pad centre (top side), in the order of ``PadRecord``."""
+class Deck(NamedTuple):
+    """Motion of the pad centre (top side); the arguments of ``Physics.set_deck``."""
 
-    time_ns: int
     position_enu_m: Vec3
     yaw_rad: float
-    velocity_body_m_s: Vec3
     velocity_enu_m_s: Vec3
     yaw_rate_rad_s: float
 
@@ -60,53 +58,6 @@ GAIN_1_S = 2.0  # turn rate divided by the heading error to the waypoint, 1/s (a
 REACHED_M = 0.05  # distance at which a waypoint counts as reached, m
 
 
-class Waypoints:
-    """Steers to each waypoint in order, repeatedly; turns on the spot if the next one is behind the robot."""
-
-    def __init__(
-        self, points_m: Sequence[tuple[float, float]], speed_m_s: float, turn_rate_rad_s: float
-    ) -> None:
-        self._points, self._speed, self._turn = points_m, speed_m_s, turn_rate_rad_s
-        self._next = 0
-
-    def __call__(self, t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
-        del t_s
-        to_x, to_y = self._points[self._next]
-        if math.hypot(to_x - x_m, to_y - y_m) < REACHED_M:
-            self._next = (self._next + 1) % len(self._points)
-            to_x, to_y = self._points[self._next]
-        off_rad = math.remainder(math.atan2(to_y - y_m, to_x - x_m) - yaw_rad, math.tau)
-        turn = max(-self._turn, min(self._turn, GAIN_1_S * off_rad))
-        return self._speed * max(0.0, math.cos(off_rad)) ** 3, turn
-
-
-class Function:
-    """Steers by the user's function, limited to the scenario's speed and turn rate."""
-
-    def __init__(self, name: str, speed_m_s: float, turn_rate_rad_s: float) -> None:
-        self._name, self._speed, self._turn = name, speed_m_s, turn_rate_rad_s
-        self._function: Any = referred(name, "target.function")
-
-    def __call__(self, t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
-        try:
-            found = self._function(t_s, x_m, y_m, yaw_rad)
-        except Exception as error:
-            raise self._error(f"raised {type(error).__name__}: {error}", t_s) from error
-        try:
-            speed, turn = map(float, found)
-        except (TypeError, ValueError):
-            speed = turn = math.nan
-        if not (math.isfinite(speed) and math.isfinite(turn)):
-            raise self._error(f"returned {one_line(repr(found)):.60}", t_s)
-        return max(-self._speed, min(self._speed, speed)), max(-self._turn, min(self._turn, turn))
-
-    def _error(self, problem: str, t_s: float) -> ConfigError:
-        return ConfigError(f"{ROBOT_FAILED} {file_of(self._name)} {problem} at t = {t_s:.2f} s; {_NEEDED}")
-
-
-_NEEDED = "called with t_s, x_m, y_m, yaw_rad it must return speed and turn rate, in m/s and rad/s"
-
-
 def course(spec: TargetSpec, speed_m_s: float, turn_rate_rad_s: float) -> Course | None:
     """Return the steering that depends on the robot's pose; None for a path that depends only on time.
 
@@ -114,10 +65,53 @@ def course(spec: TargetSpec, speed_m_s: float, turn_rate_rad_s: float) -> Course
     Raises ConfigError: the function cannot be imported.
     """
     if spec.path is PathKind.WAYPOINTS:
-        return Waypoints(spec.waypoints_m, speed_m_s, abs(turn_rate_rad_s))
+        return _to_waypoints(spec.waypoints_m, speed_m_s, abs(turn_rate_rad_s))
     if spec.path is PathKind.FUNCTION:
-        return Function(spec.function, speed_m_s, abs(turn_rate_rad_s))
+        return _by_function(spec.function, speed_m_s, abs(turn_rate_rad_s))
     return None
+
+
+def _to_waypoints(points_m: Sequence[tuple[float, float]], speed_m_s: float, turn_rad_s: float) -> Course:
+    """Steer to each waypoint in order, repeatedly; turn on the spot if the next one is behind the robot."""
+    following = 0
+
+    def steer(_t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
+        nonlocal following
+        to_x, to_y = points_m[following]
+        if math.hypot(to_x - x_m, to_y - y_m) < REACHED_M:
+            following = (following + 1) % len(points_m)
+            to_x, to_y = points_m[following]
+        off_rad = math.remainder(math.atan2(to_y - y_m, to_x - x_m) - yaw_rad, math.tau)
+        turn = max(-turn_rad_s, min(turn_rad_s, GAIN_1_S * off_rad))
+        return speed_m_s * max(0.0, math.cos(off_rad)) ** 3, turn
+
+    return steer
+
+
+def _by_function(name: str, speed_m_s: float, turn_rad_s: float) -> Course:
+    """Steer by the user's function, limited to the scenario's speed and turn rate."""
+    function: Any = referred(name, "target.function")
+
+    def steer(t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
+        try:
+            found = function(t_s, x_m, y_m, yaw_rad)
+        except Exception as error:
+            raise failed(f"raised {type(error).__name__}: {error}", t_s) from error
+        try:
+            speed, turn = map(float, found)
+        except (TypeError, ValueError):
+            speed = turn = math.nan
+        if not (math.isfinite(speed) and math.isfinite(turn)):
+            raise failed(f"returned {one_line(repr(found)):.60}", t_s)
+        return max(-speed_m_s, min(speed_m_s, speed)), max(-turn_rad_s, min(turn_rad_s, turn))
+
+    def failed(problem: str, t_s: float) -> ConfigError:
+        return ConfigError(f"{ROBOT_FAILED} {file_of(name)} {problem} at t = {t_s:.2f} s; {_NEEDED}")
+
+    return steer
+
+
+_NEEDED = "called with t_s, x_m, y_m, yaw_rad it must return speed and turn rate, in m/s and rad/s"
 
 
 def try_out(spec: TargetSpec) -> None:
@@ -282,10 +276,15 @@ class TargetModel:
         self._record.v = self._record.w = 0.0
 
     @property
-    def pad(self) -> Pad:
+    def pad(self) -> Deck:
         """Motion of the pad now."""
         p = self._read()
-        return Pad(int(p[0]), p[1:4], p[4], p[5:8], p[8:11], p[11])
+        return Deck(p[1:4], p[4], p[8:11], p[11])
+
+    @property
+    def time_ns(self) -> int:
+        """Time of the motion."""
+        return int(self._record.pad.time_ns)
 
     def row(self) -> F64:
         """Return the motion of the pad now, in the form of ``run``."""
@@ -304,7 +303,7 @@ class TargetModel:
         return pads
 
 
-_MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # indices in a PadRecord: position, heading, velocity, turn rate
+MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # indices in a PadRecord: position, heading, body velocity, turn rate
 
 
 class TargetOdometry:
@@ -337,7 +336,7 @@ class TargetOdometry:
         return arrived, samples
 
     def _measured(self, pads: F64) -> F64:
-        values, count = pads[:, _MEASURED], len(pads)
+        values, count = pads[:, MEASURED], len(pads)
         if self._errors is not None:
             while len(self._left) < count:
                 self._left = np.concatenate((self._left, self._errors.take(BLOCK)))

@@ -20,6 +20,7 @@ import mmap
 import os
 import resource
 import struct
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,11 +34,10 @@ EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, zero of simulated 
 PAIR = struct.Struct("<qq")  # lockstep message on Zenoh: (tick, number), docs/how_it_works/lockstep.md
 RUN_AHEAD_TICKS = 20  # maximum ticks that the target computes without a credit of the onboard process
 NO_GO = -1  # value of a credit with which the target must not drive yet
-# Wall time in lockstep without a message after which a process counts as dead, s: on a busy computer a
-# running process may wait for the processor for many seconds.
-TARGET_SILENT_S = 60.0
-COMPANION_SILENT_S = 20.0  # time-out for the onboard process, s: UDP does not show whether it runs
-TARGET_LOOK_S = 0.5  # wall time without a message of the target after which its connection is checked, s
+# wall time in lockstep without a message after which the onboard process counts as dead, s: on a busy
+# computer a running process may wait for the processor for many seconds
+COMPANION_SILENT_S = 20.0
+_SAID_S = 10.0  # waiting time after which a text reports the wait, s
 _LOOK_MAX_S = 0.1  # maximum time that is counted between two calls of ``look``, s
 # priority under SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's threads
 PRIORITY = 10
@@ -101,6 +101,40 @@ class Silence:
         self._silent_s += min(now_s - self._looked_s, _LOOK_MAX_S)
         self._looked_s = now_s
         return self._silent_s
+
+
+def wait_until(
+    done: Callable[[], bool],
+    stopped: Callable[[], bool],
+    timeout_s: float,
+    *,
+    pause_s: float = _PAUSE_S,
+    yields: int = 0,
+    what: str = "",
+) -> bool:
+    """Poll ``done`` until it or ``stopped`` is true, or the time-out has passed.
+
+    Zenoh's handlers cannot wait with a time-out. This function polls, first without, then with short sleeps.
+
+    ``timeout_s``: wall time, not counting suspension of the machine; ``pause_s``: sleep between
+    two polls; ``yields``: number of polls that only yield the processor, before the first sleep; ``what``:
+    text on standard error during a long wait, if not empty. Returns False after the time-out; after True,
+    check ``stopped``.
+    """
+    if done() or stopped():
+        return True
+    silence = Silence()
+    looks = 0
+    while (silent_s := silence.look()) < timeout_s:
+        looks += 1
+        if what and silent_s > _SAID_S:
+            with contextlib.suppress(OSError):  # standard error may be closed
+                print(f"waits for {what}", file=sys.stderr, flush=True)
+            what = ""
+        time.sleep(0.0 if looks <= yields else pause_s)
+        if done() or stopped():
+            return True
+    return False
 
 
 class RealTimePacer:

@@ -1,4 +1,4 @@
-"""Lockstep of the onboard process: the vehicle requests each tick, the target reports its sample count.
+"""Lockstep of the onboard process: the vehicle requests each tick, the target reports its sample counts.
 
 No order between MAVLink and Zenoh is assumed. A tick starts when the vehicle has requested it by TIMESYNC,
 the target has reported the number of samples that belong to it, and, in a fleet, the members' messages have
@@ -7,13 +7,10 @@ arrived (docs/how_it_works/lockstep.md).
 
 from __future__ import annotations
 
-import contextlib
-import math
-import sys
-import time
 from collections.abc import Callable
 
 import msgspec
+import numpy as np
 
 from bridge.mavlink.client.link import VehicleLink
 from bridge.target.odometry import RawSample, SampleSource
@@ -23,11 +20,9 @@ from flightstack.common.pacing import (
     NO_GO,
     PAIR,
     RUN_AHEAD_TICKS,
-    TARGET_LOOK_S,
-    TARGET_SILENT_S,
     LockstepClock,
-    Silence,
     Tick,
+    wait_until,
 )
 from flightstack.core.parameters.fleet import ALONE
 from flightstack.core.types import MemberStatus
@@ -39,10 +34,9 @@ from logs.schema.controller_rows import pack_neighbours, status_row, unpack_neig
 CREDIT_EVERY = 10  # ticks between two messages that let the target continue
 WAIT_SLICE_S = 0.05  # wall time between checks for signals during a wait, s
 FIRST_WAIT_MAX_S = 600.0  # longest wait for a first message, s of wall time; it includes compilation
-SAID_S = 10.0  # waiting time after which a text reports the wait, s
-# wall time without the vehicle's request after which the process ends, s; the vehicle may wait for the robot
-LOST_RUN_MAX_S = TARGET_SILENT_S + 15.0
-ALIVE = "sim/target/alive"  # Zenoh liveliness token of the robot's process in lockstep
+# wall time without a message of the simulated world after which it counts as dead, s: on a busy computer a
+# running process may wait for the processor for many seconds, and the world waits for all companions
+WORLD_SILENT_S = 75.0
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
 OVER = 1  # second value of the last message of a member
 
@@ -61,33 +55,34 @@ class VehicleTicks(LinkedVehicle):
 
     def wait(self) -> Tick:
         """Wait for the vehicle's request, in bounded wall time."""
+        last_ns = self._last_ns
+        if last_ns < 0:
+            most_s, what = FIRST_WAIT_MAX_S, "the vehicle to request its first tick"
+        else:  # the vehicle requests the next tick only after it has flown this one
+            most_s, what = WORLD_SILENT_S, ""
+            self.link.endpoint.wait(WAIT_SLICE_S)
+        in_time = wait_until(self._requested, self._stopped, most_s, pause_s=0.0, what=what)
+        if self._last_ns != last_ns:
+            return self._clock.tick(self._last_ns)
+        never = not in_time and last_ns < 0
+        raise ClockStoppedError(
+            f"no vehicle requested a tick within {most_s:g} s (TIMESYNC)"
+            if never
+            else "no further message from the vehicle"
+        )
+
+    def _requested(self) -> bool:
+        """Whether a new request has arrived; if not, wait for one, but not long."""
         link = self.link
-        first, silence = self._last_ns < 0, None
-        most_s, due_s = (FIRST_WAIT_MAX_S, SAID_S) if first else (LOST_RUN_MAX_S, math.inf)
-        if self._last_ns >= 0:  # the vehicle requests the next tick only after it has flown this one
-            link.endpoint.wait(WAIT_SLICE_S)
-        while True:
-            link.poll(max(0, self._last_ns) / 1e9)
-            sim_ns = link.take_timesync()
-            if sim_ns is not None and sim_ns != self._last_ns:
-                self._last_ns = sim_ns
-                return self._clock.tick(sim_ns)
-            if sim_ns is not None:
-                link.endpoint.repeat(self.reply)
-            if silence is None:  # not needed before: usually the request has already arrived
-                silence = Silence()
-            waited_s = silence.look()
-            if self._stopped() or waited_s > most_s:
-                never = f"no vehicle requested a tick within {most_s:g} s (TIMESYNC)"
-                raise ClockStoppedError(
-                    never if first and waited_s > most_s else "no further message from the vehicle"
-                )
-            if waited_s > due_s:
-                due_s = math.inf
-                text = "onboard: waits for the vehicle to request its first tick"
-                with contextlib.suppress(OSError):  # standard error may be closed
-                    print(text, file=sys.stderr, flush=True)
-            link.endpoint.wait(WAIT_SLICE_S)
+        link.poll(max(0, self._last_ns) / 1e9)
+        sim_ns = link.take_timesync()
+        if sim_ns is not None and sim_ns != self._last_ns:
+            self._last_ns = sim_ns
+            return True
+        if sim_ns is not None:  # the vehicle has repeated its request
+            link.endpoint.repeat(self.reply)
+        link.endpoint.wait(WAIT_SLICE_S)
+        return False
 
 
 class LockstepWires(VehicleTicks):
@@ -100,13 +95,12 @@ class LockstepWires(VehicleTicks):
         super().__init__(link, rate_hz, person.left)
         self._person, self._fleet, self._odometry = person, fleet, odometry
         self.statuses = fleet.statuses
-        self._markers = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/target/tick")
+        self._ticks = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/target/ticks")
         self._credit = zenoh_link.blocking_publisher(session, f"{namespace}/sim/credit")
-        self._session, self._alive_key = session, f"{namespace}/{ALIVE}"
-        self._marker_tick, self._received = -1, 0
-        self._pool: list[RawSample] = []  # received samples whose tick is not yet known
+        self._counts: dict[int, int] = {}  # by tick: number of samples up to this tick
+        self._pool: list[RawSample] = []  # received samples of later ticks
         self._released: list[RawSample] = []  # samples of the current tick
-        self._counts: dict[int, int] = {}
+        self._taken = 0  # number of samples up to the current tick
         self._go_tick = NO_GO
         self._target_gone = False
 
@@ -118,8 +112,17 @@ class LockstepWires(VehicleTicks):
             if self._person.stop:
                 raise ClockStoppedError("ended by the operator") from None
             raise
-        self._released = self._release(tick.number)
-        self._fleet.await_tick(tick, self._person.left)
+        number, stopped = tick.number, self._stopped
+        if number % CREDIT_EVERY == 0:
+            self._give_credit(number)
+        if not self._target_gone:
+            most_s = WORLD_SILENT_S if number else FIRST_WAIT_MAX_S
+            came = wait_until(lambda: self._complete(number), stopped, most_s, pause_s=2e-5)
+            self._target_gone = not came or stopped()
+        due = self._counts.pop(number, self._taken + len(self._pool)) - self._taken
+        self._released, self._pool = self._pool[:due], self._pool[due:]
+        self._taken += len(self._released)
+        self._fleet.await_tick(tick, stopped)
         return tick
 
     def samples(self, now_s: float) -> Arrived:
@@ -134,35 +137,17 @@ class LockstepWires(VehicleTicks):
     def _give_credit(self, tick: int) -> None:
         self._credit.put(PAIR.pack(tick, self._go_tick))
 
-    def _release(self, tick: int) -> list[RawSample]:
-        """Wait for the samples that the target released up to this tick; return those that arrived."""
-        if tick % CREDIT_EVERY == 0:
-            self._give_credit(tick)
-        most_s, silence = FIRST_WAIT_MAX_S if self._marker_tick < 0 else TARGET_SILENT_S, Silence()
-        repeat_at = time.monotonic() + WAIT_SLICE_S
-        while not self._target_gone and not self._complete(tick):
-            now, silent_s = time.monotonic(), silence.look()
-            if silent_s > most_s or self._person.left():
-                self._target_gone = True
-            if now > repeat_at:
-                self._give_credit(tick)
-                repeat_at = now + WAIT_SLICE_S
-                if self._marker_tick >= 0 and silent_s > TARGET_LOOK_S:
-                    self._target_gone = not zenoh_link.is_alive(self._session, self._alive_key)
-            time.sleep(2e-5)
-        due = self._counts.pop(tick, self._received + len(self._pool)) - self._received
-        released, self._pool = self._pool[:due], self._pool[due:]
-        self._received += len(released)
-        return released
-
     def _complete(self, tick: int) -> bool:
-        """Whether the marker of this tick and all samples that it counts have arrived."""
-        for sample in zenoh_link.drain(self._markers):
-            number, count = PAIR.unpack(sample.payload.to_bytes())
-            self._counts[number] = count
-            self._marker_tick = max(self._marker_tick, number)
-        self._pool += self._odometry.poll()
-        return tick in self._counts and self._received + len(self._pool) >= self._counts[tick]
+        """Whether the number of samples up to this tick, and all these samples, have arrived."""
+        if tick not in self._counts:
+            for sample in zenoh_link.drain(self._ticks):
+                first, *counts = np.frombuffer(sample.payload.to_bytes(), "<i8").tolist()
+                self._counts.update(enumerate(counts, first))
+        if tick not in self._counts:
+            return False
+        if self._taken + len(self._pool) < self._counts[tick]:
+            self._pool += self._odometry.poll()
+        return self._taken + len(self._pool) >= self._counts[tick]
 
 
 class LockstepStatuses(FleetWire):
@@ -186,13 +171,14 @@ class LockstepStatuses(FleetWire):
 
         The first tick has no messages; it waits for the simulator's subscription to this vehicle's messages.
         """
-        first, self._tick, silence = self._tick is None, tick, Silence()
-        come = self._is_heard if first else self._has
-        while not self._gone and not come(tick.number):
-            if silence.look() > LOST_RUN_MAX_S or stopped():
-                self._gone = True
-                self._counts.texts.append("fleet: no messages arrived with this tick: continuing without")
-            time.sleep(2e-5)
+        first, self._tick = self._tick is None, tick
+
+        def come() -> bool:
+            return zenoh_link.is_matched(self._told) if first else self._has(tick.number)
+
+        if not self._gone and (not wait_until(come, stopped, WORLD_SILENT_S, pause_s=2e-5) or stopped()):
+            self._gone = True
+            self._counts.texts.append("fleet: no messages arrived with this tick: continuing without")
 
     def statuses(self) -> tuple[MemberStatus, ...]:
         tick = self._tick
@@ -215,10 +201,6 @@ class LockstepStatuses(FleetWire):
         self._told.put(b"", attachment=PAIR.pack(self._tick.number if self._tick is not None else -1, OVER))
         self._heard.undeclare()
         self._told.undeclare()
-
-    def _is_heard(self, tick: int) -> bool:
-        del tick
-        return zenoh_link.is_matched(self._told)
 
     def _has(self, tick: int) -> bool:
         for sample in zenoh_link.drain(self._heard):

@@ -23,15 +23,14 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Received
 from bridge.mavlink.transport.address import Peer
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, Silence
-from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
+from flightstack.common.pacing import COMPANION_SILENT_S, Silence, wait_until
+from sim.clock import STARTUP_S, NoAnswerError, TickGrid
 from sim.runners.robot import Robot
 from sim.runners.room import Room
 from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # wall time between two checks for signals, s
 _REPEAT_S = 0.5  # wall time after which an unanswered request is repeated, s
-_REPEAT_UNHEARD_S = 0.05  # the same, s, before the companion's first message
 _FLUSH_EVERY = 10  # period of the log flush, ticks; a shorter one would wake up the recorder more often
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
@@ -116,7 +115,8 @@ class LockstepVehicle:
                 self._late += endpoint.receive()
             return bool(endpoint.peers)
 
-        if not wait_until(heard, self._stop, STARTUP_S, pause_s=0.0, what="a companion to speak first"):
+        what = "a companion to speak first"
+        if not wait_until(heard, lambda: self._stop.is_set, STARTUP_S, pause_s=0.0, what=what):
             raise NoAnswerError(f"no companion was heard on the MAVLink endpoint within {STARTUP_S:g} s")
         if self._robot is not None:
             self._robot.begin()
@@ -127,30 +127,28 @@ class LockstepVehicle:
         After the end of its flight, a vehicle simulates the whole tick in this call: the autopilot still
         controls it, but nothing is sent or logged.
         """
-        node, grid = self.node, self.grid
-        now_ns = grid.ns(tick)
-        now_s = now_ns / 1e9
-        steps = grid.ms(tick + 1) - grid.ms(tick)
+        node, robot, now_ns = self.node, self._robot, self.grid.ns(tick)
+        now_s, steps = now_ns / 1e9, self.grid.ms(tick + 1) - self.grid.ms(tick)
         if self.words is not None:
             self.words.tick = tick
-        if self._robot is not None:
+        if robot is not None:
             if self.answers:
-                self._robot.await_credit(tick)
-            deck = self._robot.take(tick)
-            node.vehicle.set_deck(*deck[:4])
-            node.log.target(now_ns, deck.payload)
+                robot.await_credit(tick)
+            node.carry(robot, tick, now_ns)
         if self.over:
             node.vehicle.sent_before_ms = 0
             node.control(now_s)
             node.vehicle.advance(steps)
             return
-        self._send(now_ns, now_s)
+        messages, self._replies = [*node.autopilot.telemetry(now_s), *self._replies], []
+        self._request = dialect.MAVLink_timesync_message(0, now_ns)
+        node.wire.send(messages, now_ns, self._companion, last=[self._request])
         # Write the state of this tick while the companion computes.
         node.write_log(tick, now_ns)
         if tick % _FLUSH_EVERY == 0:
             node.log.feed.flush()
-        if self._robot is not None:
-            self._robot.run_ahead(tick)
+        if robot is not None:
+            robot.run_ahead(tick)
         # The radio delays every answer by this time, so these steps need no answer.
         ahead = min(steps, self.radio_ms)
         node.vehicle.advance(ahead)
@@ -164,28 +162,27 @@ class LockstepVehicle:
         """
         if self.over:
             return
-        node, grid = self.node, self.grid
-        now_ns = grid.ns(tick)
-        now_s = now_ns / 1e9
-        self._await_answer(now_ns, now_s, silence)
-        node.control(now_s)
+        node, grid, now_ns = self.node, self.grid, self.grid.ns(tick)
+        self.answered = self._await_answer(now_ns, silence)
+        node.control(now_ns / 1e9)
         node.vehicle.advance(grid.ms(tick + 1) - grid.ms(tick) - node.vehicle.sent_before_ms)
         node.over = self.words is not None and self.words.left
 
-    def _await_answer(self, now_ns: int, now_s: float, silence: Silence) -> None:
-        """Handle all messages up to the companion's answer for this tick."""
-        for received in self.node.wire.late(now_ns):
-            self._answer(received, now_ns, now_s)
-        late, self._late = self._late, []
-        answered = self._take(late, now_ns, now_s)
-        if not self._answers:
-            self.answered = False
-            self._run_free(now_ns, now_s)
-            return
+    def _await_answer(self, now_ns: int, silence: Silence) -> bool:
+        """Handle all messages up to the companion's answer for this tick; return whether it has arrived."""
         endpoint, repeat_s = self.node.endpoint, None
+        for received in self.node.wire.late(now_ns):
+            self._replies += self.node.answer(received, now_ns / 1e9)
+        late, self._late = self._late, []
+        answered = self._take(late, now_ns)
+        if not self._answers:  # simulate at full speed in flight, in real time after the landing
+            if self.words is None and not self.node.vehicle.armed:
+                endpoint.wait(self.grid.period_s)
+            self._take(endpoint.receive(), now_ns)
+            return False
         while not (answered or self._stop.is_set or (self.words is not None and self.words.left)):
-            endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
-            answered = self._take(endpoint.receive(), now_ns, now_s)
+            endpoint.wait(_WAIT_S)
+            answered = self._take(endpoint.receive(), now_ns)
             if answered:  # the first check usually succeeds and needs no clock
                 break
             repeat_s = repeat_s or time.monotonic()
@@ -193,77 +190,37 @@ class LockstepVehicle:
                 self._give_up()
                 break
             wall_s = time.monotonic()
-            if wall_s - repeat_s > (_REPEAT_S if endpoint.counters["received"] else _REPEAT_UNHEARD_S):
+            if wall_s - repeat_s > _REPEAT_S:
                 repeat_s = wall_s
-                self._repeat()
+                # equal bytes, since new sequence numbers would make the log depend on wall time
+                endpoint.repeat(bytes(self._request.get_msgbuf()), self._companion)
         # handle frames that the companion sent before its end
-        self.answered = answered or self._take(endpoint.receive(), now_ns, now_s)
+        return answered or self._take(endpoint.receive(), now_ns)
 
-    def _send(self, now_ns: int, now_s: float) -> None:
-        endpoint, companion = self.node.endpoint, self._companion
-        messages = self.node.autopilot.telemetry(now_s)
-        replies, self._replies = self._replies, []
-        request = dialect.MAVLink_timesync_message(0, now_ns)
-        if not self.node.wire.sound:
-            companions = endpoint.peers if companion is None else (companion,)
-            others = [peer for peer in endpoint.peers if peer not in companions]
-            self.node.wire.send(messages, (*companions, *others), now_ns)
-            self.node.wire.send(replies, companions, now_ns)
-            messages = replies = []
-        elif companion is not None:
-            for peer in endpoint.peers:
-                if peer != companion:
-                    endpoint.send(messages, peer)
-        endpoint.send([*messages, *replies, request], companion)
-        self._request = request
-
-    def _repeat(self) -> None:
-        peers = self.node.endpoint.peers if self._companion is None else (self._companion,)
-        for peer in peers:
-            # Repeat equal bytes: new sequence numbers would make the log depend on wall time.
-            self.node.endpoint.repeat(bytes(self._request.get_msgbuf()), peer)
-
-    def _take(self, frames: list[Received], now_ns: int, now_s: float) -> bool:
-        """Handle frames up to the answer for this tick; return True if it has arrived."""
+    def _take(self, frames: list[Received], now_ns: int) -> bool:
+        """Handle frames up to the companion's answer for this tick; return True if it has arrived."""
         for i, received in enumerate(frames):
-            message = received.message
+            message, companion = received.message, self._companion
             id_ = message.get_msgId()
+            if companion not in (None, received.peer):
+                continue  # only the companion is served, since other clients depend on wall time
             if id_ == _TIMESYNC and message.tc1 != 0:
-                if self._is_answer(received, now_ns):
+                this_tick = message.ts1 == now_ns
+                if this_tick:
+                    self._companion = received.peer
+                if self._companion and not self._answers:  # also an old answer shows a live companion
+                    self._answers = True
+                    self._say(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
+                if this_tick:
                     self._late += frames[i + 1 :]
                     return True
-                continue
-            if self._companion is None and id_ == _HEARTBEAT:
+            elif companion is None and id_ == _HEARTBEAT:
                 # No link fault acts here: the number of heartbeats before the answer depends on wall time.
-                self._answer(received, now_ns, now_s)
-                continue
-            for arrived in self.node.wire.receive(received, now_ns):
-                self._answer(arrived, now_ns, now_s)
+                self._replies += self.node.answer(received, now_ns / 1e9)
+            else:
+                for arrived in self.node.wire.receive(received, now_ns):
+                    self._replies += self.node.answer(arrived, now_ns / 1e9)
         return False
-
-    def _answer(self, received: Received, now_ns: int, now_s: float) -> None:
-        """Pass a message to the autopilot; its replies to the companion are sent with the next tick."""
-        replies = self.node.answer(received, now_s)
-        if not replies:
-            return
-        if received.peer == self._companion or self._companion is None:
-            self._replies += replies
-        elif self.node.wire.sound:
-            self.node.endpoint.send(replies, received.peer)
-        else:
-            self.node.wire.send(replies, (received.peer,), now_ns)
-
-    def _is_answer(self, received: Received, now_ns: int) -> bool:
-        """Whether a message answers the current tick; an old answer only shows a live companion."""
-        this_tick: bool = received.message.ts1 == now_ns
-        if self._companion is None and this_tick:
-            self._companion = received.peer
-        if received.peer != self._companion:
-            return False
-        if not self._answers:
-            self._answers = True
-            self.node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
-        return this_tick
 
     def _give_up(self) -> None:
         if self._companion is None:
@@ -273,14 +230,10 @@ class LockstepVehicle:
             )
         self._answers = False
         text = f"Companion silent for {COMPANION_SILENT_S:g} s: going on without"
-        self.node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_CRITICAL, text)
+        self._say(dialect.MAV_SEVERITY_CRITICAL, text)
 
-    def _run_free(self, now_ns: int, now_s: float) -> None:
-        """Simulate without the companion: at full speed in flight, in real time after the landing."""
-        endpoint = self.node.endpoint
-        if self.words is None and not self.node.vehicle.armed:
-            endpoint.wait(self.grid.period_s)
-        self._take(endpoint.receive(), now_ns, now_s)
+    def _say(self, severity: int, text: str) -> None:
+        self.node.autopilot.flight.texts.say(severity, text)
 
 
 class LockstepWorld:

@@ -3,7 +3,8 @@
 Keys under the namespace of each robot (``cf1`` by default):
 
 - ``target/odom``: measured odometry as a tracker sends it, ``nav_msgs/msg/Odometry`` in CDR.
-- ``sim/target/tick``: in lockstep, after all samples of a tick: (tick, number of samples so far), two int64.
+- ``sim/target/ticks``: in lockstep, after the samples of n ticks: the first of these ticks, then for each
+  tick the number of samples up to it, int64.
 - ``sim/credit`` (read): in lockstep, the reader's tick and the tick at which driving starts (-1: unknown).
 - ``sim/target/truth``: in real time, true pose and twist for a vehicle that another process simulates.
 - ``controller/step`` (read): in real time, the mission phase, which shows the start of the landing.
@@ -13,11 +14,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import ClassVar, TypeVar
+
+import numpy as np
 
 from bridge.frames import quaternion_from_yaw, world_from_body, yaw_from_quaternion
 from bridge.ros2.cdr import Odometry, OdometryError, decode_odometry
@@ -26,19 +28,24 @@ from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, EPOCH_NS, NO_GO, PAIR, RUN_AHEAD_TICKS
-from flightstack.compiled.records import F64
+from flightstack.common.pacing import (
+    COMPANION_SILENT_S,
+    EPOCH_NS,
+    NO_GO,
+    PAIR,
+    RUN_AHEAD_TICKS,
+    wait_until,
+)
 from flightstack.core.types import ZERO, Phase, Vec3
-from flightstack.onboard.lockstep import ALIVE
 from logs.recorder.feed import Feed
 from logs.schema import Names
 from logs.schema.events import Severity
 from logs.schema.rows import ControllerStepRow, TrueStateRow
-from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
+from sim.clock import TickGrid, await_subscriber
 from sim.options import TargetOptions, WorldOptions
-from sim.robot import Sample
+from sim.robot import MEASURED, Deck, Sample
 from sim.runners.log import EventLog
-from sim.runners.robot import DeckState, Robot, deck_rows
+from sim.runners.robot import Robot, Ticks, deck_of, deck_rows
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.physics import Physics
 
@@ -46,11 +53,10 @@ NODE = "flightstack_target"  # name of the ROS 2 node
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
 _LEFT_MIN = RUN_AHEAD_TICKS // 2  # number of computed future ticks below which the robot computes more
 _CREDIT_YIELDS = 20  # number of polls for credit without a pause; credit usually arrives within them
-_MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
 
 
 class PublishedRobot(Robot):
-    """A robot that publishes its odometry and returns its true pose tick by tick.
+    """A robot that publishes its odometry when it computes a tick.
 
     ``session``: Zenoh session, which the caller closes; ``stop``: ends every wait; ``namespace``: prefix of
     the robot's keys; ``log``: log of the robot's events.
@@ -72,69 +78,40 @@ class PublishedRobot(Robot):
         self._session, self._stop, self.namespace, self.log = session, stop, namespace, log
         self.shown: Ros2Publisher | None = None  # publisher of the odometry to ROS 2
         self._odom = OdometryPublisher(session, f"{namespace}/target/odom", lossless=self.lockstep)
-        self._driven, self._samples = 0, 0  # number of driven ticks, number of published samples
-        self._waiting: deque[tuple[list[float], list[float]]] = deque()  # pad and deck states of future ticks
+        self._poses: deque[tuple[Deck, bytes]] = deque()  # true poses at the computed ticks, and messages
         self._open()
 
-    @abstractmethod
     def _open(self) -> None:
         """Declare the keys besides the odometry."""
 
-    def begin(self) -> None:
-        """Publish the odometry of tick 0."""
-        self._keep(*self.first)
-
-    def take(self, tick: int) -> DeckState:
+    def take(self, tick: int) -> Deck:
         """Advance to the next tick; return the true pose there."""
         self._drive(tick)
-        pad, (x, y, z, yaw, vx, vy, vz, rate) = self._waiting.popleft()
-        px, py, pz, pad_yaw, forward, left, up = pad[1:8]
-        payload = Odometry(
-            self.log.epoch_ns + self._grid.ns(tick), "map", "target", (px, py, pz),
-            quaternion_from_yaw(pad_yaw), (forward, left, up), (0.0, 0.0, pad[11]),
-        ).pack()  # fmt: skip
-        return DeckState((x, y, z), yaw, (vx, vy, vz), rate, payload)
+        deck, self.payload = self._poses.popleft()
+        return deck
 
-    def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
-        """Publish the samples of the next n ticks; log the start and end of each fault."""
-        samples, at = new.tolist(), 0
-        for n in range(len(pads)):
-            while at < len(due) and due[at] == n:
-                self._put(self._driven, samples[at])
-                at += 1
-            self._end(self._driven)
-            self._driven += 1
-        self._waiting += zip(pads.tolist(), deck_rows(pads).tolist(), strict=True)
-        for tick, fault in self.take_texts():
-            level = Severity.WARN if fault.begins else Severity.INFO
-            self.log.event(self._grid.ns(tick), level, str(fault))
+    def _keep(self, new: Ticks) -> None:
+        """Publish the samples of the next ticks."""
+        epoch_ns, first = self.log.epoch_ns, self.tick + 1 - len(new.pads)
+        for n, sample in zip(new.due, new.samples.tolist(), strict=True):
+            payload = odometry(epoch_ns + round(sample[0] * 1e9), sample[1:])
+            sent_ns = epoch_ns + self._grid.ns(first + n)
+            self._odom.put(payload, sent_ns)
+            if self.shown is not None:
+                self.shown.put(payload, sent_ns)
+        decks, poses = deck_rows(new.pads).tolist(), new.pads[:, MEASURED].tolist()
+        for n, (deck, pose) in enumerate(zip(decks, poses, strict=True), first):
+            self._poses.append((deck_of(deck), odometry(epoch_ns + self._grid.ns(n), pose)))
 
-    def _put(self, tick: int, sample: Sample) -> None:
-        """Publish an odometry sample."""
-        epoch_ns = self.log.epoch_ns
-        time_s, x, y, z, yaw, vx, vy, vz, rate = sample
-        payload = self._odom.encode(
-            epoch_ns + round(time_s * 1e9),
-            (x, y, z),
-            quaternion_from_yaw(yaw),
-            (vx, vy, vz),
-            (0.0, 0.0, rate),
-        )
-        sent_ns = epoch_ns + self._grid.ns(tick)
-        self._odom.put(payload, sent_ns)
-        if self.shown is not None:
-            self.shown.put(payload, sent_ns)
-        self._samples += 1
-
-    def _end(self, tick: int) -> None:
-        """Called after all samples of a tick were published."""
-
-    def _drives_off(self, tick: int) -> None:
-        """Log the tick at which the robot starts to drive."""
-        self.log.event(self._grid.ns(tick), Severity.INFO, f"the robot drives from tick {tick} on")
+    def _say(self, tick: int, level: Severity, text: str) -> None:
+        self.log.event(self._grid.ns(tick), level, text)
 
 
-R = TypeVar("R", bound=PublishedRobot)
+def odometry(stamp_ns: int, values: Sample) -> bytes:
+    """Return the message with a position, m, heading, velocity in the body frame, m/s, and turn rate."""
+    x, y, z, yaw, vx, vy, vz, rate = values
+    q = quaternion_from_yaw(yaw)
+    return Odometry(stamp_ns, "map", "target", (x, y, z), q, (vx, vy, vz), (0.0, 0.0, rate)).pack()
 
 
 class LockstepRobot(PublishedRobot):
@@ -143,11 +120,9 @@ class LockstepRobot(PublishedRobot):
     lockstep = True
 
     def _open(self) -> None:
-        session, namespace = self._session, self.namespace
-        self._marker = zenoh_link.blocking_publisher(session, f"{namespace}/sim/target/tick")
-        self._token = zenoh_link.liveliness_token(session, f"{namespace}/{ALIVE}")
-        self._credits = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/credit")
-        self._credit = 0  # newest tick that the reader has announced
+        self._ticks = zenoh_link.blocking_publisher(self._session, f"{self.namespace}/sim/target/ticks")
+        self._credits = zenoh_link.fifo_subscriber(self._session, f"{self.namespace}/sim/credit")
+        self._credit = self._published = 0  # newest tick that the reader has announced; number of samples
         self._silent = False  # whether the wait for credit timed out
 
     def begin(self) -> None:
@@ -155,16 +130,9 @@ class LockstepRobot(PublishedRobot):
 
         Raises NoAnswerError: time-out.
         """
-        for key, matched in (
-            ("target/odom", lambda: self._odom.matched),
-            ("sim/target/tick", lambda: zenoh_link.is_matched(self._marker)),
-        ):
-            what = f"a subscriber to {self.namespace}/{key}"
-            if not wait_until(matched, self._stop, STARTUP_S, pause_s=_MATCH_PAUSE_S, what=what):
-                raise NoAnswerError(
-                    f"nobody subscribed to {self.namespace}/{key} within {STARTUP_S:g} s; is the onboard "
-                    "process running in lockstep, and connected to this process's endpoint?"
-                )
+        await_subscriber(lambda: self._odom.matched, f"{self.namespace}/target/odom", self._stop)
+        ticks, key = self._ticks, f"{self.namespace}/sim/target/ticks"
+        await_subscriber(lambda: zenoh_link.is_matched(ticks), key, self._stop)
         super().begin()
 
     def await_credit(self, tick: int) -> None:
@@ -172,35 +140,38 @@ class LockstepRobot(PublishedRobot):
 
         Without credit, the landing may have started before this tick.
         """
-        if tick >= self._driven and not self._covers(tick) and not self._silent:
+        if tick > self.tick and not self._covers(tick) and not self._silent:
             self._silent = not wait_until(
-                lambda: self._covers(tick), self._stop, COMPANION_SILENT_S, yields=_CREDIT_YIELDS
+                lambda: self._covers(tick),
+                lambda: self._stop.is_set,
+                COMPANION_SILENT_S,
+                yields=_CREDIT_YIELDS,
             )
             if self._silent:
                 waited = f"no credit from the onboard process for {COMPANION_SILENT_S:g} s"
-                text = f"{waited}: the robot continues without"
-                self.log.event(self._grid.ns(tick), Severity.WARN, text)
+                self._say(tick, Severity.WARN, f"{waited}: the robot continues without")
 
     def run_ahead(self, tick: int) -> None:
         """Compute future ticks while the companion computes, so that the companion need not wait later."""
-        if self._driven > tick + _LEFT_MIN:
-            return
-        until = tick + RUN_AHEAD_TICKS
-        self._drive(until if self._covers(until) else min(until, self._credit + RUN_AHEAD_TICKS))
+        if self.tick < tick + _LEFT_MIN:
+            until = tick + RUN_AHEAD_TICKS
+            self._drive(until if self._covers(until) else min(until, self._credit + RUN_AHEAD_TICKS))
 
     def _covers(self, tick: int) -> bool:
         """Whether the received credit decides if the robot drives at this tick."""
         for sample in zenoh_link.drain(self._credits):
-            data = sample.payload.to_bytes()
-            if len(data) == PAIR.size:
-                reached, go_tick = PAIR.unpack(data)
-                self._credit, self._silent = max(self._credit, reached), False
-                if self._go_tick == NO_GO and go_tick >= 0:  # the first report of a start
-                    self._go_tick = go_tick
+            reached, go_tick = PAIR.unpack(sample.payload.to_bytes())
+            self._credit, self._silent = max(self._credit, reached), False
+            if self._go_tick == NO_GO:
+                self._go_tick = go_tick
         return not self.waits or self._go_tick > NO_GO or tick <= self._credit + RUN_AHEAD_TICKS
 
-    def _end(self, tick: int) -> None:
-        self._marker.put(PAIR.pack(tick, self._samples))
+    def _keep(self, new: Ticks) -> None:
+        super()._keep(new)
+        counts = self._published + np.searchsorted(new.due, np.arange(len(new.pads)), side="right")
+        self._published += len(new.due)
+        first = self.tick + 1 - len(new.pads)
+        self._ticks.put(np.array([first, *counts], dtype="<i8").tobytes())
 
 
 class RealTimeRobot(PublishedRobot):
@@ -221,11 +192,11 @@ class RealTimeRobot(PublishedRobot):
         """Start to publish the true pose for a vehicle that another process simulates."""
         self._truth = OdometryPublisher(self._session, truth_key(self.namespace))
 
-    def take(self, tick: int) -> DeckState:
+    def take(self, tick: int) -> Deck:
         """Advance to the next tick; return the true pose there."""
         deck = super().take(tick)
         if self._truth is not None:
-            self._truth.put(deck.payload, self.log.epoch_ns + self._grid.ns(tick), PAIR.pack(tick, 0))
+            self._truth.put(self.payload, self.log.epoch_ns + self._grid.ns(tick), PAIR.pack(tick, 0))
         if self.waits and self._go_tick == NO_GO and self._landing_began():
             self._go_tick = tick
         return deck
@@ -236,6 +207,9 @@ class RealTimeRobot(PublishedRobot):
                 if ControllerStepRow.unpack(sample.payload.to_bytes()).phase in _LANDING:
                     return True
         return False
+
+
+R = TypeVar("R", bound=PublishedRobot)
 
 
 def robots_of(
@@ -269,7 +243,7 @@ _PULL_1_S = 5.0  # correcting velocity divided by position error, 1/s; a jump wo
 _SNAP_M = 0.3  # position error above which the deck jumps, m; timing cannot cause a larger error
 
 
-def deck_state(payload: bytes) -> DeckState:
+def deck_state(payload: bytes) -> Deck:
     """Decode a true pose. Raises OdometryError: malformed message, or a number is not finite."""
     found = decode_odometry(payload)
     position, q, velocity, rate = (
@@ -277,7 +251,7 @@ def deck_state(payload: bytes) -> DeckState:
     )  # fmt: skip
     if not math.isfinite(sum((*position, *q, *velocity, rate))):
         raise OdometryError("true pose of the robot holds a number that is not finite")
-    return DeckState(position, yaw_from_quaternion(q), world_from_body(q, velocity), rate, payload)
+    return Deck(position, yaw_from_quaternion(q), world_from_body(q, velocity), rate)
 
 
 class RealTimeDeck:
@@ -301,7 +275,7 @@ class RealTimeDeck:
         for payload in reversed(payloads):
             with contextlib.suppress(OdometryError):
                 state = follow(deck_state(payload), truth.pad_position_enu_m, truth.pad_yaw_rad)
-                vehicle.set_deck(*state[:4])
+                vehicle.set_deck(*state)
                 self._last_s = now_s
                 return
         if now_s - self._last_s > STALE_S:
@@ -310,7 +284,7 @@ class RealTimeDeck:
             warn("Robot's pose too old: deck stopped")
 
 
-def follow(robot: DeckState, position_enu_m: Vec3, yaw_rad: float) -> DeckState:
+def follow(robot: Deck, position_enu_m: Vec3, yaw_rad: float) -> Deck:
     """Return the deck state that corrects its position error smoothly, or by a jump if the error is large.
 
     ``robot``: the newest true pose; ``position_enu_m``, ``yaw_rad``: pose of the simulated deck.
@@ -322,7 +296,7 @@ def follow(robot: DeckState, position_enu_m: Vec3, yaw_rad: float) -> DeckState:
     vx, vy, vz = robot.velocity_enu_m_s
     pulled = (vx + _PULL_1_S * ex, vy + _PULL_1_S * ey, vz + _PULL_1_S * ez)
     turn = _PULL_1_S * math.remainder(robot.yaw_rad - yaw_rad, math.tau)
-    return DeckState(position_enu_m, yaw_rad, pulled, robot.yaw_rate_rad_s + turn, robot.payload)
+    return Deck(position_enu_m, yaw_rad, pulled, robot.yaw_rate_rad_s + turn)
 
 
 def truth_key(namespace: str) -> str:

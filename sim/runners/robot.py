@@ -1,13 +1,13 @@
 """The ground robot on a grid of ticks: its motion, its odometry, and the faults of both.
 
-``DirectTarget`` gives true poses to the deck and samples to a controller in this process. Values equal those
-received over Zenoh: CDR carries doubles, so only the frame rotations are computed.
+``Robot`` computes some ticks ahead and returns true poses to the deck. ``DirectTarget`` also gives samples to
+a controller in this process. Values equal those received over Zenoh: CDR carries doubles, so only the frame
+rotations are computed.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, cast
 
@@ -20,26 +20,16 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64
 from flightstack.core.types import TargetSample, Vec3
 from flightstack.onboard.runner import NOTHING, Arrived
+from logs.schema.events import Severity
 from sim.clock import TickGrid
 from sim.faults.samples import SampleFaults, Shape
-from sim.faults.schedule import Change, Component, ScheduledFaults
+from sim.faults.schedule import Component, ScheduledFaults
 from sim.plant.sensors import NS
-from sim.robot import Sample, TargetModel, TargetOdometry, wrap
+from sim.robot import Deck, Sample, TargetModel, TargetOdometry, wrap
 from sim.scenarios.fault_spec import After, Fault, What
 from sim.scenarios.scenario import Scenario
 
 DRIVES_TICKS = 64  # maximum number of computed future ticks; on average half of them are unused at the end
-WorldSample = tuple[float, str, str, Vec3, Vec3, float, float]  # a target sample without its arrival time
-
-
-class DeckState(NamedTuple):
-    """Pose and velocity of the pad centre, ENU, and the message that contained them."""
-
-    position_enu_m: Vec3
-    yaw_rad: float
-    velocity_enu_m_s: Vec3
-    yaw_rate_rad_s: float
-    payload: bytes
 
 
 def _move(sample: Sample, offset: Vec3, turn: float) -> Sample:
@@ -76,35 +66,67 @@ class TargetFaults(ScheduledFaults):
         return self._samples.deliver(now_ns, samples) if self._samples.active else samples
 
 
-class TargetMotion:
-    """Model and odometry of the robot on a grid of ticks."""
+class Ticks(NamedTuple):
+    """Motion and samples of the robot in n consecutive ticks."""
+
+    pads: F64  # (n, 12) motion of the pad at each tick, values of a PadRecord
+    due: list[int]  # index of the tick at which each sample was released
+    samples: F64  # (m, 9) samples
+
+
+class Robot:
+    """A robot that computes its motion some ticks ahead; it may wait for the start of the landing.
+
+    The number of future ticks is limited, so that the start of driving is known in time. A tick in a batch
+    takes a fifth of the time of a single tick.
+    """
+
+    payload = b""  # message with the true pose at the newest tick; empty if the robot is not published
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
-        self.tick = 0  # current tick
+        self.tick = 0  # newest computed tick
         self.model = TargetModel(scenario.target, seed, step_s=grid.period_s)  # true motion at this tick
         self.faults = TargetFaults(scenario.fault, seed)  # faults of robot and odometry
         self._odometry = TargetOdometry(scenario.odometry, seed)
         # substeps per tick; the odometry measures at most one sample per substep
         self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
         self._step_s = grid.period_s / self._substeps
-        self._texts: list[tuple[int, Change]] = []
-        # pad and samples of tick 0, as ``run`` returns them
+        self._go_tick, self._grid = NO_GO, grid  # tick from which the robot drives
+        self._driving = not scenario.target.wait_for_landing
+
+    def begin(self) -> None:
+        """Compute tick 0. Raises NoAnswerError: time-out of a condition for it."""
+        self._keep(self.first_tick())
+
+    def first_tick(self) -> Ticks:
+        """Return motion and samples at tick 0."""
         row = self.model.row()
-        self.first = self._as_arrays([row[0]], [(0, sample) for sample in self._measure(row)])
+        return self._joined([row[0]], [(0, sample) for sample in self._measure(row)])
 
-    def run(self, ticks: int, driving: bool) -> tuple[F64, list[int], F64]:
-        """Advance by several ticks, in compiled calls as long as no fault is active.
+    def take(self, tick: int) -> Deck:
+        """Advance to the next tick; return the true pose there."""
+        raise NotImplementedError
 
-        Returns the pad's motion at each tick, (ticks, 12) values of a PadRecord; the index of the tick at
-        which each sample was released; and the samples, (m, 9).
-        """
+    def await_credit(self, tick: int) -> None:
+        """Wait until the companion permits to compute this tick, if the robot depends on the companion."""
+
+    def run_ahead(self, tick: int) -> None:
+        """Compute future ticks while the companion computes, if that saves time."""
+
+    @property
+    def waits(self) -> bool:
+        """Whether the start of the landing can still change its path or its faults."""
+        return not self._driving or self.faults.waits_for(After.LANDING)
+
+    def run(self, ticks: int, driving: bool) -> Ticks:
+        """Advance by several ticks, in compiled calls as long as no fault is active."""
         steps = ticks * self._substeps
-        if self.faults.quiet_until(self.model.pad.time_ns + steps * round(self._step_s * NS)):
+        if self.faults.quiet_until(self.model.time_ns + steps * round(self._step_s * NS)):
             pads = self.model.run(steps, self._step_s, driving)
             self.tick += ticks
             at, samples = self._odometry.run(pads)
             every = self._substeps
-            return np.ascontiguousarray(pads[every - 1 :: every]), [n // every for n in at], samples
+            return Ticks(np.ascontiguousarray(pads[every - 1 :: every]), [n // every for n in at], samples)
         decks, due = list[F64](), list[tuple[int, Sample]]()
         for n in range(ticks):
             self.tick += 1
@@ -114,22 +136,38 @@ class TargetMotion:
                 row = self.model.run(1, self._step_s, driving and not self.faults.locked)
                 due += [(n, sample) for sample in self._measure(row)]
             decks.append(row[0])
-        return self._as_arrays(decks, due)
+        return self._joined(decks, due)
 
-    def _as_arrays(self, pads: list[F64], due: list[tuple[int, Sample]]) -> tuple[F64, list[int], F64]:
+    def _joined(self, pads: list[F64], due: list[tuple[int, Sample]]) -> Ticks:
         samples = np.array([sample for _, sample in due], dtype=np.float64).reshape(len(due), 9)
-        return np.array(pads, dtype=np.float64), [n for n, _ in due], samples
+        return Ticks(np.array(pads, dtype=np.float64), [n for n, _ in due], samples)
 
     def _measure(self, row: F64) -> list[Sample]:
         _, samples = self._odometry.run(row)
         delivered = self.faults.deliver(int(row[0, 0]), samples.tolist())
-        self._texts += [(self.tick, text) for text in self.faults.take_texts()]
+        for fault in self.faults.take_texts():
+            self._say(self.tick, Severity.WARN if fault.begins else Severity.INFO, str(fault))
         return delivered
 
-    def take_texts(self) -> list[tuple[int, Change]]:
-        """Return the starts and ends of faults since the last call, each with its tick."""
-        texts, self._texts = self._texts, []
-        return texts
+    def _drive(self, until_tick: int) -> None:
+        """Compute the motion of the robot, driving or at rest, up to a tick."""
+        while self.tick < until_tick:
+            end, goes_at = until_tick, self._go_tick
+            if NO_GO < goes_at <= self.tick + 1:
+                self.faults.refer(After.LANDING, self._grid.ns(goes_at))
+                if not self._driving:
+                    self._driving, now = True, self.tick + 1
+                    self._say(now, Severity.INFO, f"the robot drives from tick {now} on")
+            elif goes_at > NO_GO:
+                end = min(end, goes_at - 1)  # faults with times relative to the landing start at that tick
+            self._keep(self.run(end - self.tick, self._driving))
+
+    def _keep(self, new: Ticks) -> None:
+        """Store the next ticks."""
+        raise NotImplementedError
+
+    def _say(self, tick: int, level: Severity, text: str) -> None:
+        """Log an event of this tick, if the robot has a log."""
 
 
 # compiled forms of the frame formulas of sender and receiver
@@ -173,55 +211,10 @@ def deck_rows(pads: F64) -> F64:
     return decks
 
 
-class Robot(TargetMotion, ABC):
-    """A robot that drives tick by tick or computes future ticks; it may wait for the start of the landing.
-
-    The number of future ticks is limited, so that the start of driving is known in time. A tick in a batch
-    takes a fifth of the time of a single tick.
-    """
-
-    def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
-        super().__init__(scenario, seed, grid)
-        self._go_tick, self._grid = NO_GO, grid  # tick from which the robot drives
-        self._driving = not scenario.target.wait_for_landing
-
-    def begin(self) -> None:
-        """Wait for the conditions of tick 0. Raises NoAnswerError: time-out."""
-
-    @property
-    def waits(self) -> bool:
-        """Whether the start of the landing can still change its path or its faults."""
-        return not self._driving or self.faults.waits_for(After.LANDING)
-
-    def _drive(self, until_tick: int) -> None:
-        """Compute the motion of the robot, driving or at rest, up to a tick."""
-        while self.tick < until_tick:
-            end, goes_at = until_tick, self._go_tick
-            if NO_GO < goes_at <= self.tick + 1:
-                self.faults.refer(After.LANDING, self._grid.ns(goes_at))
-                if not self._driving:
-                    self._driving = True
-                    self._drives_off(self.tick + 1)
-            elif goes_at > NO_GO:
-                end = min(end, goes_at - 1)  # faults with times relative to the landing start at that tick
-            self._keep(*self.run(end - self.tick, self._driving))
-
-    @abstractmethod
-    def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
-        """Store the motion of the next n ticks (``TargetMotion.run``)."""
-
-    def await_credit(self, tick: int) -> None:
-        """Wait until the companion permits to compute this tick, if the robot depends on the companion."""
-
-    @abstractmethod
-    def take(self, tick: int) -> DeckState:
-        """Advance to the next tick; return the true pose there."""
-
-    def run_ahead(self, tick: int) -> None:
-        """Compute future ticks while the companion computes, if that saves time."""
-
-    def _drives_off(self, tick: int) -> None:
-        """Called with the tick from which the robot drives."""
+def deck_of(row: Sequence[float]) -> Deck:
+    """Return the state in a row of ``deck_rows``."""
+    x, y, z, yaw, vx, vy, vz, rate = row
+    return Deck((x, y, z), yaw, (vx, vy, vz), rate)
 
 
 class Ahead(NamedTuple):
@@ -237,25 +230,23 @@ class DirectTarget(Robot):
     """A robot that returns its true poses and samples directly, tick by tick."""
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
-        self._samples: list[WorldSample] = []  # samples that the onboard process has not read yet
+        super().__init__(scenario, seed, grid)
+        self._samples: list[list[float]] = []  # rows of ``Ahead.samples`` that were not read yet
         # data of the computed ticks, and number of those ticks already returned
         self._ahead, self._at = Ahead(np.empty((0, 8)), np.empty((0, 9)), 0, np.empty(0, np.int64)), 0
         # rows of ``Ahead.decks`` (pad motion) as lists; a list is read faster than an array row
         self._decks: list[list[float]] = []
         self._come: list[int] = []
-        super().__init__(scenario, seed, grid)
-        self._keep(*self.first)
 
-    def take(self, tick: int) -> DeckState:
+    def take(self, tick: int) -> Deck:
         """Advance to this tick; return the true pose there."""
         if self._at == len(self._come):
             self._drive(tick + self._ahead_ticks - 1)
         first, end = self._come_before, self._come[self._at]
         if first != end:
-            self._samples += [world_sample(row) for row in self._ahead.samples[first:end].tolist()]
+            self._samples += self._ahead.samples[first:end].tolist()
         self._at += 1
-        x, y, z, yaw, vx, vy, vz, rate = self._decks[self._at - 1]
-        return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
+        return deck_of(self._decks[self._at - 1])
 
     def ahead(self, tick: int, count: int) -> Ahead:
         """Return states and samples of the robot for up to ``count`` ticks, beginning at ``tick``."""
@@ -278,14 +269,14 @@ class DirectTarget(Robot):
         """Number of samples up to the last returned tick."""
         return self._come[self._at - 1] if self._at else 0
 
-    def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
+    def _keep(self, new: Ticks) -> None:
         """Append states and samples of new ticks; drop those already returned."""
-        decks = deck_rows(pads)
+        decks = deck_rows(new.pads)
         before, left = self._come_before, self._ahead
         samples = left.samples[before:]
-        come = len(samples) + np.searchsorted(due, np.arange(len(pads)), side="right")
-        if due:
-            samples = np.concatenate((samples, sample_rows(new)))
+        come = len(samples) + np.searchsorted(new.due, np.arange(len(decks)), side="right")
+        if new.due:
+            samples = np.concatenate((samples, sample_rows(new.samples)))
         if self._at < len(self._come):
             decks = np.concatenate((left.decks[self._at :], decks))
             come = np.concatenate((left.come[self._at :] - before, come))
@@ -297,7 +288,7 @@ class DirectTarget(Robot):
         if not self._samples:
             return NOTHING
         due, self._samples = self._samples, []
-        return Arrived(tuple([TargetSample(now_s, *sample) for sample in due]))
+        return Arrived(tuple([target_sample(now_s, row) for row in due]))
 
     def landing_began(self, tick: int) -> None:
         """Start to drive after the last tick that may already have been computed."""
@@ -312,7 +303,7 @@ def sample_rows(samples: F64) -> F64:
     return rows
 
 
-def world_sample(row: Sequence[float]) -> WorldSample:
+def target_sample(arrival_s: float, row: Sequence[float]) -> TargetSample:
     """Return the sample with these nine values."""
     source_time_s, x, y, z, vx, vy, vz, yaw, rate = row
-    return source_time_s, "map", "target", (x, y, z), (vx, vy, vz), yaw, rate
+    return TargetSample(arrival_s, source_time_s, "map", "target", (x, y, z), (vx, vy, vz), yaw, rate)

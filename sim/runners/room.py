@@ -17,7 +17,7 @@ import numpy as np
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, PAIR
+from flightstack.common.pacing import COMPANION_SILENT_S, PAIR, wait_until
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell
 from flightstack.onboard.lockstep import HEARD, OVER, TOLD
@@ -27,7 +27,7 @@ from logs.schema.rows import FleetPairRow
 from logs.schema.schemas import FLEET_PAIR
 from sim.chance import member as seed_of
 from sim.chance import stream
-from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
+from sim.clock import TickGrid, await_subscriber
 from sim.plant.air import JET, feel, set_jet
 from sim.plant.states import rotation_axes
 from sim.runners.vehicle_node import VehicleNode
@@ -67,7 +67,6 @@ NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
 _MS_PER_S = 1000.0
 _YIELDS = 20  # number of polls without a pause; the message usually arrives during these polls
-_MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
 
 
 class Room:
@@ -233,7 +232,7 @@ class MemberWords:
         If a member answers its vehicle but sends no message, the next ticks do not wait for it.
         """
         waits = COMPANION_SILENT_S if not self._silent else 0.0
-        self._silent = not wait_until(self._told_now, stop, waits, yields=_YIELDS)
+        self._silent = not wait_until(self._told_now, lambda: stop.is_set, waits, yields=_YIELDS)
         return self._payload if self._tick == self.tick and self._payload else None
 
     def hear(self, words: list[bytes]) -> None:
@@ -245,15 +244,7 @@ class MemberWords:
 
         Raises NoAnswerError: time-out.
         """
-
-        def matched() -> bool:
-            return zenoh_link.is_matched(self._heard)
-
-        if not wait_until(matched, stop, STARTUP_S, pause_s=_MATCH_PAUSE_S):
-            raise NoAnswerError(
-                f"nobody subscribed to {self.namespace}/{HEARD} within {STARTUP_S:g} s; is its onboard "
-                "process running in lockstep, with a table [fleet], and connected to this process's endpoint?"
-            )
+        await_subscriber(lambda: zenoh_link.is_matched(self._heard), f"{self.namespace}/{HEARD}", stop)
 
     def _told_now(self) -> bool:
         self._poll()

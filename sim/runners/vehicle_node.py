@@ -20,6 +20,7 @@ from sim.clock import NS_PER_S
 from sim.faults.link import LinkFaults, Way
 from sim.faults.schedule import Running
 from sim.runners.log import VehicleLog
+from sim.runners.robot import Robot
 from sim.vehicle.vehicle import VehicleSim
 
 T = TypeVar("T")
@@ -73,22 +74,29 @@ class Wire:
         """Whether no fault acts on sent messages, and no message waits to be sent."""
         return not self._leaving.size and not self._faults.active(Way.OUT)
 
-    def send(self, messages: Sequence[Message], peers: Sequence[Peer], now_ns: int) -> None:
-        """Send all due messages, new and delayed ones, each in a separate datagram.
+    def send(
+        self, messages: Sequence[Message], now_ns: int, peer: Peer | None = None, last: Sequence[Message] = ()
+    ) -> None:
+        """Send all due messages, new and delayed ones; during a fault each in a separate datagram.
 
-        ``messages`` may be changed.
+        ``messages`` may be changed; ``peer`` None: all peers; ``last``: sent after them, without faults.
         """
+        if not self._leaving.size and not self._faults.active(Way.OUT):
+            self._endpoint.send([*messages, *last], peer)
+            return
+        peers = self._endpoint.peers if peer is None else (peer,)
         for frame in self._leaving.due(now_ns):
             self._ship(frame)
         for message in messages:
             fate = self._faults.fate(Way.OUT, message, now_ns)
             raw = self._endpoint.pack(message)  # a lost frame also uses a sequence number, as on a real link
-            frame = (_damaged(raw) if fate.damaged else raw, tuple(peers))
+            frame = (_damaged(raw) if fate.damaged else raw, peers)
             for due_ns in fate.due_ns:
                 if fate.stall is not None or due_ns > now_ns:
                     self._leaving.hold(frame, due_ns, fate.stall)
                 else:
                     self._ship(frame)
+        self._endpoint.send(last, peer)
 
     def receive(self, received: Received, now_ns: int) -> list[Received]:
         """Return the copies of an arrived message (none, one or two) that the autopilot receives now."""
@@ -142,6 +150,11 @@ class VehicleNode:
     def answer(self, received: Received, now_s: float) -> list[Message]:
         """Pass a message to the autopilot; return the replies to its sender."""
         return self.autopilot.handle(received.message, (*received.sender, received.peer), now_s)
+
+    def carry(self, robot: Robot, tick: int, now_ns: int) -> None:
+        """Move the deck with its robot, and log the true pose."""
+        self.vehicle.set_deck(*robot.take(tick))
+        self.log.target(now_ns, robot.payload)
 
     def control(self, now_s: float) -> None:
         """Run the autopilot; judging starts when it first flies the companion's set-points."""

@@ -67,15 +67,9 @@ class RealTimeVehicle:
         now_s = now_ns / 1e9
         self.receive()
         node.control(now_s)
-        messages = node.autopilot.telemetry(now_s)
-        if node.wire.sound:
-            node.endpoint.send(messages)
-        else:
-            node.wire.send(messages, node.endpoint.peers, now_ns)
+        node.wire.send(node.autopilot.telemetry(now_s), now_ns)
         if isinstance(self._robot, RealTimeRobot):
-            deck = self._robot.take(tick)
-            node.vehicle.set_deck(*deck[:4])
-            node.log.target(now_ns, deck.payload)
+            node.carry(self._robot, tick, now_ns)
         truth = node.write_log(tick, now_ns)
         if isinstance(self._robot, RealTimeDeck):
             self._robot.move(node.vehicle, truth, now_s, partial(node.log.target, now_ns), self.warn)
@@ -89,11 +83,8 @@ class RealTimeVehicle:
         for received in node.endpoint.receive():
             frames += node.wire.receive(received, now_ns)
         for received in frames:
-            replies = node.answer(received, now_s)
-            if replies and node.wire.sound:
-                node.endpoint.send(replies, received.peer)
-            elif replies:
-                node.wire.send(replies, (received.peer,), now_ns)
+            if replies := node.answer(received, now_s):
+                node.wire.send(replies, now_ns, received.peer)
         if frames:
             node.control(now_s)
 

@@ -8,18 +8,15 @@ sent, as after the end of its process; the vehicle is simulated until it is down
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.frames import quaternion_from_yaw
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Received
-from bridge.ros2.cdr import Odometry
 from bridge.target.odometry import RawSample
 from flightstack.common.pacing import EPOCH_NS, Silence, Tick
-from flightstack.compiled.records import F64
 from flightstack.core.controller import Outputs
 from flightstack.core.memory import Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
@@ -28,10 +25,11 @@ from flightstack.onboard.runner import Arrived, Taken, decoded
 from logs.reader.flight_data import Truth
 from logs.schema.rows import TrueStateRow
 from sim.clock import TickGrid
-from sim.robot import Sample
+from sim.robot import Deck, Sample
 from sim.runners.landing import Companion
 from sim.runners.log import Notes, Seen
-from sim.runners.robot import DeckState, DirectTarget
+from sim.runners.published_robot import odometry
+from sim.runners.robot import DirectTarget, Ticks
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario
 
@@ -79,18 +77,18 @@ class _Target(DirectTarget):
         self.mangle: Mangle | None = None  # changes samples in transit; None: no change
         super().__init__(scenario, seed, grid)
 
-    def take(self, tick: int) -> DeckState:
+    def take(self, tick: int) -> Deck:
         self._drive(tick)
         return super().take(tick)
 
-    def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
-        self._measured += new.tolist()
-        super()._keep(pads, due, new)
+    def _keep(self, new: Ticks) -> None:
+        self._measured += new.samples.tolist()
+        super()._keep(new)
 
     def samples(self, now_s: float) -> Arrived:
         """Return the odometry released since the last call, serialised and changed in transit."""
         due, self._measured = self._measured, []
-        payloads = [_cdr(sample) for sample in due]
+        payloads = [odometry(EPOCH_NS + round(each[0] * 1e9), each[1:]) for each in due]
         if self.mangle is not None:
             payloads = self.mangle(payloads, now_s)
         return decoded([RawSample(payload) for payload in payloads], now_s)
@@ -98,14 +96,6 @@ class _Target(DirectTarget):
     def fail(self, fault: Fault, now_ns: int) -> None:
         """Start a fault of the target's odometry."""
         self.faults.add([fault], now_ns)
-
-
-def _cdr(sample: Sample) -> bytes:
-    time_s, x, y, z, yaw, vx, vy, vz, rate = sample
-    return Odometry(
-        EPOCH_NS + round(time_s * 1e9), "map", "target", (x, y, z), quaternion_from_yaw(yaw), (vx, vy, vz),
-        (0.0, 0.0, rate),
-    ).pack()  # fmt: skip
 
 
 class _Log(Notes):

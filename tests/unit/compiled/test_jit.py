@@ -16,7 +16,7 @@ from flightstack.compiled.records import F64, Record, cell, new
 from flightstack.core.parameters.flight import FlightConfig, Takeoff
 from flightstack.core.safety.barrier import Barrier
 from sim.clock import TickGrid
-from sim.runners.robot import TargetMotion
+from sim.runners.robot import Robot
 from sim.scenarios import scenario
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.tables import (
@@ -76,10 +76,10 @@ def drives():
     out = []
     captured = replace(scenario.load("field"), odometry=TargetLink(50.0, error=StateError()))
     for each in (*map(scenario.load, scenario.names()), captured):
-        robot = TargetMotion(each, 3, TickGrid(100))
+        robot = Robot(each, 3, TickGrid(100))
         for tick in range(STEPS):
             _, at, samples = robot.run(1, driving=tick > 20)
-            out.append([*robot.model.pad, at, samples.tolist()])
+            out.append([*robot.model.row()[0].tolist(), at, samples.tolist()])
     return out
 
 

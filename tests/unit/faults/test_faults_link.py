@@ -20,9 +20,14 @@ LINK_CELLS = [(what, kind) for what in CONCERNS for kind in TABLE[what]]
 class FakeEndpoint:
     """Packs messages and stores the sent ones."""
 
+    peers = (PEER,)
+
     def __init__(self):
         self._mav = mav.MAVLink(None, 1, 1)
         self.sent = []
+
+    def send(self, messages, peer):
+        self.sent += [self.pack(message) for message in messages]
 
     def pack(self, message):
         frame = bytes(message.pack(self._mav))
@@ -55,7 +60,7 @@ def out(*faults, make=position, seconds=10.0, end_s=None):
             for one in faults:
                 one.over = True
                 link.end(one, ms * MS)
-        wire.send([make(ms)], [PEER], ms * MS)
+        wire.send([make(ms)], ms * MS)
         counters = Counter()
         for raw in endpoint.sent:
             frames = split_frames(raw, counters)

@@ -12,8 +12,8 @@ from flightstack.common.pacing import LockstepClock
 from flightstack.core.types import Intent, MemberStatus
 from flightstack.onboard import lockstep
 from flightstack.onboard.lockstep import LockstepStatuses
+from sim import clock
 from sim.clock import NoAnswerError, TickGrid
-from sim.runners import room as words_wire
 from sim.runners.room import MemberWords, Words
 from sim.scenarios.tables import ExchangeLink
 from tests.processes.bounded import wait_for
@@ -100,7 +100,7 @@ def test_an_onboard_process_goes_on_without_words_that_do_not_come(ends, monkeyp
     first, second, third = ticks(3)
     process.await_tick(first, never)
     assert process.texts() == []
-    monkeypatch.setattr(lockstep, "LOST_RUN_MAX_S", 0.0)
+    monkeypatch.setattr(lockstep, "WORLD_SILENT_S", 0.0)
     for tick in (second, third):
         process.await_tick(tick, never)
         assert process.statuses() == ()
@@ -108,7 +108,7 @@ def test_an_onboard_process_goes_on_without_words_that_do_not_come(ends, monkeyp
 
 
 def test_vehicles_whose_onboard_processes_do_not_listen_do_not_begin(monkeypatch):
-    monkeypatch.setattr(words_wire, "STARTUP_S", 0.0)
+    monkeypatch.setattr(clock, "STARTUP_S", 0.0)
     session = open_session()
     try:
         with pytest.raises(NoAnswerError, match="nobody subscribed to cf1/sim/fleet/heard within 0 s"):

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import pytest
 
 from flightstack.common import pacing, processes
-from flightstack.common.hangup import Stop
 from flightstack.common.pacing import (
     FastClock,
     FollowedClock,
@@ -21,7 +20,6 @@ from flightstack.common.pacing import (
 from flightstack.common.processes import Child, LaunchError
 from flightstack.onboard import lockstep
 from flightstack.onboard.runner import ClockStoppedError
-from sim import clock
 from tests.processes.bounded import PATIENCE_S, wait_for
 
 
@@ -191,8 +189,8 @@ def test_one_that_ends_says_why(tmp_path):
 
 
 def test_a_long_wait_says_what_it_waits_for_once(monkeypatch, capsys):
-    monkeypatch.setattr(clock, "_SAID_S", 0.01)
-    assert not clock.wait_until(lambda: False, Stop(), 0.2, pause_s=0.001, what="the robot")
+    monkeypatch.setattr(pacing, "_SAID_S", 0.01)
+    assert not pacing.wait_until(lambda: False, lambda: False, 0.2, pause_s=0.001, what="the robot")
     assert capsys.readouterr().err == "waits for the robot\n"
 
 
@@ -247,8 +245,9 @@ def test_a_clock_that_is_twice_as_fast_makes_twice_as_many_ticks_and_their_times
 
 @pytest.mark.parametrize("asked_before", [False, True])
 def test_a_companion_says_that_it_waits_for_its_vehicle_and_not_for_ever(monkeypatch, capsys, asked_before):
-    for name, value in {"SAID_S": -1.0, "FIRST_WAIT_MAX_S": 0.1, "LOST_RUN_MAX_S": 0.1}.items():
-        monkeypatch.setattr(lockstep, name, value)
+    monkeypatch.setattr(pacing, "_SAID_S", -1.0)
+    for name in ("FIRST_WAIT_MAX_S", "WORLD_SILENT_S"):
+        monkeypatch.setattr(lockstep, name, 0.1)
     endpoint = SimpleNamespace(wait=lambda _: time.sleep(0.001))
     link = SimpleNamespace(poll=lambda _: None, take_timesync=lambda: None, endpoint=endpoint)
     ticks = lockstep.VehicleTicks(link, 100, lambda: False)

@@ -13,7 +13,7 @@ from sim.clock import TickGrid
 from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, axis_gains
 from sim.firmware.mixer import MapRecord, motor_speed, set_up_map
 from sim.plant.params import load
-from sim.runners.robot import TargetMotion
+from sim.runners.robot import Robot
 from sim.scenarios.tables import OdometryLink, PathKind, TargetLink, TargetSpec, VehicleSpec, VelocityLoop
 from tests.crazyflie_firmware.sim_plant import take_pose
 from tests.unit.plant.test_state_error import FINE
@@ -78,13 +78,11 @@ def test_poses_from_outside_whose_markers_are_tilted_make_it_drift(tilt_rad):
 def driven(error, seed=1):
     """Return samples of a robot on a circle, and its true position, velocity (ENU) and heading, by tick."""
     spec = TargetSpec(PathKind.CIRCLE, 0.2, 0.5, wait_for_landing=False)
-    motion = TargetMotion(scenario(target=spec, odometry=TargetLink(error=error)), seed, TickGrid(100))
-    truth, samples = [], motion.first[2].tolist()
-    for _ in range(600):
-        samples += motion.run(1, True)[2].tolist()
-        pad = motion.model.pad
-        truth.append((*pad.position_enu_m, *pad.velocity_body_m_s, pad.yaw_rad))
-    return np.array(truth), samples
+    robot = Robot(scenario(target=spec, odometry=TargetLink(error=error)), seed, TickGrid(100))
+    first = robot.first_tick()
+    later = robot.run(600, True)
+    truth = later.pads[:, [1, 2, 3, 5, 6, 7, 4]]  # position, velocity in the body frame, heading
+    return truth, [*first.samples.tolist(), *later.samples.tolist()]
 
 
 def test_vehicle_and_target_may_share_the_delay_of_the_capture():

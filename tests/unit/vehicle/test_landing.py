@@ -14,9 +14,8 @@ from bridge.mavlink.codec.messages import decode
 from bridge.ros2.cdr import Odometry
 from bridge.target.odometry import RawSample, sample_of
 from flightstack.common.pacing import EPOCH_NS
-from flightstack.core.types import TargetSample
 from sim.runners.landing_wire import PEER, wires
-from sim.runners.robot import sample_rows, world_sample
+from sim.runners.robot import sample_rows, target_sample
 from tests.golden.landings import CASES, FILE, differences
 
 pytestmark = pytest.mark.slow
@@ -68,7 +67,7 @@ def test_a_target_sample_is_what_cdr_makes_of_it():
         time_s, x, y, z, yaw, vx, vy, vz, rate = sample
         q, now_ns = quaternion_from_yaw(yaw), EPOCH_NS + round(time_s * 1e9)
         sent = Odometry(now_ns, "map", "target", (x, y, z), q, (vx, vy, vz), (0.0, 0.0, rate))
-        assert TargetSample(1.25, *world_sample(row)) == sample_of(RawSample(sent.pack()), 1.25)
+        assert target_sample(1.25, row) == sample_of(RawSample(sent.pack()), 1.25)
 
 
 STORED = json.loads(FILE.read_text())

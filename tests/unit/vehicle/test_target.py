@@ -8,12 +8,12 @@ import pytest
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry
 from flightstack.common.strict_toml import ConfigError
-from sim.robot import DEMANDS, TargetModel
+from sim.robot import DEMANDS, Deck, TargetModel
 from sim.runners.published_robot import deck_state, follow
-from sim.runners.robot import DeckState
 from sim.scenarios.tables import PathKind, TargetSpec
 
 DT = 0.01
+FORWARD_AND_TURN = [5, 11]  # indices in a row of the model: speed forward, turn rate
 
 
 def drive(spec, seed=1, seconds=20.0, driving=True):
@@ -61,10 +61,10 @@ def test_limits_are_never_passed(path, seed):
         speed_max_m_s=0.5, stop_period_s=1.5,
     )  # fmt: skip
     model = TargetModel(spec, seed)
-    before = model.pad.velocity_body_m_s[0], model.pad.yaw_rate_rad_s
+    before = model.row()[0, FORWARD_AND_TURN]
     for _ in range(1500):
         model.run(1, DT, True)
-        now = model.pad.velocity_body_m_s[0], model.pad.yaw_rate_rad_s
+        now = model.row()[0, FORWARD_AND_TURN]
         assert abs(now[0]) <= 0.5 + 1e-12
         assert abs(now[1]) <= spec.turn_rate_max_rad_s + 1e-12
         assert abs(now[0] - before[0]) <= 0.5 * DT + 1e-12
@@ -105,7 +105,7 @@ def test_decodes_into_the_world_frame_also_when_the_frame_names_change():
 
 
 def test_a_small_error_is_pulled_out_without_a_jump_and_a_large_one_is_not():
-    robot = DeckState((0.0, 0.0, 0.2), 0.0, (0.2, 0.0, 0.0), 0.0, b"")
+    robot = Deck((0.0, 0.0, 0.2), 0.0, (0.2, 0.0, 0.0), 0.0)
     x, yaw, dt = -0.02, 0.05, 0.01
     for k in range(100):
         deck = follow(robot._replace(position_enu_m=(0.2 * k * dt, 0.0, 0.2)), (x, 0.0, 0.2), yaw)
