@@ -66,6 +66,13 @@ class Estimate(NamedTuple):
 TRUTH = 41  # number of values of a true state: time in s, then those of ``TrueStateRow`` after its tick
 
 
+def truth_row(values: Sequence[float], stamp_ns: int, tick: int = 0) -> TrueStateRow:
+    """Return the row of the log with these ``TRUTH`` values."""
+    found = truth_of(values)
+    contacts, running = int(found.contacts), found.motors_running != 0.0
+    return found._replace(stamp_ns=stamp_ns, tick=tick, contacts=contacts, motors_running=running)
+
+
 def truth_of(row: Any) -> TrueStateRow:
     """Return the state with these ``TRUTH`` values, at tick 0; columns give arrays."""
     return TrueStateRow(

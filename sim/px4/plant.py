@@ -85,7 +85,7 @@ class Px4Plant(Physics):
         self.record.motor_share[:] = 1.0
         self._ground_ms[0] = self._since_ms[0] = 0
         self.wanted = np.zeros(4)  # commanded rotor speeds of M1..M4, rpm
-        self._world.set_vehicle(start_position(scenario, self.params, self._world.deck_position))
+        self._world.set_vehicle(start_position(scenario, self.params, self._world.deck_pose[0]))
 
     def _fly(self, end_ms: int) -> int:
         fly_commanded(self.cell, self.wanted, self._ms, end_ms)

@@ -79,11 +79,10 @@ class Px4Node:
         behind_ns = self._clock.unix_ns() - self.log.epoch_ns - now_ns
         if self._deck is not None and abs(behind_ns) > _BEHIND_MAX_NS:
             self.log.epoch_ns += behind_ns  # this process is late because of PX4's start or a busy machine
-        truth = flight.plant.truth()
-        self.log.truth(flight.steps // _LOG_EVERY, now_ns, truth)
+        self.log.truth(flight.steps // _LOG_EVERY, now_ns, flight.plant.truth_values())
         if self._deck is not None:
             now_s, log = self._deck_s + flight.steps * STEP_S, partial(self.log.target, now_ns)
-            self._deck.move(flight.plant, truth, now_s, log, _warn)
+            self._deck.move(flight.plant, now_s, log, _warn)
         self.log.feed.flush()
 
 

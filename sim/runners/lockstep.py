@@ -210,7 +210,7 @@ class LockstepVehicle:
                     self._companion = received.peer
                 if self._companion and not self._answers:  # also an old answer shows a live companion
                     self._answers = True
-                    self._say(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
+                    self.node.report(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
                 if this_tick:
                     self._late += frames[i + 1 :]
                     return True
@@ -230,10 +230,7 @@ class LockstepVehicle:
             )
         self._answers = False
         text = f"Companion silent for {COMPANION_SILENT_S:g} s: going on without"
-        self._say(dialect.MAV_SEVERITY_CRITICAL, text)
-
-    def _say(self, severity: int, text: str) -> None:
-        self.node.autopilot.flight.texts.say(severity, text)
+        self.node.report(dialect.MAV_SEVERITY_CRITICAL, text)
 
 
 class LockstepWorld:

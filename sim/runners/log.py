@@ -7,9 +7,8 @@ the log of the same flight with separate processes, so that one judge reads both
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from logs.recorder.feed import Feed
 from logs.schema import Names, schemas
 from logs.schema.events import ContactBit, Severity, pack_log
 from logs.schema.rows import TrueStateRow
-from sim.plant.states import TRUTH, truth_of
+from sim.plant.states import truth_of, truth_row
 
 _LEVELS: dict[int, Severity] = {
     dialect.MAV_SEVERITY_EMERGENCY: Severity.FATAL,
@@ -79,13 +78,13 @@ class VehicleLog(EventLog):
         self._contact_s: dict[int, float] = {}
         self._targets = 0
 
-    def truth(self, tick: int, now_ns: int, truth: TrueStateRow) -> None:
-        """Write the true state; also write each new contact with the ground or deck as an event."""
+    def truth(self, tick: int, now_ns: int, values: Sequence[float]) -> None:
+        """Write a true state (``TRUTH`` values); also write each new contact as an event."""
         stamp_ns = self.epoch_ns + now_ns
-        row = truth._replace(stamp_ns=stamp_ns, tick=tick)
+        row = truth_row(values, stamp_ns, tick)
         self.feed.write(self._truth, stamp_ns, stamp_ns, tick, row.pack())
-        if truth.contacts:
-            self._contacts(now_ns, truth.contacts)
+        if row.contacts:
+            self._contacts(now_ns, row.contacts)
 
     def target(self, now_ns: int, payload: bytes) -> None:
         """Write the message with the deck's true state, unchanged."""
@@ -134,8 +133,7 @@ class Notes(VehicleLog):
         self._config, self._pad_radius_m = config, pad_radius_m
         self._steps: list[tuple[int, int, float, float]] = []
         self._truth_ticks: list[tuple[int, int]] = []
-        self._truths: list[TrueStateRow] = []  # true states since the newest block
-        self._blocks: list[Floats] = []  # blocks of true states, one row each
+        self._truths: list[Sequence[float] | Floats] = []  # ``TRUTH`` values of one state or more each
         self._events: list[Event] = []
 
     def step(self, tick: Tick, out: Outputs) -> None:
@@ -148,10 +146,10 @@ class Notes(VehicleLog):
         for event in out.events:
             self.note(tick.now_s, event.level, "controller", event.text)
 
-    def truth(self, tick: int, now_ns: int, truth: TrueStateRow) -> None:
+    def truth(self, tick: int, now_ns: int, values: Sequence[float]) -> None:
         """Record a true state."""
         self._truth_ticks.append((tick, now_ns))
-        self._truths.append(truth)
+        self._truths.append(values)
 
     def target(self, now_ns: int, payload: bytes) -> None:
         """Do nothing: the true state contains the deck's state."""
@@ -167,14 +165,7 @@ class Notes(VehicleLog):
         number = int(phase)
         self._steps += [(t, number, 0.0, age_s) for t, age_s in zip(times_ns, ages_s.tolist(), strict=True)]
         self._truth_ticks += enumerate(times_ns, first)
-        self._close_block()
-        self._blocks.append(truths)
-
-    def _close_block(self) -> None:
-        if self._truths:
-            numbers = np.fromiter(chain.from_iterable(map(_numbers, self._truths)), np.float64)
-            self._blocks.append(numbers.reshape(-1, TRUTH))
-            self._truths = []
+        self._truths.append(truths)
 
     def event(self, now_ns: int, level: int, text: str) -> None:
         """Record an event of the vehicle."""
@@ -198,9 +189,7 @@ class Notes(VehicleLog):
         )
 
     def _arrays(self) -> Truth:
-        self._close_block()
-        numbers = np.concatenate(self._blocks)
-        of: Any = truth_of(numbers.T)
+        of: Any = truth_of(np.vstack(self._truths).T)
         columns = {name: np.ascontiguousarray(getattr(of, name).T) for name in _SHARED}
         ticks, times_ns = zip(*self._truth_ticks, strict=True)
         return Truth(
@@ -215,13 +204,3 @@ class Notes(VehicleLog):
 def _seconds(times_ns: Sequence[int]) -> Floats:
     """Convert times in ns to seconds since the first tick, as in a log."""
     return np.asarray(np.array(times_ns, dtype=np.int64) * 1e-9, dtype=np.float64)
-
-
-def _numbers(truth: TrueStateRow) -> Iterator[float]:
-    """Yield the ``TRUTH`` values of a state, without its time."""
-    yield math.nan
-    for value in truth[2:]:
-        if isinstance(value, tuple):
-            yield from value
-        else:
-            yield value

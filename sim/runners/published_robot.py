@@ -40,7 +40,7 @@ from flightstack.core.types import ZERO, Phase, Vec3
 from logs.recorder.feed import Feed
 from logs.schema import Names
 from logs.schema.events import Severity
-from logs.schema.rows import ControllerStepRow, TrueStateRow
+from logs.schema.rows import ControllerStepRow
 from sim.clock import TickGrid, await_subscriber
 from sim.options import TargetOptions, WorldOptions
 from sim.robot import MEASURED, Deck, Sample
@@ -262,25 +262,23 @@ class RealTimeDeck:
         self._last_s = math.inf  # time of the newest pose; infinite: before the first pose, or stopped
 
     def move(
-        self, vehicle: Physics, truth: TrueStateRow, now_s: float, log: Callable[[bytes], None],
-        warn: Callable[[str], None],
-    ) -> None:  # fmt: skip
+        self, vehicle: Physics, now_s: float, log: Callable[[bytes], None], warn: Callable[[str], None]
+    ) -> None:
         """Read new poses and set the motion of the vehicle's deck, which lasts until the next pose.
 
-        ``truth``: true state with the deck's current pose; ``log``: called with each message.
+        ``log``: called with each message.
         """
         payloads = [sample.payload.to_bytes() for sample in zenoh_link.drain(self._subscriber)]
         for payload in payloads:
             log(payload)
         for payload in reversed(payloads):
             with contextlib.suppress(OdometryError):
-                state = follow(deck_state(payload), truth.pad_position_enu_m, truth.pad_yaw_rad)
-                vehicle.set_deck(*state)
+                vehicle.set_deck(*follow(deck_state(payload), *vehicle.deck_pose))
                 self._last_s = now_s
                 return
         if now_s - self._last_s > STALE_S:
             self._last_s = math.inf
-            vehicle.set_deck(truth.pad_position_enu_m, truth.pad_yaw_rad, ZERO, 0.0)
+            vehicle.set_deck(*vehicle.deck_pose, ZERO, 0.0)
             warn("Robot's pose too old: deck stopped")
 
 

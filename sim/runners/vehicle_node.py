@@ -14,7 +14,6 @@ from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.transport.address import Peer
 from logs.schema.events import Severity
-from logs.schema.rows import TrueStateRow
 from sim.autopilot.autopilot import Autopilot
 from sim.clock import NS_PER_S
 from sim.faults.link import LinkFaults, Way
@@ -164,7 +163,7 @@ class VehicleNode:
             self._tell_change()
         for fault in vehicle.faults.take_texts():
             severity = dialect.MAV_SEVERITY_WARNING if fault.begins else dialect.MAV_SEVERITY_NOTICE
-            self.autopilot.flight.texts.say(severity, str(fault))
+            self.report(severity, str(fault))
         if not self._judged:
             flight = self.autopilot.flight
             if flight.mode is FlightMode.OFFBOARD and flight.airborne:
@@ -182,10 +181,9 @@ class VehicleNode:
         if not self.over:
             self.log.event(round(t_s * NS_PER_S), level, text)
 
-    def write_log(self, tick: int, now_ns: int) -> TrueStateRow:
+    def write_log(self, tick: int, now_ns: int) -> None:
         """Log the true state, the autopilot's status texts and the state of the firmware's supervisor."""
-        truth = self.vehicle.truth()
-        self.log.truth(tick, now_ns, truth)
+        self.log.truth(tick, now_ns, self.vehicle.truth_values())
         for text in self.autopilot.take_texts():
             self.log.statustext(now_ns, text.severity, text.text)
         state_text = self.vehicle.state_text
@@ -193,7 +191,10 @@ class VehicleNode:
             self._state_text = state_text
             self.log.event(now_ns, Severity.INFO, f"firmware: {state_text}")
         self._tell_change()
-        return truth
+
+    def report(self, severity: int, text: str) -> None:
+        """Send a status text of the autopilot to the clients."""
+        self.autopilot.flight.texts.say(severity, text)
 
     def _tell_change(self) -> None:
         """Report a change of arming after it is logged, because the receiver may end this process."""

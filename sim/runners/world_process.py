@@ -63,16 +63,16 @@ class RealTimeVehicle:
 
     def tick(self, tick: int) -> None:
         """Send messages and write the log for a tick; the vehicle has been simulated up to it."""
-        node, now_ns = self.node, self._grid.ns(tick)
+        node, now_ns, robot = self.node, self._grid.ns(tick), self._robot
         now_s = now_ns / 1e9
         self.receive()
         node.control(now_s)
         node.wire.send(node.autopilot.telemetry(now_s), now_ns)
-        if isinstance(self._robot, RealTimeRobot):
-            node.carry(self._robot, tick, now_ns)
-        truth = node.write_log(tick, now_ns)
-        if isinstance(self._robot, RealTimeDeck):
-            self._robot.move(node.vehicle, truth, now_s, partial(node.log.target, now_ns), self.warn)
+        if isinstance(robot, RealTimeDeck):
+            robot.move(node.vehicle, now_s, partial(node.log.target, now_ns), self.warn)
+        elif robot is not None:
+            node.carry(robot, tick, now_ns)
+        node.write_log(tick, now_ns)
         node.log.feed.flush()
 
     def receive(self) -> None:
@@ -96,7 +96,7 @@ class RealTimeVehicle:
 
     def warn(self, text: str) -> None:
         """Send a warning to the clients as a status text of the autopilot."""
-        self.node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_WARNING, text)
+        self.node.report(dialect.MAV_SEVERITY_WARNING, text)
 
 
 class RealTimeWorld:

@@ -49,7 +49,7 @@ from sim.plant.rotors import (
     turn_rotors,
 )
 from sim.plant.sensors import NS_PER_MS, ImuRecord, measure
-from sim.plant.states import TRUTH, Body, rotation_axes, truth_of
+from sim.plant.states import TRUTH, Body, rotation_axes, truth_row
 from sim.robot import TargetModel
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.judge import GAP_MS, NONE_MS, ContactRecord, JudgeRecord, judge, note_contact
@@ -273,8 +273,7 @@ class Physics(ABC):
         )
         self._row = np.empty(TRUTH)
         self._read_row = reader(self._row)
-        pad = TargetModel(scenario.target, seed).pad
-        self.set_deck(pad.position_enu_m, pad.yaw_rad, pad.velocity_enu_m_s, pad.yaw_rate_rad_s)
+        self.set_deck(*TargetModel(scenario.target, seed).pad)
 
     def set_deck(
         self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float
@@ -321,12 +320,16 @@ class Physics(ABC):
         """Return the current true motion."""
         return self._world.body()
 
-    def truth(self) -> TrueStateRow:
-        """Return the current true state, and extremes and contacts since the last call."""
+    @property
+    def deck_pose(self) -> tuple[Vec3, float]:
+        """Position of the pad centre, ENU, m, and its heading, rad."""
+        return self._world.deck_pose
+
+    def truth_values(self) -> tuple[float, ...]:
+        """Return the ``TRUTH`` values now: the true state, and extremes and contacts since the last call."""
         write_truth(self.cell, self._ms, self._row)
-        found = truth_of(self._read_row())
-        return found._replace(
-            stamp_ns=self._ms * NS_PER_MS,
-            contacts=int(found.contacts),
-            motors_running=found.motors_running != 0.0,
-        )
+        return self._read_row()
+
+    def truth(self) -> TrueStateRow:
+        """Return ``truth_values`` as a row of the log."""
+        return truth_row(self.truth_values(), self._ms * NS_PER_MS)

@@ -71,7 +71,7 @@ class VehicleSim(Physics):
     def _start_hover(self, scenario: Scenario, seed: int) -> None:
         """Place the vehicle at rest in the air, with rotors and firmware trimmed for the mean wind."""
         r, offset = self.record, scenario.start.offset_m or self._draw_offset(scenario, seed)
-        deck = self._world.deck_position
+        deck, _ = self._world.deck_pose
         position = (deck[0] + offset[0], deck[1] + offset[1], deck[2] + offset[2])
         wx, wy, wz = r.wind.steady.tolist()
         drag_xy, _, drag_z = self.params.body.drag_n_s_m

@@ -110,9 +110,10 @@ class World:
         return Body(b[:3], b[3:6], b[6:10], b[10:])
 
     @property
-    def deck_position(self) -> Vec3:
-        """Position of the pad centre (top side), ENU, m."""
-        return self._read_deck()[:3]
+    def deck_pose(self) -> tuple[Vec3, float]:
+        """Position of the pad centre (top side), ENU, m, and its heading, rad."""
+        deck = self._read_deck()
+        return deck[:3], deck[6]
 
 
 def vehicle_geoms(params: Params) -> str:

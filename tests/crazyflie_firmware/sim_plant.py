@@ -144,6 +144,5 @@ class SimPlant:
         if steps:
             self.vehicle.advance(steps)
             if self._deck is not None:
-                truth, ignore = self.vehicle.truth(), lambda _: None
-                self._deck.move(self.vehicle, truth, self._now_s, ignore, ignore)
+                self._deck.move(self.vehicle, self._now_s, lambda _: None, lambda _: None)
         self._rest_s = min(self._rest_s, 0.001 * MS_MAX)

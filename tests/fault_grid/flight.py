@@ -8,7 +8,7 @@ sent, as after the end of its process; the vehicle is simulated until it is down
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -23,8 +23,8 @@ from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard.leaving import Ended
 from flightstack.onboard.runner import Arrived, Taken, decoded
 from logs.reader.flight_data import Truth
-from logs.schema.rows import TrueStateRow
 from sim.clock import TickGrid
+from sim.plant.states import truth_row
 from sim.robot import Deck, Sample
 from sim.runners.landing import Companion
 from sim.runners.log import Notes, Seen
@@ -103,13 +103,14 @@ class _Log(Notes):
 
     down_s, height_m = math.nan, 0.0
 
-    def truth(self, tick: int, now_ns: int, truth: TrueStateRow) -> None:
-        super().truth(tick, now_ns, truth)
-        self.height_m = truth.position_enu_m[2]
-        if truth.motors_running:
+    def truth(self, tick: int, now_ns: int, values: Sequence[float]) -> None:
+        super().truth(tick, now_ns, values)
+        state = truth_row(values, now_ns)
+        self.height_m = state.position_enu_m[2]
+        if state.motors_running:
             self.down_s = math.nan
         elif not math.isfinite(self.down_s):
-            self.down_s = 1e-9 * truth.stamp_ns
+            self.down_s = 1e-9 * now_ns
 
 
 class Flight(Companion):

@@ -32,7 +32,7 @@ class Deck:
     def place(self, world, step):
         if step % 10 == 0:
             if step:
-                self.position, self.yaw = world.deck_position, float(world.record.deck.yaw)
+                self.position, self.yaw = world.deck_pose
             world.set_deck(self.position, self.yaw, self.velocity_of(1e-3 * step), self.rate)
 
 
@@ -41,13 +41,13 @@ def stand(deck, seconds=3.0, wait_steps=WAIT_STEPS, place=(0.02, -0.01), force=W
     w = World(PARAMS, MASS, TargetSpec())
     w.record.rest.wait_steps = wait_steps
     deck.place(w, 0)
-    x, y, z = w.deck_position
+    (x, y, z), _ = w.deck_pose
     w.set_vehicle((x + place[0], y + place[1], z + STANDING_M - 1e-5), velocity=deck.velocity_of(0.0))
     rows = []
     for step in range(round(1000 * seconds)):
         deck.place(w, step)
         bits = advance(w, force(step) if callable(force) else force, torque)
-        at = np.array(w.body().position_enu_m) - np.array(w.deck_position)
+        at = np.array(w.body().position_enu_m) - np.array(w.deck_pose[0])
         c, s = math.cos(w.record.deck.yaw), math.sin(w.record.deck.yaw)
         on_pad = (c * at[0] + s * at[1], c * at[1] - s * at[0], at[2])
         rows.append((bits, on_pad, *w.body()[1:], int(w.record.rest.steps)))

@@ -133,7 +133,7 @@ def tumble_past(spec, aside_m, searching):
     for k in range(1500):
         lift = 0.0 if k < 700 else 0.5  # thrust later moves the vehicle upwards
         bits = advance(w, (0.0, 0.0, lift - 0.3))
-        rows.append((bits, *w.body(), w.deck_position))
+        rows.append((bits, *w.body(), w.deck_pose[0]))
     return rows
 
 
