@@ -79,7 +79,7 @@ class Batches:
         notes: Notes,
         ends_s: float,
     ) -> None:
-        node, grid = loop.node, loop.grid
+        node, grid = loop, loop.grid
         self._controller, self._link, self._ticks, self._target = controller, link, ticks, target
         self._node, self._loop, self._notes, self._grid = node, loop, notes, grid
         self._rules = new(RulesRecord)

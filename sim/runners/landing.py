@@ -41,7 +41,6 @@ from sim.runners.lockstep import Exchange, LockstepVehicle, LockstepWorld
 from sim.runners.log import Notes, Seen
 from sim.runners.robot import DirectTarget
 from sim.runners.room import Room, Words, warm_up_room
-from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario, load
 from sim.vehicle.vehicle import VehicleSim
 
@@ -105,10 +104,13 @@ class Companion:
         # longest wait for the right of way, and the present wait, ticks
         self.waits = self._waiting = 0
         self._notes = self.log_type(config, scenario.target.pad_radius_m, Names(self.name, system_id))
-        self.node = node = VehicleNode(system_id, self.name, vehicle, autopilot, here, self._notes)
         here.answer = self._answer
         self._link.poll(0.0)  # send the first heartbeat before the first tick, as the onboard process does
-        self.loop = LockstepVehicle(node, target, grid, self._stop, self)
+        # the vehicle and its loop
+        self.node = LockstepVehicle(
+            system_id, self.name, vehicle, autopilot, here, self._notes, robot=target, grid=grid,
+            stop=self._stop, words=self,
+        )  # fmt: skip
         self._ends_s = scenario.duration_max_s
         self._wires = _Wires(self._link, rate_hz, target)
         self._runner = Runner(self.controller, self._wires, Leaving(self._ends_s), self)
@@ -118,7 +120,7 @@ class Companion:
         if self._on_step is not None or not suited(self.controller, self.node):
             return None
         return Batches(
-            self.controller, self._link, self._wires, self.target, self.loop, self._notes, self._ends_s
+            self.controller, self._link, self._wires, self.target, self.node, self._notes, self._ends_s
         )
 
     @property
@@ -206,7 +208,7 @@ class Flights:
 
     def fly(self) -> None:
         """Fly until all flights are over."""
-        loops, batches = [member.loop for member in self.members], self.batches
+        loops, batches = [member.node for member in self.members], self.batches
         world = LockstepWorld(
             loops, self.room, self._exchange, Stop(), EPOCH_NS, batches.fly if batches is not None else None
         )

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -57,57 +58,48 @@ class FleetEnd(Protocol):
 Exchange = Callable[[int, Sequence[Any]], Sequence[Any]]
 
 
-class LockstepVehicle:
-    """One vehicle, with its companion and its robot.
+@dataclass(slots=True, kw_only=True)
+class LockstepVehicle(VehicleNode):
+    """One vehicle, with its companion and its robot."""
 
-    ``robot``: None for a deck that does not move; ``words``: link between the companion and the other members
-    of its fleet; None: no fleet.
-    """
-
-    def __init__(
-        self,
-        node: VehicleNode,
-        robot: Robot | None,
-        grid: TickGrid,
-        stop: Stop,
-        words: FleetEnd | None = None,
-    ) -> None:
-        self.radio_ms = node.vehicle.firmware.delay_ms  # delay of set-points by the radio
-        self.node, self._robot, self.grid, self._stop, self.words = node, robot, grid, stop, words
-        self._companion: Peer | None = None  # the peer that answered first
-        self._answers = True  # whether the vehicle waits for its companion
-        self.answered = False  # whether the companion has answered for the previous tick
-        self._replies: list[Message] = []  # replies to the companion, sent with the next tick
-        self._late: list[Received] = []  # messages after the answer, which belong to the next tick
-        self._request: Message = None  # request of this tick
+    robot: Robot | None  # None: a deck that does not move
+    grid: TickGrid
+    stop: Stop  # ends every wait
+    words: FleetEnd | None = None  # link between the companion and the other members; None: no fleet
+    answered: bool = field(default=False, init=False)  # whether the companion answered the previous tick
+    _companion: Peer | None = field(default=None, init=False)  # the peer that answered first
+    _alive: bool = field(default=True, init=False)  # whether the companion has answered so far
+    _replies: list[Message] = field(default_factory=list, init=False)  # sent with the next tick
+    _late: list[Received] = field(default_factory=list, init=False)  # frames that belong to the next tick
+    _request: Message = field(default=None, init=False)  # request of this tick
 
     @property
-    def over(self) -> bool:
-        """Whether the flight is over: the companion has left."""
-        return self.node.over
+    def radio_ms(self) -> int:
+        """Delay of set-points by the radio, ms."""
+        return self.vehicle.firmware.delay_ms
 
     @property
     def answers(self) -> bool:
         """Whether the vehicle waits for its companion, which has not left and has answered so far."""
-        return self._answers and not self.over
+        return self._alive and not self.over
 
     @property
     def rests(self) -> bool:
         """Whether the vehicle needs no more ticks; without its companion it first lands by its autopilot."""
-        return self.over or not (self._answers or self.node.vehicle.armed)
+        return self.over or not (self._alive or self.vehicle.armed)
 
     @property
     def undisturbed(self) -> bool:
         """Whether the companion answers at each tick, and no message waits for the next tick."""
-        waits = self._replies or self._late or not self.node.wire.sound
-        return self._companion is not None and self._answers and not waits
+        waits = self._replies or self._late or not self.wire.sound
+        return self._companion is not None and self._alive and not waits
 
     def begin(self) -> None:
         """Wait for a companion and for the subscribers of its robot, so that tick 0 is complete.
 
         Raises NoAnswerError: time-out.
         """
-        endpoint = self.node.endpoint
+        endpoint = self.endpoint
 
         def heard() -> bool:
             if not endpoint.peers:
@@ -116,10 +108,10 @@ class LockstepVehicle:
             return bool(endpoint.peers)
 
         what = "a companion to speak first"
-        if not wait_until(heard, lambda: self._stop.is_set, STARTUP_S, pause_s=0.0, what=what):
+        if not wait_until(heard, lambda: self.stop.is_set, STARTUP_S, pause_s=0.0, what=what):
             raise NoAnswerError(f"no companion was heard on the MAVLink endpoint within {STARTUP_S:g} s")
-        if self._robot is not None:
-            self._robot.begin()
+        if self.robot is not None:
+            self.robot.begin()
 
     def ask(self, tick: int) -> None:
         """Begin a tick: send due messages, request the answer, and simulate until the answer can take effect.
@@ -127,32 +119,32 @@ class LockstepVehicle:
         After the end of its flight, a vehicle simulates the whole tick in this call: the autopilot still
         controls it, but nothing is sent or logged.
         """
-        node, robot, now_ns = self.node, self._robot, self.grid.ns(tick)
+        robot, vehicle, now_ns = self.robot, self.vehicle, self.grid.ns(tick)
         now_s, steps = now_ns / 1e9, self.grid.ms(tick + 1) - self.grid.ms(tick)
         if self.words is not None:
             self.words.tick = tick
         if robot is not None:
             if self.answers:
                 robot.await_credit(tick)
-            node.carry(robot, tick, now_ns)
+            self.carry(robot, tick, now_ns)
         if self.over:
-            node.vehicle.sent_before_ms = 0
-            node.control(now_s)
-            node.vehicle.advance(steps)
+            vehicle.sent_before_ms = 0
+            self.control(now_s)
+            vehicle.advance(steps)
             return
-        messages, self._replies = [*node.autopilot.telemetry(now_s), *self._replies], []
+        messages, self._replies = [*self.autopilot.telemetry(now_s), *self._replies], []
         self._request = dialect.MAVLink_timesync_message(0, now_ns)
-        node.wire.send(messages, now_ns, self._companion, last=[self._request])
+        self.wire.send(messages, now_ns, self._companion, last=[self._request])
         # Write the state of this tick while the companion computes.
-        node.write_log(tick, now_ns)
+        self.write_log(tick, now_ns)
         if tick % _FLUSH_EVERY == 0:
-            node.log.feed.flush()
+            self.log.feed.flush()
         if robot is not None:
             robot.run_ahead(tick)
         # The radio delays every answer by this time, so these steps need no answer.
         ahead = min(steps, self.radio_ms)
-        node.vehicle.advance(ahead)
-        node.vehicle.sent_before_ms = ahead
+        vehicle.advance(ahead)
+        vehicle.sent_before_ms = ahead
 
     def act(self, tick: int, silence: Silence) -> None:
         """End a tick: wait for the companion's answer, handle it, and simulate the remaining steps.
@@ -162,25 +154,25 @@ class LockstepVehicle:
         """
         if self.over:
             return
-        node, grid, now_ns = self.node, self.grid, self.grid.ns(tick)
+        grid, vehicle, now_ns = self.grid, self.vehicle, self.grid.ns(tick)
         self.answered = self._await_answer(now_ns, silence)
-        node.control(now_ns / 1e9)
-        node.vehicle.advance(grid.ms(tick + 1) - grid.ms(tick) - node.vehicle.sent_before_ms)
-        node.over = self.words is not None and self.words.left
+        self.control(now_ns / 1e9)
+        vehicle.advance(grid.ms(tick + 1) - grid.ms(tick) - vehicle.sent_before_ms)
+        self.over = self.words is not None and self.words.left
 
     def _await_answer(self, now_ns: int, silence: Silence) -> bool:
         """Handle all messages up to the companion's answer for this tick; return whether it has arrived."""
-        endpoint, repeat_s = self.node.endpoint, None
-        for received in self.node.wire.late(now_ns):
-            self._replies += self.node.answer(received, now_ns / 1e9)
+        endpoint, repeat_s = self.endpoint, None
+        for received in self.wire.late(now_ns):
+            self._replies += self.answer(received, now_ns / 1e9)
         late, self._late = self._late, []
         answered = self._take(late, now_ns)
-        if not self._answers:  # simulate at full speed in flight, in real time after the landing
-            if self.words is None and not self.node.vehicle.armed:
+        if not self._alive:  # simulate at full speed in flight, in real time after the landing
+            if self.words is None and not self.vehicle.armed:
                 endpoint.wait(self.grid.period_s)
             self._take(endpoint.receive(), now_ns)
             return False
-        while not (answered or self._stop.is_set or (self.words is not None and self.words.left)):
+        while not (answered or self.stop.is_set or (self.words is not None and self.words.left)):
             endpoint.wait(_WAIT_S)
             answered = self._take(endpoint.receive(), now_ns)
             if answered:  # the first check usually succeeds and needs no clock
@@ -208,18 +200,18 @@ class LockstepVehicle:
                 this_tick = message.ts1 == now_ns
                 if this_tick:
                     self._companion = received.peer
-                if self._companion and not self._answers:  # also an old answer shows a live companion
-                    self._answers = True
-                    self.node.report(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
+                if self._companion and not self._alive:  # also an old answer shows a live companion
+                    self._alive = True
+                    self.report(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
                 if this_tick:
                     self._late += frames[i + 1 :]
                     return True
             elif companion is None and id_ == _HEARTBEAT:
                 # No link fault acts here: the number of heartbeats before the answer depends on wall time.
-                self._replies += self.node.answer(received, now_ns / 1e9)
+                self._replies += self.answer(received, now_ns / 1e9)
             else:
-                for arrived in self.node.wire.receive(received, now_ns):
-                    self._replies += self.node.answer(arrived, now_ns / 1e9)
+                for arrived in self.wire.receive(received, now_ns):
+                    self._replies += self.answer(arrived, now_ns / 1e9)
         return False
 
     def _give_up(self) -> None:
@@ -228,9 +220,9 @@ class LockstepVehicle:
                 f"no companion answered the TIMESYNC of tick 0 within {STARTUP_S:g} s; "
                 "does it run in lockstep?"
             )
-        self._answers = False
+        self._alive = False
         text = f"Companion silent for {COMPANION_SILENT_S:g} s: going on without"
-        self.node.report(dialect.MAV_SEVERITY_CRITICAL, text)
+        self.report(dialect.MAV_SEVERITY_CRITICAL, text)
 
 
 class LockstepWorld:

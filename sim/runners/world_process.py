@@ -11,10 +11,10 @@ from __future__ import annotations
 import select
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from functools import partial
-from itertools import zip_longest
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -26,8 +26,9 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import (
     EPOCH_NS,
+    Clock,
+    FastClock,
     Follower,
-    RealTimePacer,
     chosen_clock,
     give_up_priority,
     quiet_garbage_collector,
@@ -40,7 +41,7 @@ from sim.clock import TickGrid, run_process
 from sim.options import TargetOptions, VehicleOptions, WorldOptions
 from sim.runners.lockstep import LockstepVehicle, LockstepWorld
 from sim.runners.log import VehicleLog
-from sim.runners.published_robot import LockstepRobot, RealTimeDeck, RealTimeRobot, robots_of
+from sim.runners.published_robot import LockstepRobot, R, RealTimeDeck, RealTimeRobot, robots_of
 from sim.runners.room import MemberWords, Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
@@ -51,59 +52,56 @@ _MS = 1e-3
 _NS_PER_MS = 1_000_000
 
 
-class RealTimeVehicle:
-    """A simulated vehicle that follows the wall clock.
+@dataclass(slots=True, kw_only=True)
+class RealTimeVehicle(VehicleNode):
+    """A simulated vehicle that follows the wall clock."""
 
-    ``robot``: a robot of this process, or true poses from another process; None: the deck does not move.
-    """
-
-    def __init__(self, node: VehicleNode, robot: RealTimeRobot | RealTimeDeck | None, grid: TickGrid) -> None:
-        self.node, self._robot, self._grid = node, robot, grid
-        self._ms = 0  # simulated time, ms
+    # a robot of this process, or true poses from another process; None: the deck does not move
+    robot: RealTimeRobot | RealTimeDeck | None
+    grid: TickGrid
+    _ms: int = field(default=0, init=False)  # simulated time, ms
 
     def tick(self, tick: int) -> None:
         """Send messages and write the log for a tick; the vehicle has been simulated up to it."""
-        node, now_ns, robot = self.node, self._grid.ns(tick), self._robot
+        now_ns, robot = self.grid.ns(tick), self.robot
         now_s = now_ns / 1e9
         self.receive()
-        node.control(now_s)
-        node.wire.send(node.autopilot.telemetry(now_s), now_ns)
+        self.control(now_s)
+        self.wire.send(self.autopilot.telemetry(now_s), now_ns)
         if isinstance(robot, RealTimeDeck):
-            robot.move(node.vehicle, now_s, partial(node.log.target, now_ns), self.warn)
+            robot.move(self.vehicle, now_s, partial(self.log.target, now_ns), self.warn)
         elif robot is not None:
-            node.carry(robot, tick, now_ns)
-        node.write_log(tick, now_ns)
-        node.log.feed.flush()
+            self.carry(robot, tick, now_ns)
+        self.write_log(tick, now_ns)
+        self.log.feed.flush()
 
     def receive(self) -> None:
         """Handle the messages that have arrived."""
-        node, now_s = self.node, self._ms * _MS
-        now_ns = self._ms * _NS_PER_MS
-        frames = node.wire.late(now_ns)
-        for received in node.endpoint.receive():
-            frames += node.wire.receive(received, now_ns)
+        now_s, now_ns = self._ms * _MS, self._ms * _NS_PER_MS
+        frames = self.wire.late(now_ns)
+        for received in self.endpoint.receive():
+            frames += self.wire.receive(received, now_ns)
         for received in frames:
-            if replies := node.answer(received, now_s):
-                node.wire.send(replies, now_ns, received.peer)
+            if replies := self.answer(received, now_s):
+                self.wire.send(replies, now_ns, received.peer)
         if frames:
-            node.control(now_s)
+            self.control(now_s)
 
     def advance_to(self, ms: int) -> None:
         """Simulate up to this time, ms; do nothing if it is already reached."""
         if ms > self._ms:
-            self.node.vehicle.advance(ms - self._ms)
+            self.vehicle.advance(ms - self._ms)
             self._ms = ms
 
     def warn(self, text: str) -> None:
         """Send a warning to the clients as a status text of the autopilot."""
-        self.node.report(dialect.MAV_SEVERITY_WARNING, text)
+        self.report(dialect.MAV_SEVERITY_WARNING, text)
 
 
 class RealTimeWorld:
-    """Runs the ticks of vehicles and robots in real time.
+    """Runs the ticks of vehicles and robots in real time, or at the speed of ``clock``.
 
-    ``vehicles``: at least one; ``robots``: all robots of this process, also those without a vehicle here;
-    ``stop``: ends the process.
+    ``robots``: all robots of this process, also those without a vehicle here; ``stop``: ends the process.
     """
 
     def __init__(
@@ -113,29 +111,30 @@ class RealTimeWorld:
         room: Room,
         grid: TickGrid,
         stop: Stop,
+        clock: Clock,
     ) -> None:
-        self._vehicles, self._grid, self._stop, self._room = vehicles, grid, stop, room
-        self._robots = robots
+        self._vehicles, self._robots, self._room = vehicles, robots, room
+        self._grid, self._stop, self._clock = grid, stop, clock
         self._start_s, self._epoch_ns = 0.0, 0
 
     def run(self, ticks: int | None) -> None:
         """Run the simulation. ``ticks``: number of ticks; None: no end."""
-        vehicles, grid, room = self._vehicles, self._grid, self._room
+        vehicles, grid, room, clock = self._vehicles, self._grid, self._room, self._clock
         followed = [robot for robot in self._robots if robot.followed]
         run_promptly()  # the physics must not wait for other programs, as in a real vehicle
-        self._start_s = time.monotonic()
-        self._set_epoch(time.time_ns())  # set here, because the creation of the vehicles took time
+        self._start_s = clock.monotonic()
+        self._set_epoch(clock.unix_ns())  # set here, because the creation of the vehicles took time
         for robot in self._robots:
             robot.begin()
         tick = 0
         while not self._stop.is_set and tick != ticks:
             deadline_s = self._start_s + grid.ns(tick) / 1e9
-            while (left_s := deadline_s - time.monotonic()) > 0.0 and not self._stop.is_set:
+            while (left_s := deadline_s - clock.monotonic()) > 0.0 and not self._stop.is_set:
                 for vehicle in self._heard(left_s):
-                    since_start_ms = int((time.monotonic() - self._start_s) / _MS)
+                    since_start_ms = int((clock.monotonic() - self._start_s) / _MS)
                     vehicle.advance_to(min(since_start_ms, grid.ms(tick)))
                     vehicle.receive()
-            self._resync_clock(time.monotonic() - deadline_s)
+            self._resync_clock(clock.monotonic() - deadline_s)
             for vehicle in vehicles:
                 vehicle.advance_to(grid.ms(tick))
             if tick > 0:
@@ -145,19 +144,23 @@ class RealTimeWorld:
                 vehicle.tick(tick)
             for robot in followed:
                 robot.take(tick)
+                robot.log.feed.flush()
             tick += 1
         if tick > 1:
             room.write(tick - 2, self._epoch_ns)
 
     def _heard(self, within_s: float) -> Sequence[RealTimeVehicle]:
         """Wait at most ``within_s`` for frames; return the vehicles that received some."""
-        by_number = {vehicle.node.endpoint.fileno(): vehicle for vehicle in self._vehicles}
+        if not self._vehicles:
+            self._clock.sleep(within_s)
+            return ()
+        by_number = {vehicle.endpoint.fileno(): vehicle for vehicle in self._vehicles}
         ready, _, _ = select.select(list(by_number), (), (), within_s)
         return [by_number[number] for number in ready]
 
     def _set_epoch(self, epoch_ns: int) -> None:
         self._epoch_ns = epoch_ns
-        for log in (*(each.node.log for each in self._vehicles), *(each.log for each in self._robots)):
+        for log in (*(each.log for each in self._vehicles), *(each.log for each in self._robots)):
             log.epoch_ns = epoch_ns
 
     def _resync_clock(self, late_s: float) -> None:
@@ -190,26 +193,12 @@ def _drive(team: Scenario, options: TargetOptions, stop: Stop, stack: ExitStack)
     stack.callback(session.close)
     feed = Feed.connect(options.recorder, "target", lossless=False, vehicles=len(team.members))
     stack.callback(feed.close)
-    make = partial(RealTimeRobot, grid, session, stop)
-    robots = list(robots_of(team, options, feed, make, stack).values())
-    epoch_ns = clock.unix_ns()  # set here, because the set-up has taken time
-    for robot in robots:
+    robots = robots_of(team, options, feed, partial(RealTimeRobot, grid, session, stop), stack)
+    for robot in robots.values():
         robot.be_followed()
-        robot.log.epoch_ns = epoch_ns
-        robot.begin()
-    stop.install()
-    print("ready", flush=True)
-    quiet_garbage_collector()
-    run_promptly()  # a vehicle treats a late pose as lost
-    ticks, tick = grid.count(options.duration_s), 0
-    pacer = RealTimePacer(grid.rate_hz, clock)
-    while not stop.is_set and tick != ticks:
-        due = round(pacer.wait().now_s * grid.rate_hz)  # after a pause the robots jump to this tick
-        while tick <= due and tick != ticks:
-            for robot in robots:
-                robot.take(tick)
-            tick += 1
-        feed.flush()
+    _ready((), stop)
+    world = RealTimeWorld((), list(robots.values()), Room((), grid, feed), grid, stop, clock)
+    world.run(grid.count(options.duration_s))
 
 
 def world_main(team: Scenario, options: VehicleOptions) -> int:
@@ -229,53 +218,56 @@ def world_main(team: Scenario, options: VehicleOptions) -> int:
 
 def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
     lockstep, grid, here = options.lockstep, TickGrid(team.rate_hz), _here(team, options)
-    ids = {number: options.system_id + number - 1 for number in here}
-    endpoints = [_opened(options, number, ids[number], stack) for number in here]
+    names, ids = team.namespaces(options.namespace), {n: options.system_id + n - 1 for n in here}
+    endpoints = {n: _opened(options, n, ids[n], stack) for n in here}
     session = _session(team, options, stack)
     warm_up_room(team)
     singles = dict(enumerate(team.singles(options.seed), 1))
-    simulated = [VehicleSim(*singles[number]) for number in here]
-    epoch_ns = EPOCH_NS if lockstep else time.time_ns()
+    simulated = {n: VehicleSim(*singles[n]) for n in here}
+    epoch_ns, ticks = EPOCH_NS if lockstep else time.time_ns(), grid.count(options.duration_s)
     feed = Feed.connect(options.recorder, "vehicle", lossless=lockstep, vehicles=len(here))
     stack.callback(feed.close)
-    nodes = []
-    for number, (endpoint, _), vehicle in zip(here, endpoints, simulated, strict=True):
-        name = team.namespaces(options.namespace)[number]
-        log = VehicleLog(feed, epoch_ns, Names(name, ids[number]))
-        autopilot = Autopilot(vehicle, team.rate_hz, system_id=ids[number], epoch_ns=epoch_ns)
+
+    def parts(n: int) -> tuple[int, str, VehicleSim, Autopilot, Endpoint, VehicleLog, Callable[[bool], None]]:
+        """Return the arguments of a ``VehicleNode``."""
+        log = VehicleLog(feed, epoch_ns, Names(names[n], ids[n]))
+        autopilot = Autopilot(simulated[n], team.rate_hz, system_id=ids[n], epoch_ns=epoch_ns)
         for parameter, value in options.parameters.items():
             autopilot.parameters.preset(parameter, value)
-        nodes.append(VehicleNode(number, name, vehicle, autopilot, endpoint, log, partial(_tell, name)))
-    room, ticks = Room(nodes, grid, feed), grid.count(options.duration_s)
-    words = Words(team, options.seed) if lockstep and team.exchanges else None
-    if lockstep:
-        ahead: dict[int, LockstepRobot] = {}
-        if isinstance(options, WorldOptions):
-            ahead = robots_of(team, options, feed, partial(LockstepRobot, grid, session, stop), stack)
-        members = [MemberWords(session, each.name) for each in nodes if words is not None]
-        loops = [
-            LockstepVehicle(node, ahead.get(node.number), grid, stop, end)
-            for node, end in zip_longest(nodes, members)
-        ]
-        _ready(endpoints, stop)
-        for each in members:
-            each.await_listener(stop)
-        LockstepWorld(loops, room, words, stop, epoch_ns).run(ticks)
-        feed.flush()
-        while words is not None and not stop.is_set:  # continue until the parent process ends this process
-            time.sleep(_PAUSE_S)
+        return n, names[n], simulated[n], autopilot, endpoints[n][0], log, partial(_tell, names[n])
+
+    def robots(kind: type[R]) -> dict[int, R]:
+        """Return the robots of this process by number."""
+        if not isinstance(options, WorldOptions):
+            return {}
+        return robots_of(team, options, feed, partial(kind, grid, session, stop), stack)
+
+    if not lockstep:
+        driven = robots(RealTimeRobot)
+        for number in options.leave_out if driven else ():
+            driven[number].be_followed()
+        followed: dict[int, RealTimeRobot | RealTimeDeck] = {**driven}
+        if session is not None and not driven:
+            followed = {n: RealTimeDeck(session, names[n]) for n in here}
+        vehicles = [RealTimeVehicle(*parts(n), robot=followed.get(n), grid=grid) for n in here]
+        room = Room(vehicles, grid, feed)
+        _ready([url for _, url in endpoints.values()], stop)
+        RealTimeWorld(vehicles, list(driven.values()), room, grid, stop, FastClock()).run(ticks)
         return
-    robots: dict[int, RealTimeRobot] = {}
-    if isinstance(options, WorldOptions):
-        robots = robots_of(team, options, feed, partial(RealTimeRobot, grid, session, stop), stack)
-        for number in options.leave_out:
-            robots[number].be_followed()
-    followed: Mapping[int, RealTimeRobot | RealTimeDeck] = robots
-    if session is not None and not robots:
-        followed = {each.number: RealTimeDeck(session, each.name) for each in nodes}
-    vehicles = [RealTimeVehicle(each, followed.get(each.number), grid) for each in nodes]
-    _ready(endpoints, stop)
-    RealTimeWorld(vehicles, list(robots.values()), room, grid, stop).run(ticks)
+    ahead = robots(LockstepRobot)
+    words = Words(team, options.seed) if team.exchanges else None
+    ends = {n: MemberWords(session, names[n]) for n in here if words is not None}
+    loops = [
+        LockstepVehicle(*parts(n), robot=ahead.get(n), grid=grid, stop=stop, words=ends.get(n)) for n in here
+    ]
+    room = Room(loops, grid, feed)
+    _ready([url for _, url in endpoints.values()], stop)
+    for each in ends.values():
+        each.await_listener(stop)
+    LockstepWorld(loops, room, words, stop, epoch_ns).run(ticks)
+    feed.flush()
+    while words is not None and not stop.is_set:  # continue until the parent process ends this process
+        time.sleep(_PAUSE_S)
 
 
 def _here(team: Scenario, options: VehicleOptions) -> list[int]:
@@ -293,9 +285,9 @@ def _here(team: Scenario, options: VehicleOptions) -> list[int]:
     return here
 
 
-def _ready(endpoints: Sequence[tuple[Endpoint, str]], stop: Stop) -> None:
+def _ready(urls: Sequence[str], stop: Stop) -> None:
     stop.install()
-    print("ready", *(url for _, url in endpoints), flush=True)
+    print("ready", *urls, flush=True)
     quiet_garbage_collector()
 
 

@@ -151,11 +151,11 @@ class Flight(Companion):
 
     def fly(self) -> Flown:
         """Fly to the end. Raises RuntimeError: the moment of the disturbance did not occur."""
-        self.loop.begin()
+        self.node.begin()
         for tick in range(self.ticks_max):
-            self.loop.ask(tick)
-            self.loop.act(tick, Silence())
-            if self._stop.is_set and not self.loop.answered:
+            self.node.ask(tick)
+            self.node.act(tick, Silence())
+            if self._stop.is_set and not self.node.answered:
                 break
         if not self._disturbed:
             raise RuntimeError(f"nothing was disturbed; phases {self.phases}")
