@@ -173,22 +173,6 @@ class RealTimePacer:
         return tick
 
 
-class LockstepClock:
-    """Source of ticks at the times that the simulator sends."""
-
-    def __init__(self, rate_hz: int) -> None:
-        self.period_s = 1.0 / rate_hz
-        self._last_s: float | None = None
-
-    def tick(self, sim_ns: int) -> Tick:
-        """Return the tick at the simulated time ``sim_ns``."""
-        began_s = time.perf_counter()
-        period_s = began_s - self._last_s if self._last_s is not None else 0.0
-        self._last_s = began_s
-        now_s = sim_ns / 1e9
-        return Tick(round(now_s / self.period_s), now_s, EPOCH_NS + sim_ns, period_s, 0.0)
-
-
 class Follower(IntEnum):
     """Processes that follow the clock, with their positions in the file."""
 

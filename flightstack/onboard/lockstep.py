@@ -7,6 +7,7 @@ arrived (docs/how_it_works/lockstep.md).
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import msgspec
@@ -20,7 +21,6 @@ from flightstack.common.pacing import (
     NO_GO,
     PAIR,
     RUN_AHEAD_TICKS,
-    LockstepClock,
     Tick,
     wait_until,
 )
@@ -46,8 +46,9 @@ class VehicleTicks(LinkedVehicle):
 
     def __init__(self, link: VehicleLink, rate_hz: int, stopped: Callable[[], bool] = lambda: True) -> None:
         super().__init__(link, lockstep=True)
-        self._clock, self._stopped = LockstepClock(rate_hz), stopped
-        self._last_ns = -1
+        self._rate_hz, self._stopped = rate_hz, stopped
+        self._last_ns = -1  # simulated time of the newest request
+        self._began_s: float | None = None  # wall time of the newest tick
 
     def passed(self, sim_ns: int) -> None:
         """Record the time of ticks that were run as a batch."""
@@ -63,13 +64,20 @@ class VehicleTicks(LinkedVehicle):
             self.link.endpoint.wait(WAIT_SLICE_S)
         in_time = wait_until(self._requested, self._stopped, most_s, pause_s=0.0, what=what)
         if self._last_ns != last_ns:
-            return self._clock.tick(self._last_ns)
+            return self._tick()
         never = not in_time and last_ns < 0
         raise ClockStoppedError(
             f"no vehicle requested a tick within {most_s:g} s (TIMESYNC)"
             if never
             else "no further message from the vehicle"
         )
+
+    def _tick(self) -> Tick:
+        """Return the tick of the newest request; its period is wall time."""
+        last_s, self._began_s = self._began_s, time.perf_counter()
+        period_s = self._began_s - last_s if last_s is not None else 0.0
+        now_s = self._last_ns / 1e9
+        return Tick(round(now_s * self._rate_hz), now_s, EPOCH_NS + self._last_ns, period_s, 0.0)
 
     def _requested(self) -> bool:
         """Whether a new request has arrived; if not, wait for one, but not long."""

@@ -1,13 +1,12 @@
 """MAVLink connection of a landing in one process: messages are passed as they would arrive, without bytes.
 
-A float field has 32 bits on the wire. Messages get only this rounding, because packing, checksums and sockets
-change no value. Messages with strings or doubles, and frames that a link fault changed, are packed and
-decoded completely.
+A float field has 32 bits on the wire. Messages get only this rounding, because headers, checksums and sockets
+change no value. Messages with arrays or strings, and frames that a link fault changed, are packed and decoded
+completely.
 """
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -26,24 +25,14 @@ _Round = Callable[[Message], None]
 
 
 def _rounding(cls: Any) -> _Round | None:
-    """Return a function that rounds the 32-bit fields of a message, None: the message must be packed."""
-    # an array of length one arrives as a scalar
-    if {"char", "double"} & set(cls.fieldtypes) or 1 in cls.array_lengths:
+    """Return a function that rounds the fields of a message, None: the message must be packed."""
+    if any(cls.array_lengths) or "char" in cls.fieldtypes:
         return None
-    length_of = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
-    floats = {name for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True) if kind == "float"}
-    single = [name for name in cls.fieldnames if name in floats and not length_of[name]]
-    arrays = [(name, length) for name, length in length_of.items() if length]
-    wire = struct.Struct(f"<{len(single)}f")
+    names, wire = cls.ordered_fieldnames, cls.unpacker
 
     def rounded(message: Message) -> None:
         fields: dict[str, Any] = message.__dict__
-        narrow = wire.unpack(wire.pack(*[fields[name] for name in single]))
-        fields.update(zip(single, narrow, strict=True))
-        for name, length in arrays:  # arrays arrive as lists
-            values = list(fields[name][:length])
-            kind = f"<{length}f"
-            fields[name] = list(struct.unpack(kind, struct.pack(kind, *values))) if name in floats else values
+        fields.update(zip(names, wire.unpack(wire.pack(*[fields[name] for name in names])), strict=True))
 
     return rounded
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Generic, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -32,29 +32,29 @@ class Held(Generic[T]):
     """Queue of items that wait for a time or for the end of a stalled link."""
 
     def __init__(self) -> None:
-        self._timed: list[tuple[int, int, T]] = []
-        self._stalled: dict[Running, list[T]] = {}
-        self._count = 0
-        self.size = 0  # number of waiting items
+        self._items: list[tuple[int, Running | None, T]] = []  # time, or stall; item
+
+    @property
+    def size(self) -> int:
+        """Number of waiting items."""
+        return len(self._items)
 
     def hold(self, item: T, due_ns: int, stall: Running | None) -> None:
         """Store an item until ``due_ns``, or until the stall ends; a full queue drops it."""
-        if self.size >= HELD_MAX:
-            return
-        self.size += 1
-        if stall is not None:
-            self._stalled.setdefault(stall, []).append(item)
-            return
-        self._count += 1
-        heapq.heappush(self._timed, (due_ns, self._count, item))
+        if self.size < HELD_MAX:
+            self._items.append((due_ns, stall, item))
 
     def due(self, now_ns: int) -> list[T]:
-        """Remove and return the items whose wait is over, in order."""
-        out = [item for stall in [s for s in self._stalled if s.over] for item in self._stalled.pop(stall)]
-        while self._timed and self._timed[0][0] <= now_ns:
-            out.append(heapq.heappop(self._timed)[2])
-        self.size -= len(out)
-        return out
+        """Remove and return the items whose wait is over: those of a stall in order, then those by time."""
+        items, self._items = self._items, []
+        out = list[tuple[int, T]]()
+        for each in items:
+            due_ns, stall, item = each
+            if due_ns <= now_ns if stall is None else stall.over:
+                out.append((due_ns if stall is None else -1, item))
+            else:
+                self._items.append(each)
+        return [item for _, item in sorted(out, key=itemgetter(0))]
 
 
 _Frame = tuple[bytes, tuple[Peer, ...]]  # a packed message, and its receivers

@@ -277,11 +277,10 @@ def _here(team: Scenario, options: VehicleOptions) -> list[int]:
             "--leave-out is for real time: a vehicle from elsewhere does not wait for the others"
         )
     number = len(team.members)
-    if unknown := [n for n in options.leave_out if n > number]:
-        raise ValueError(f"--leave-out: found {unknown[0]}; allowed are 1 to {number}")
-    here = [n for n in range(1, number + 1) if n not in options.leave_out]
-    if not here:
-        raise ValueError("--leave-out leaves no vehicle; the scenario of one of them simulates it alone")
+    here = sorted({*range(1, number + 1)} - {*options.leave_out})
+    if not here or len(here) + len({*options.leave_out}) > number:
+        found = ", ".join(map(str, options.leave_out))
+        raise ValueError(f"--leave-out: found {found}; allowed are members from 1 to {number}, but not all")
     return here
 
 

@@ -8,7 +8,7 @@ import pytest
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import LockstepClock
+from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.core.types import Intent, MemberStatus
 from flightstack.onboard import lockstep
 from flightstack.onboard.lockstep import LockstepStatuses
@@ -87,8 +87,7 @@ def ends():
 
 
 def ticks(number):
-    clock = LockstepClock(100)
-    return [clock.tick(GRID.ns(tick)) for tick in range(number)]
+    return [Tick(n, n * GRID.period_s, EPOCH_NS + GRID.ns(n), 0.0, 0.0) for n in range(number)]
 
 
 def never():
