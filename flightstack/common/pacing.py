@@ -1,8 +1,7 @@
 """Times of the ticks: absolute deadlines in real time, messages of the simulator in lockstep.
 
-Stack time is seconds since the start of the process (monotonic clock) or simulated time. ``unix_ns`` converts
-it to the time in the log. In lockstep this is simulated time after a fixed date, so that equal seeds give
-equal logs.
+Stack time is seconds since the start of the process (monotonic clock) or simulated time. In lockstep the time
+in the log is simulated time after a fixed date, so that equal seeds give equal logs.
 
 A simulator that paces itself shares its clock with the processes of its run in a file. It writes its time,
 which the processes use instead of wall time. Each process (follower) writes the time until which it sleeps,

@@ -1,12 +1,8 @@
 """Seeded landings in one process without sockets, recorded and judged.
 
-The code is the same as with separate processes: the vehicle's lockstep loop with its autopilot and faults,
-the robot, the companion's link and its runner of ticks. Only the messages are passed directly, with the
-rounding of the wire. A landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the
-last bit.
-
-Rotor jets, collisions and messages between the companions (``Exchange``) act with a delay of one tick, so the
-order of the vehicles does not matter. A single vehicle flies batches of ticks where possible.
+The code is the same as with separate processes; only the messages are passed directly, with the rounding of
+the wire. A landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the last bit. A
+single vehicle flies batches of ticks where possible.
 """
 
 from __future__ import annotations

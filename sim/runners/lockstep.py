@@ -1,19 +1,13 @@
 """Vehicles in lockstep: simulated time advances when all companions have answered for a tick.
 
-Tick k is at t = k / rate. A vehicle sends the due messages and TIMESYNC(tc1=0, ts1=t in ns) in one datagram.
-The companion handles them and answers with TIMESYNC(tc1 != 0, ts1=t). The vehicle handles all messages that
-arrived before this answer at t, then simulates up to the next tick. If a companion stops answering, the
-simulation continues after 20 s of wall time, so that fail-safes act, until the companion answers again. Link
-faults affect all messages except this handshake.
-
-All requests are sent before the first answer is awaited, so the companions compute in parallel. Fleet
-messages of tick k arrive with tick k + 1 at the earliest, with the delay and loss of the team's exchange,
-independent of wall time. Each member flies exactly as in ``land`` with the same seed.
+The messages are those of docs/how_it_works/lockstep.md. All requests are sent before the first answer is
+awaited, so the companions compute in parallel. Link faults affect all messages except TIMESYNC. Each member
+flies exactly as in ``land`` with the same seed.
 """
 
 from __future__ import annotations
 
-import time
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -24,14 +18,14 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Received
 from bridge.mavlink.transport.address import Peer
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, Silence, wait_until
+from flightstack.common.pacing import COMPANION_SILENT_S, wait_until
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid
 from sim.runners.robot import Robot
 from sim.runners.room import Room
 from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # wall time between two checks for signals, s
-_REPEAT_S = 0.5  # wall time after which an unanswered request is repeated, s
+_REPEAT_EVERY = 10  # checks after which an unanswered request is repeated
 _FLUSH_EVERY = 10  # period of the log flush, ticks; a shorter one would wake up the recorder more often
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
@@ -146,48 +140,51 @@ class LockstepVehicle(VehicleNode):
         vehicle.advance(ahead)
         vehicle.sent_before_ms = ahead
 
-    def act(self, tick: int, silence: Silence) -> None:
+    def act(self, tick: int) -> None:
         """End a tick: wait for the companion's answer, handle it, and simulate the remaining steps.
 
-        ``silence``: time in this tick without a message of any companion.
         Raises NoAnswerError: time-out.
         """
         if self.over:
             return
         grid, vehicle, now_ns = self.grid, self.vehicle, self.grid.ns(tick)
-        self.answered = self._await_answer(now_ns, silence)
+        self._await_answer(now_ns)
         self.control(now_ns / 1e9)
         vehicle.advance(grid.ms(tick + 1) - grid.ms(tick) - vehicle.sent_before_ms)
-        self.over = self.words is not None and self.words.left
+        self.over = self._leaves
 
-    def _await_answer(self, now_ns: int, silence: Silence) -> bool:
-        """Handle all messages up to the companion's answer for this tick; return whether it has arrived."""
-        endpoint, repeat_s = self.endpoint, None
+    @property
+    def _leaves(self) -> bool:
+        """Whether the companion has announced the end of its flight."""
+        return self.words is not None and self.words.left
+
+    def _await_answer(self, now_ns: int) -> None:
+        """Handle all messages up to the companion's answer for this tick."""
         for received in self.wire.late(now_ns):
             self._replies += self.answer(received, now_ns / 1e9)
         late, self._late = self._late, []
-        answered = self._take(late, now_ns)
+        self.answered = self._take(late, now_ns)
         if not self._alive:  # simulate at full speed in flight, in real time after the landing
             if self.words is None and not self.vehicle.armed:
-                endpoint.wait(self.grid.period_s)
-            self._take(endpoint.receive(), now_ns)
-            return False
-        while not (answered or self.stop.is_set or (self.words is not None and self.words.left)):
-            endpoint.wait(_WAIT_S)
-            answered = self._take(endpoint.receive(), now_ns)
-            if answered:  # the first check usually succeeds and needs no clock
-                break
-            repeat_s = repeat_s or time.monotonic()
-            if silence.look() > (COMPANION_SILENT_S if self._companion else STARTUP_S):
+                self.endpoint.wait(self.grid.period_s)
+            self._take(self.endpoint.receive(), now_ns)
+            self.answered = False
+        elif not self.answered:
+            looks = itertools.count(1)
+
+            def answered() -> bool:
+                self.endpoint.wait(_WAIT_S)
+                self.answered = self._take(self.endpoint.receive(), now_ns)
+                if not self.answered and next(looks) % _REPEAT_EVERY == 0:
+                    # equal bytes, since new sequence numbers would make the log depend on wall time
+                    self.endpoint.repeat(bytes(self._request.get_msgbuf()), self._companion)
+                return self.answered
+
+            most_s = COMPANION_SILENT_S if self._companion else STARTUP_S
+            if not wait_until(answered, lambda: self.stop.is_set or self._leaves, most_s, pause_s=0.0):
                 self._give_up()
-                break
-            wall_s = time.monotonic()
-            if wall_s - repeat_s > _REPEAT_S:
-                repeat_s = wall_s
-                # equal bytes, since new sequence numbers would make the log depend on wall time
-                endpoint.repeat(bytes(self._request.get_msgbuf()), self._companion)
-        # handle frames that the companion sent before its end
-        return answered or self._take(endpoint.receive(), now_ns)
+            # handle frames that the companion sent before its end
+            self.answered = self.answered or self._take(self.endpoint.receive(), now_ns)
 
     def _take(self, frames: list[Received], now_ns: int) -> bool:
         """Handle frames up to the companion's answer for this tick; return True if it has arrived."""
@@ -268,12 +265,12 @@ class LockstepWorld:
         return self._exchange is not None and all(each.rests for each in self._vehicles)
 
     def _tick(self, tick: int) -> None:
-        vehicles, silence = self._vehicles, Silence()
+        vehicles = self._vehicles
         self._room.begin()
         for vehicle in vehicles:
             vehicle.ask(tick)
         for vehicle in vehicles:
-            vehicle.act(tick, silence)
+            vehicle.act(tick)
         self._room.end(tick, self._epoch_ns)
         if self._exchange is None:
             return

@@ -12,7 +12,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.core.controller import Outputs
@@ -25,16 +24,11 @@ from logs.schema.events import ContactBit, Severity, pack_log
 from logs.schema.rows import TrueStateRow
 from sim.plant.states import truth_of, truth_row
 
-_LEVELS: dict[int, Severity] = {
-    dialect.MAV_SEVERITY_EMERGENCY: Severity.FATAL,
-    dialect.MAV_SEVERITY_ALERT: Severity.FATAL,
-    dialect.MAV_SEVERITY_CRITICAL: Severity.ERROR,
-    dialect.MAV_SEVERITY_ERROR: Severity.ERROR,
-    dialect.MAV_SEVERITY_WARNING: Severity.WARN,
-    dialect.MAV_SEVERITY_NOTICE: Severity.INFO,
-    dialect.MAV_SEVERITY_INFO: Severity.INFO,
-    dialect.MAV_SEVERITY_DEBUG: Severity.DEBUG,
-}
+# level by MAV_SEVERITY, 0 (emergency) to 7 (debug)
+_LEVELS = (
+    Severity.FATAL, Severity.FATAL, Severity.ERROR, Severity.ERROR, Severity.WARN, Severity.INFO,
+    Severity.INFO, Severity.DEBUG,
+)  # fmt: skip
 _CONTACTS = {
     ContactBit.PAD.value: (Severity.INFO, "contact with the pad"),
     ContactBit.GROUND.value: (Severity.INFO, "contact with the ground"),
@@ -65,7 +59,7 @@ class EventLog:
 
     def statustext(self, now_ns: int, severity: int, text: str) -> None:
         """Write a status text of the autopilot."""
-        self.event(now_ns, _LEVELS.get(severity, Severity.INFO), text)
+        self.event(now_ns, _LEVELS[severity], text)
 
 
 class VehicleLog(EventLog):

@@ -29,6 +29,7 @@ from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.clock import TickGrid, await_subscriber
 from sim.plant.air import JET, feel, set_jet
+from sim.plant.sensors import NS_PER_MS
 from sim.plant.states import rotation_axes
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
@@ -65,7 +66,6 @@ T = TypeVar("T")
 TOPIC = "/fleet/pairs"
 NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
-_MS_PER_S = 1000.0
 _YIELDS = 20  # number of polls without a pause; the message usually arrives during these polls
 
 
@@ -82,11 +82,12 @@ class Room:
         self._members, self._grid, self._feed = members, grid, feed
         self._vehicles, self._jets = [member.vehicle for member in members], np.zeros((len(members), JET))
         shapes = [Shape.of(each.params) for each in self._vehicles]
-        self._both = list(combinations(members, 2))
-        # all pairs, (1, 2) first; ``found`` fills in their smallest distances
-        none = FleetPairRow(0, 0, 0, math.inf, math.inf, math.inf, 0, 0, NEVER)
-        self._pairs = [none._replace(one=one.number, other=other.number) for one, other in self._both]
-        self._team, self._inside = Team(shapes), [False] * len(self._pairs)
+        self._pairs, self._team = list(combinations(members, 2)), Team(shapes)  # pairs: (1, 2) first
+        number = len(self._pairs)
+        # of each pair: time of the collision, times and duration inside the ellipsoid, state at the last tick
+        self._collided_ms = np.full(number, NEVER)
+        self._violations, self._inside_ms = np.zeros(number, np.int64), np.zeros(number, np.int64)
+        self._inside = np.zeros(number, np.bool_)
         self._before, self._flew = self._states(), self._flying()
         # a single vehicle has no pair, and needs no compiled code for pairs
         for one, other in overlapping(shapes, self._before[:, :3]) if self._pairs else ():
@@ -116,17 +117,18 @@ class Room:
         if self._team.follow(before, self._before, flew & self._flew, steps):
             self._note(begin_ms, steps)
         else:
-            self._inside = [False] * len(self._pairs)
+            self._inside[:] = False
         if (tick + 1) % self._every == 0:
             self.write(tick, epoch_ns)
 
     def found(self, stamp_ns: int = 0) -> tuple[FleetPairRow, ...]:
         """Return all pairs with their smallest distances until the time of ``stamp_ns``."""
+        counts = np.stack((self._violations, self._inside_ms, self._collided_ms), axis=1).tolist()
         return tuple(
-            pair._replace(
-                stamp_ns=stamp_ns, distance_min_m=near_m, flying_distance_min_m=flying_m, ellipsoid_min=norm
+            FleetPairRow(stamp_ns, one.number, other.number, *least, *numbers)
+            for (one, other), least, numbers in zip(
+                self._pairs, self._team.least.tolist(), counts, strict=True
             )
-            for pair, (near_m, flying_m, norm) in zip(self._pairs, self._team.least.tolist(), strict=True)
         )
 
     def write(self, tick: int, epoch_ns: int) -> None:
@@ -138,20 +140,16 @@ class Room:
 
     def _note(self, begin_ms: int, steps: int) -> None:
         """Count the pairs inside their ellipsoid; the first overlap of a pair is a collision."""
-        hit: list[VehicleNode] = []
-        for k, overlap_ms in enumerate(self._team.overlap_ms.tolist()):
-            pair, inside = self._pairs[k], bool(self._team.inside[k])
-            if overlap_ms >= 0 and pair.collided_ms == NEVER:
-                pair = pair._replace(collided_ms=begin_ms + overlap_ms)
-                for one, other in (self._both[k], self._both[k][::-1]):
-                    one.say(pair.collided_ms / _MS_PER_S, Severity.ERROR, f"collision with {other.name}")
-                hit += self._both[k]
-            entered = inside and not self._inside[k]
-            self._pairs[k] = pair._replace(
-                violations=pair.violations + entered, inside_ms=pair.inside_ms + steps * inside
-            )
-            self._inside[k] = inside
-        for node in hit:
+        inside, overlap_ms = self._team.inside.astype(np.bool_), self._team.overlap_ms
+        self._violations += inside & ~self._inside
+        self._inside_ms += steps * inside
+        self._inside = inside
+        hit = np.flatnonzero((overlap_ms >= 0) & (self._collided_ms == NEVER)).tolist()
+        self._collided_ms[hit] = begin_ms + overlap_ms[hit]
+        for k in hit:
+            for one, other in (self._pairs[k], self._pairs[k][::-1]):
+                one.say(int(self._collided_ms[k]) * NS_PER_MS, Severity.ERROR, f"collision with {other.name}")
+        for node in (node for k in hit for node in self._pairs[k]):
             node.vehicle.collide()
 
     def _states(self) -> F64:

@@ -15,7 +15,6 @@ from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.transport.address import Peer
 from logs.schema.events import Severity
 from sim.autopilot.autopilot import Autopilot
-from sim.clock import NS_PER_S
 from sim.faults.link import LinkFaults, Way
 from sim.faults.schedule import Running
 from sim.runners.log import VehicleLog
@@ -176,10 +175,10 @@ class VehicleNode:
         vehicle = self.vehicle
         return self._judged and vehicle.armed is self._armed and vehicle.state_text == self._state_text
 
-    def say(self, t_s: float, level: int, text: str) -> None:
+    def say(self, now_ns: int, level: int, text: str) -> None:
         """Log an event, unless the flight is over."""
         if not self.over:
-            self.log.event(round(t_s * NS_PER_S), level, text)
+            self.log.event(now_ns, level, text)
 
     def write_log(self, tick: int, now_ns: int) -> None:
         """Log the true state, the autopilot's status texts and the state of the firmware's supervisor."""

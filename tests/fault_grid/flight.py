@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Received
 from bridge.target.odometry import RawSample
-from flightstack.common.pacing import EPOCH_NS, Silence, Tick
+from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.core.controller import Outputs
 from flightstack.core.memory import Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
@@ -154,7 +154,7 @@ class Flight(Companion):
         self.node.begin()
         for tick in range(self.ticks_max):
             self.node.ask(tick)
-            self.node.act(tick, Silence())
+            self.node.act(tick)
             if self._stop.is_set and not self.node.answered:
                 break
         if not self._disturbed:
