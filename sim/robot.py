@@ -16,7 +16,7 @@ import numpy as np
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import ROBOT_FAILED, one_line
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Cell, Record, Vector, cell, cell_of_numbers, new, reader
+from flightstack.compiled.records import F64, Cell, Record, cell, cell_of_numbers, new
 from flightstack.core.parameters.filters import file_of, referred
 from flightstack.core.types import Vec3
 from sim.chance import stream
@@ -29,7 +29,7 @@ DRIVE_LAG_S = 0.1  # first-order lag of the drive, s; not documented by ROBOTIS,
 
 
 class Deck(NamedTuple):
-    """Motion of the pad centre (top side); the arguments of ``Physics.set_deck``."""
+    """Motion of the pad centre (top side): the arguments of ``Physics.set_deck``."""
 
     position_enu_m: Vec3
     yaw_rad: float
@@ -120,15 +120,9 @@ def try_out(spec: TargetSpec) -> None:
         steers(0.0, *spec.position_m, spec.heading_rad)
 
 
-class PadRecord(Record):
-    """Motion of the pad centre."""
-
-    time_ns: int
-    position: Vector  # position in ENU, m
-    yaw: float
-    body_velocity: Vector  # velocity in the body frame, m/s
-    velocity: Vector  # velocity in ENU, m/s
-    rate: float  # yaw rate, rad/s
+# number of values of the pad's motion: time, ns; position of the pad centre, ENU, m; heading; velocity in the
+# body frame, m/s; velocity in ENU, m/s; turn rate, rad/s
+PAD = 12
 
 
 class MotionRecord(Record):
@@ -154,7 +148,7 @@ class MotionRecord(Record):
     yaw: float
     v: float  # speed of the axle, m/s
     w: float  # yaw rate of the robot, rad/s
-    pad: PadRecord
+    pad: Annotated[F64, PAD]
 
 
 @jitted
@@ -186,13 +180,12 @@ def publish(motion: Cell[MotionRecord], dt_s: float) -> None:
     """Compute the pad's motion from the axle's state; the pad is behind the axle and swings in turns."""
     m = motion[0]
     pad, c, s = m.pad, math.cos(m.yaw), math.sin(m.yaw)
-    time_s = pad.time_ns / NS
+    time_s = pad[0] / NS
     z = _height(m, time_s)
     vx, vy, vz = m.v, -m.behind * m.w, (_height(m, time_s + dt_s) - z) / dt_s
-    pad.position[0], pad.position[1], pad.position[2] = m.x - m.behind * c, m.y - m.behind * s, z
-    pad.body_velocity[0], pad.body_velocity[1], pad.body_velocity[2] = vx, vy, vz
-    pad.velocity[0], pad.velocity[1], pad.velocity[2] = c * vx - s * vy, s * vx + c * vy, vz
-    pad.yaw, pad.rate = m.yaw, m.w
+    pad[1], pad[2], pad[3], pad[4] = m.x - m.behind * c, m.y - m.behind * s, z, m.yaw
+    pad[5], pad[6], pad[7] = vx, vy, vz
+    pad[8], pad[9], pad[10], pad[11] = c * vx - s * vy, s * vx + c * vy, vz, m.w
 
 
 @jitted
@@ -204,7 +197,7 @@ def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
     m.x += c * forward - s * left
     m.y += s * forward + c * left
     m.yaw = wrap(m.yaw + m.w * dt_s)
-    m.pad.time_ns += round(dt_s * NS)
+    m.pad[0] += round(dt_s * NS)
     demand_v = demand_w = 0.0
     if driving:
         first = 2 * (int((m.driven_s + m.phase_s) / m.period_s) % 2)
@@ -222,14 +215,11 @@ def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
 def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) -> None:
     """Call ``drive`` for each row, and fill the row with the pad's motion after it.
 
-    ``dt_s``: duration of each step; ``driving``: False brakes in all steps; ``pads``: (n, 12), filled here.
+    ``dt_s``: duration of each step; ``driving``: False brakes in all steps; ``pads``: (n, PAD), filled here.
     """
-    pad = motion[0].pad
     for row in pads:
         drive(motion, dt_s, driving)
-        row[0], row[4], row[11] = pad.time_ns, pad.yaw, pad.rate
-        for i in range(3):
-            row[1 + i], row[5 + i], row[8 + i] = pad.position[i], pad.body_velocity[i], pad.velocity[i]
+        row[:] = motion[0].pad
 
 
 class TargetModel:
@@ -247,15 +237,15 @@ class TargetModel:
         rng = stream(seed, "target")
         speed, turn, heading, phase, heave = rng.uniform(0.0, 1.0, 5).tolist()
         share, turn_share = (speed, 2.0 * turn - 1.0) if spec.random_speed else (1.0, 1.0)
-        self.speed_m_s = min(spec.speed_m_s * share, spec.speed_max_m_s)
-        self.turn_rate_rad_s = float(_clip(spec.turn_rate_rad_s * turn_share, spec.turn_rate_max_rad_s))
+        speed_m_s = min(spec.speed_m_s * share, spec.speed_max_m_s)
+        turn_rate_rad_s = float(_clip(spec.turn_rate_rad_s * turn_share, spec.turn_rate_max_rad_s))
         self._record = m = new(MotionRecord)
         m.demand[:] = DEMANDS.get(spec.path, (0.0, 0.0, 0.0, 0.0))
-        m.speed, m.turn_rate = self.speed_m_s, self.turn_rate_rad_s
+        m.speed, m.turn_rate = speed_m_s, turn_rate_rad_s
         m.phase_s, m.period_s = phase * spec.stop_period_s, spec.stop_period_s
-        if spec.path is PathKind.FIGURE_OF_EIGHT and self.turn_rate_rad_s:
-            m.phase_s, m.period_s = 0.0, 2.0 * math.pi / abs(self.turn_rate_rad_s)
-        self._course = course(spec, self.speed_m_s, self.turn_rate_rad_s)
+        if spec.path is PathKind.FIGURE_OF_EIGHT and turn_rate_rad_s:
+            m.phase_s, m.period_s = 0.0, 2.0 * math.pi / abs(turn_rate_rad_s)
+        self._course = course(spec, speed_m_s, turn_rate_rad_s)
         if self._course is not None:  # a course: it commands speed and turn rate directly
             m.speed = m.turn_rate = 1.0
         m.speed_max, m.turn_rate_max = spec.speed_max_m_s, spec.turn_rate_max_rad_s
@@ -266,10 +256,10 @@ class TargetModel:
         m.heave_phase = 2.0 * math.pi * heave
         m.x, m.y = spec.position_m
         m.yaw = wrap(2.0 * math.pi * heading) if spec.random_heading else wrap(spec.heading_rad)
-        self._cell, self._read = cell_of_numbers(m), reader(m.pad)
+        self._cell = cell_of_numbers(m)
         publish(self._cell, step_s)
         # compile or load the code before the simulated time starts
-        drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, 12)))
+        drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, PAD)))
 
     def stop(self) -> None:
         """Stop suddenly, as with locked wheels; the next step shows the stop."""
@@ -278,21 +268,21 @@ class TargetModel:
     @property
     def pad(self) -> Deck:
         """Motion of the pad now."""
-        p = self._read()
-        return Deck(p[1:4], p[4], p[8:11], p[11])
+        _, x, y, z, yaw, _, _, _, vx, vy, vz, rate = self._record.pad.tolist()
+        return Deck((x, y, z), yaw, (vx, vy, vz), rate)
 
     @property
     def time_ns(self) -> int:
         """Time of the motion."""
-        return int(self._record.pad.time_ns)
+        return int(self._record.pad[0])
 
     def row(self) -> F64:
         """Return the motion of the pad now, in the form of ``run``."""
-        return np.array([self._read()], dtype=np.float64)
+        return np.array([self._record.pad])
 
     def run(self, steps: int, dt_s: float, driving: bool) -> F64:
-        """Run ``steps`` steps; return the pad's motion after each, (steps, 12) values of a PadRecord."""
-        pads = np.empty((steps, 12))
+        """Run ``steps`` steps; return the pad's motion after each, (steps, PAD)."""
+        pads = np.empty((steps, PAD))
         if self._course is None or not driving:
             drive_on(self._cell, dt_s, driving, pads)
         else:
@@ -303,7 +293,7 @@ class TargetModel:
         return pads
 
 
-MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # indices in a PadRecord: position, heading, body velocity, turn rate
+MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # position, heading, velocity in the body frame, turn rate
 
 
 class TargetOdometry:
@@ -327,7 +317,7 @@ class TargetOdometry:
     def run(self, pads: F64) -> tuple[list[int], F64]:
         """Measure the due samples; return the samples that the link releases in these steps, oldest first.
 
-        ``pads``: (n, 12) true motion after each step, values of a PadRecord.
+        ``pads``: (n, PAD) true motion after each step.
         Returns the index of the step in which each sample arrived, and the samples, (m, 9).
         """
         times_ns = pads[:, 0].astype(np.int64).tolist()

@@ -69,7 +69,7 @@ class TargetFaults(ScheduledFaults):
 class Ticks(NamedTuple):
     """Motion and samples of the robot in n consecutive ticks."""
 
-    pads: F64  # (n, 12) motion of the pad at each tick, values of a PadRecord
+    pads: F64  # (n, PAD) motion of the pad at each tick
     due: list[int]  # index of the tick at which each sample was released
     samples: F64  # (m, 9) samples
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from flightstack.core.types import ZERO, Phase
-from flightstack.onboard.lockstep import LOST_RUN_MAX_S
+from flightstack.onboard.lockstep import WORLD_SILENT_S
 from logs.reader.flight import load_flight
 from sim.runners.landing import land
 from sim.scenarios.scenario import load
@@ -98,5 +98,5 @@ def test_a_killed_world_ends_the_run(tmp_path):
     kill(run.children()["world"])
     began_s = time.monotonic()
     assert run.end() == 1
-    assert time.monotonic() - began_s < LOST_RUN_MAX_S / 2  # no tick can follow, so nothing waits for one
+    assert time.monotonic() - began_s < WORLD_SILENT_S / 2  # no tick can follow, so nothing waits for one
     assert any("world ended in flight" in line for line in run.lines), run.lines
