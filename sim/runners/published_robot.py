@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import sys
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -140,31 +141,29 @@ class LockstepRobot(PublishedRobot):
 
         Without credit, the landing may have started before this tick.
         """
-        if tick > self.tick and not self._covers(tick) and not self._silent:
+        if tick > self.tick and not self._silent:
+            stop, most_s = self._stop, COMPANION_SILENT_S
             self._silent = not wait_until(
-                lambda: self._covers(tick),
-                lambda: self._stop.is_set,
-                COMPANION_SILENT_S,
-                yields=_CREDIT_YIELDS,
+                lambda: self._limit() >= tick, lambda: stop.is_set, most_s, yields=_CREDIT_YIELDS
             )
             if self._silent:
-                waited = f"no credit from the onboard process for {COMPANION_SILENT_S:g} s"
+                waited = f"no credit from the onboard process for {most_s:g} s"
                 self._say(tick, Severity.WARN, f"{waited}: the robot continues without")
 
     def run_ahead(self, tick: int) -> None:
         """Compute future ticks while the companion computes, so that the companion need not wait later."""
         if self.tick < tick + _LEFT_MIN:
-            until = tick + RUN_AHEAD_TICKS
-            self._drive(until if self._covers(until) else min(until, self._credit + RUN_AHEAD_TICKS))
+            self._drive(min(tick + RUN_AHEAD_TICKS, self._limit()))
 
-    def _covers(self, tick: int) -> bool:
-        """Whether the received credit decides if the robot drives at this tick."""
+    def _limit(self) -> int:
+        """Return the last tick for which the received credit decides whether the robot drives."""
         for sample in zenoh_link.drain(self._credits):
             reached, go_tick = PAIR.unpack(sample.payload.to_bytes())
             self._credit, self._silent = max(self._credit, reached), False
             if self._go_tick == NO_GO:
                 self._go_tick = go_tick
-        return not self.waits or self._go_tick > NO_GO or tick <= self._credit + RUN_AHEAD_TICKS
+        decided = not self.waits or self._go_tick > NO_GO
+        return sys.maxsize if decided else self._credit + RUN_AHEAD_TICKS
 
     def _keep(self, new: Ticks) -> None:
         super()._keep(new)
