@@ -42,14 +42,14 @@ _F64 = struct.Struct("<d")
 
 
 @dataclass(frozen=True, slots=True)
-class MessageDifference:
-    """A field of a message, metadata record or attachment in which two logs differ."""
+class Difference:
+    """A value that differs between two logs, or between a log and its replay."""
 
     topic: str  # topic, or ``metadata NAME`` / ``attachment NAME``
-    index: int  # number of the message in its topic, by log time and sequence; -1 without one
+    index: int  # number of the message in its topic, by log time and sequence, or of the tick; -1: none
     field: str  # dotted name of the field, for example ``own_position_enu_m.x``
-    a: str  # value in the first log
-    b: str  # value in the second log
+    a: str  # value in the first log, as text
+    b: str  # value in the second log or in the replay, as text
 
     def __str__(self) -> str:
         where = f"{self.topic}[{self.index}]" if self.index >= 0 else self.topic
@@ -57,7 +57,7 @@ class MessageDifference:
 
 
 class Compared(NamedTuple):
-    differences: list[MessageDifference]  # the first ``limit`` ones; empty: the logs are equal
+    differences: list[Difference]  # the first ``limit`` ones; empty: the logs are equal
     first_tick: (
         int | None
     )  # number of the first tick with a difference in a message; None: no message differs
@@ -121,21 +121,21 @@ def _wall_clock(message: Message) -> bool:
     return message.schema == LOG and LogRow.unpack(message.data).name in WALL_CLOCK_EVENTS
 
 
-def _all(a: _Content, b: _Content) -> Iterator[MessageDifference]:
+def _all(a: _Content, b: _Content) -> Iterator[Difference]:
     for name in sorted(a.records.keys() | b.records.keys()):
         for each in values_of(a.records.get(name, {}), b.records.get(name, {})):
-            yield MessageDifference(name, -1, *each)
+            yield Difference(name, -1, *each)
     for topic in sorted(a.messages.keys() | b.messages.keys()):
         first, second = a.messages.get(topic, []), b.messages.get(topic, [])
         if len(first) != len(second):
-            yield MessageDifference(topic, -1, "count", str(len(first)), str(len(second)))
+            yield Difference(topic, -1, "count", str(len(first)), str(len(second)))
         for index, (x, y) in enumerate(zip(first, second, strict=False)):
             if x == y:
                 continue
             same = x.schema == y.schema
             data = messages_of(x.schema, x.data, y.data) if same else values_of(x.data, y.data, "data")
             for each in (*values_of(x._replace(data=b""), y._replace(data=b"")), *data):
-                yield MessageDifference(topic, index, *each)
+                yield Difference(topic, index, *each)
 
 
 def messages_of(schema: str, a: bytes, b: bytes) -> Iterator[tuple[str, str, str]]:
@@ -187,29 +187,13 @@ def _text(value: Any) -> str:
 SHOWN_MAX = 10  # maximum number of stored differences; further differences are only counted
 
 
-@dataclass(frozen=True, slots=True)
-class TickDifference:
-    """A value that differs between log and replay."""
-
-    topic: str  # topic of the recorded value
-    tick: int  # number of the controller tick
-    field: str  # dotted name as in the message definition
-    recorded: str  # value in the log, as text
-    replayed: str  # value of this replay, as text
-
-    def __str__(self) -> str:
-        return (
-            f"{self.topic} tick {self.tick} {self.field}: recorded {self.recorded}, replayed {self.replayed}"
-        )
-
-
 @dataclass
 class Tally:
-    """Differences of one kind: their number, and the first ones."""
+    """Differences of a replay of one kind: their number, and the first ones."""
 
     count: int = 0
     ticks: int = 0  # number of ticks with a difference
-    first: list[TickDifference] = dataclasses.field(default_factory=list)
+    first: list[Difference] = dataclasses.field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._newest = -1  # newest tick with a difference
@@ -221,4 +205,4 @@ class Tally:
             self.ticks += tick != self._newest
             self._newest = tick
             if len(self.first) < SHOWN_MAX:
-                self.first.append(TickDifference(topic, tick, *each))
+                self.first.append(Difference(topic, tick, *each))

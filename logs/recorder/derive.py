@@ -130,35 +130,28 @@ def _body_velocity(row: ControllerStepRow) -> Vec3:
     return (cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z)
 
 
-class FrameDecoder:
-    """Converts records of raw frames into messages with named fields."""
+def frame_decoder(topic: str, spaces: Mapping[str, str] = MappingProxyType({})) -> Derive:
+    """Return the function that converts a topic's raw frames into messages with named fields.
 
-    def __init__(self, topic: str, spaces: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Set the topic of the raw frames; ``spaces``: name spaces of the vehicles by its first part."""
-        self._first, self._spaces = topic.strip("/").partition("/")[0], spaces
-        self._known: dict[tuple[int, int, int], _Decoder | None] = {}
+    ``spaces``: name spaces of the vehicles by the first part of the topic.
+    """
+    first = topic.strip("/").partition("/")[0]
+    known: dict[tuple[int, int, int], _Decoder | None] = {}  # None: the dialect does not have the type
 
-    def step(self, log_time_ns: int, payload: bytes) -> list[Derived]:
-        """Return (topic, schema, CDR) for one record of :func:`logs.schema.mavlink.pack_mavlink`."""
+    def derive(log_time_ns: int, payload: bytes) -> list[Derived]:
         del log_time_ns
         record = unpack_mavlink(payload)
-        key = (*record.sender, record.message_id)
-        if key not in self._known and len(self._known) < TOPICS_MAX:
-            self._known[key] = self._decoder(*key)
-        known = self._known.get(key)
-        if known is None:
+        key = system, component, message_id = (*record.sender, record.message_id)
+        if key not in known and len(known) < TOPICS_MAX:
+            found = decoder(message_id)
+            space = f"/{spaces.get(first, first)}/mavlink/sys{system}/comp{component}"
+            known[key] = None if found is None else (f"{space}/{found[0]}", *found[1:])
+        if (decodes := known.get(key)) is None:
             return []
-        topic, schema, decode = known
-        return [(topic, schema, decode(record))]
+        name, schema, decode = decodes
+        return [(name, schema, decode(record))]
 
-    def _decoder(self, system: int, component: int, message_id: int) -> _Decoder | None:
-        """Return the decoder of a sender's message type; None: the dialect does not have the type."""
-        known = decoder(message_id)
-        if known is None:
-            return None
-        name, schema, decode = known
-        space = self._spaces.get(self._first, self._first)
-        return f"/{space}/mavlink/sys{system}/comp{component}/{name}", schema, decode
+    return derive
 
 
 class Derivers:
@@ -167,7 +160,7 @@ class Derivers:
     def __init__(self) -> None:
         self._spaces: dict[str, str] = {}  # name spaces by the first part of the topics of frames
         self._members: dict[str, Deriver] = {}
-        self._frames: dict[str, FrameDecoder] = {}
+        self._frames: dict[str, Derive] = {}
 
     def _member(self, name: str) -> Deriver:
         if name not in self._members:
@@ -195,5 +188,5 @@ class Derivers:
             step = self._member(topic.removesuffix("/controller/step").strip("/")).step
             return lambda log_time_ns, payload: step(log_time_ns, ControllerStepRow.unpack(payload))
         if schema == MAVLINK:
-            return self._frames.setdefault(topic, FrameDecoder(topic, self._spaces)).step
+            return self._frames.setdefault(topic, frame_decoder(topic, self._spaces))
         return None

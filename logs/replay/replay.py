@@ -18,7 +18,7 @@ from flightstack.core.controller import Controller, Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
 from flightstack.onboard.state_text import state_text
-from logs.compare import Tally, TickDifference, messages_of, values_of
+from logs.compare import Tally, messages_of, values_of
 from logs.reader.flight_data import phase_name
 from logs.reader.reader import ROSOUT
 from logs.replay.read import FlightInputs, ReplayError, TickRecord
@@ -28,7 +28,7 @@ from logs.schema.events import CONTROLLER
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, LogRow
 from logs.schema.schemas import CONTROLLER_POWER, CONTROLLER_STEP
 
-__all__ = ["FlightInputs", "PhaseChange", "ReplayError", "Result", "TickDifference", "replay"]
+__all__ = ["FlightInputs", "PhaseChange", "ReplayError", "Result", "replay"]
 
 _ACTING = (Phase.APPROACH, Phase.LAND)
 _CHANGES_MAX = 200  # maximum number of stored phase changes of the log, and of the replay

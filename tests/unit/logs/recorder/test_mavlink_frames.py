@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import all as everything
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.messages import MESSAGES, decode
-from logs.recorder.derive import TOPICS_MAX, FrameDecoder
+from logs.recorder.derive import TOPICS_MAX, frame_decoder
 from logs.schema import schemas
 from logs.schema.mavlink import MAVLINK_PEERS, NAMED_MAX, OTHERS, PeerNames, pack_mavlink, unpack_mavlink
 from tests.examples import examples
@@ -86,8 +86,8 @@ def framed(number, payload, sequence=0, system=1, component=1):
 
 def decoded(frame, peer="p00"):
     """Return (topic, schema, fields) of the one message from a frame."""
-    decoder = FrameDecoder("/cf1/mavlink_source")
-    ((topic, schema, data),) = decoder.step(0, pack_mavlink(STAMP_NS, frame, peer))
+    decoder = frame_decoder("/cf1/mavlink_source")
+    ((topic, schema, data),) = decoder(0, pack_mavlink(STAMP_NS, frame, peer))
     store = schemas.store_for(schema)
     message = store.deserialize_cdr(data, schema)
     assert bytes(store.serialize_cdr(message, schema)) == data
@@ -144,22 +144,22 @@ def test_nan_and_frames_without_a_name():
 
 def test_what_the_dialect_does_not_know_is_left_to_the_raw_topic():
     frame = b"\xfd\x01\x00\x00\x00\x01\x01\xff\xff\xff\x00ab"
-    assert FrameDecoder("/cf1/mavlink_source").step(0, pack_mavlink(1, frame)) == []
+    assert frame_decoder("/cf1/mavlink_source")(0, pack_mavlink(1, frame)) == []
     with pytest.raises(ValueError, match="begins with"):
-        FrameDecoder("/cf1/mavlink_source").step(0, b"\x00\x01\x00\x00")
+        frame_decoder("/cf1/mavlink_source")(0, b"\x00\x01\x00\x00")
 
 
 def test_topics_are_bounded_and_named_after_the_run():
-    decoder = FrameDecoder("/uas1/mavlink_source")
+    decoder = frame_decoder("/uas1/mavlink_source")
     topics = set()
     for system in range(1, 256):
         for component in (1, 2, 3):
             frame = framed(0, bytes(8) + b"\x03", system=system, component=component)
-            topics |= {t for t, _, _ in decoder.step(0, pack_mavlink(1, frame, "p00"))}
+            topics |= {t for t, _, _ in decoder(0, pack_mavlink(1, frame, "p00"))}
     assert len(topics) == TOPICS_MAX
     assert "/uas1/mavlink/sys1/comp1/HEARTBEAT" in topics
-    decoder = FrameDecoder("/uas1/mavlink_source", {"uas1": "lab/cf7"})
-    ((topic, _, _),) = decoder.step(0, pack_mavlink(1, framed(0, bytes(8) + b"\x03"), "p00"))
+    decoder = frame_decoder("/uas1/mavlink_source", {"uas1": "lab/cf7"})
+    ((topic, _, _),) = decoder(0, pack_mavlink(1, framed(0, bytes(8) + b"\x03"), "p00"))
     assert topic == "/lab/cf7/mavlink/sys1/comp1/HEARTBEAT"
 
 

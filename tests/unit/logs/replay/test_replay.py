@@ -110,7 +110,7 @@ def test_a_controller_that_remembers_otherwise_is_found_before_it_decides_otherw
     result = replay(recorded)
     assert result.outputs.count == 0
     assert {d.field for d in result.states.first} == {"memory.retries"}
-    assert (result.states.first[0].topic, result.states.first[0].tick) == (STATE, 100)
+    assert (result.states.first[0].topic, result.states.first[0].index) == (STATE, 100)
 
 
 def test_changed_inputs_change_what_comes_out(recorded, tmp_path):
@@ -200,7 +200,7 @@ def test_the_verb_says_equal_or_names_what_is_not(recorded, tmp_path):
     changed = rewritten(recorded, tmp_path / "changed.mcap", change=at(STEP, lambda d: flipped(d, -1, 7)))
     done = run(changed, "--check")
     assert done.exit_code == 1
-    assert f"{STEP} tick {TICK} command_yaw_rad: recorded -0.0, replayed 0.0" in done.output
+    assert f"{STEP}[{TICK}] command_yaw_rad: -0.0 != 0.0" in done.output
     assert "decisions and events: 1 differences in 1 ticks" in done.output
     found = json.loads(run(changed, "--json").output)
     assert (found["result"], found["outputs"]["count"]) == ("different", 1)
@@ -272,7 +272,7 @@ def test_what_was_told_of_the_battery_counts(powered, tmp_path, byte):
     """Change the last bits of the values in the message: estimate, tilt and voltage."""
     changed = at(POWER, lambda data: flipped(data, byte), TICK)
     result = replay(rewritten(powered, tmp_path / "changed.mcap", change=changed))
-    assert result.outputs.first[0].tick == TICK
+    assert result.outputs.first[0].index == TICK
     assert result.outputs.first[0].topic == POWER
 
 

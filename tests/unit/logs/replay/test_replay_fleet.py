@@ -46,7 +46,7 @@ def test_one_bit_of_a_word_counts(tmp_path):
 
     result = replay(write_kept(RECORDED, tmp_path / "changed.mcap", wire=False, change=change))
     assert result.outputs.count
-    assert result.outputs.first[0].tick == TICK
+    assert result.outputs.first[0].index == TICK
 
 
 def test_without_the_words_nothing_is_proved(tmp_path):

@@ -70,7 +70,7 @@ def test_one_member_that_differs_is_told_and_one_that_proves_nothing_makes_all_u
     results = [told["members"][member]["result"] for member in MEMBERS]
     assert results == ["unusable", "equal", "different"]
     assert "inputs or decisions of tick 200 are missing, tick 201 follows" in told["members"]["cf1"]["reason"]
-    assert told["members"]["cf3"]["outputs"]["first"][0]["tick"] == 300
+    assert told["members"]["cf3"]["outputs"]["first"][0]["index"] == 300
     code, out, err = run(capsys, "replay", log, "--check")
     assert code == 2
     assert "cf1: " in err
