@@ -7,7 +7,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -304,9 +304,12 @@ def replay(options: ReplayOptions) -> None:
 
     Exit status: 0 equal (or shown, with --set alone), 1 different, 2 the log is not usable.
     """
+    from logs.reader.reader import LogError, LogFile
     from logs.replay.replay import ReplayError
 
-    members = _members(options.log) if options.member is None else (options.member,)
+    members: tuple[str, ...] = (options.member or "",)
+    with suppress(LogError):  # an unreadable log is reported below
+        members = LogFile(options.log, options.member).members
     found, refused = {}, []
     for member, label in zip(members, labels(members), strict=True):
         found[member], lines = _one(options, member or None)
@@ -325,16 +328,6 @@ def replay(options: ReplayOptions) -> None:
         raise ReplayError("; ".join(refused))
     shown_only = options.settings and not options.check
     sys.exit(EQUAL if shown_only and worst == "different" else _STATUS[worst])
-
-
-def _members(log: Path) -> tuple[str, ...]:
-    """Return the names of the members in a log; one empty name if it cannot be read."""
-    from logs.reader.reader import LogError, LogFile
-
-    try:
-        return LogFile(log).members
-    except LogError:
-        return ("",)
 
 
 def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], list[str]]:

@@ -19,7 +19,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import ZERO, Vec3
 from logs.reader.flight_data import ATTACHMENT, read_config, sizes_of
-from logs.recorder.markers import Scene
+from logs.recorder import markers
 from logs.schema import Names, split
 from logs.schema.events import pack_string
 from logs.schema.mavlink import Record, decoder, unpack_mavlink
@@ -58,17 +58,18 @@ class Deriver:
         self._base, self._target = f"{member}/base_link", f"{member}/target"
         self._run: dict[str, str] = {}
         self._config: FlightConfig | None = None
-        self._run_text = b""
         # the packers are created before the flight, because the first packer of a type takes milliseconds
         self._pack = {kind: packer(kind) for kind in (TF_MESSAGE, ODOMETRY, POSE_STAMPED, TWIST_STAMPED)}
-        self._scene = Scene(self._base, self._target)
+        self._pack_markers = packer(MARKER_ARRAY, frame_id=None)
+        self._own_path, self._target_path = markers.Path(), markers.Path()
         self._slots: dict[int, int] = {}
+        self.configure({})
 
     def configure(self, run: Mapping[str, str], config: FlightConfig | None = None) -> None:
         """Add metadata of the run, which are shown as text, and set the sizes of barrier and pad."""
         self._run.update(run)
         self._config = config or self._config
-        self._scene.configure(sizes_of(self._config, self._run))
+        self._shapes = markers.shapes(self._base, self._target, sizes_of(self._config, self._run))
         self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in self._run.items()))
 
     def step(self, log_time_ns: int, row: ControllerStepRow) -> list[Derived]:
@@ -106,9 +107,17 @@ class Deriver:
             ("velocity_nominal", row.nominal_enu_m_s), ("velocity_filtered", row.filtered_enu_m_s), *sent,
         ):  # fmt: skip
             add(f"{space}/cmd/{name}", TWIST_STAMPED, (stamp_ns, (velocity_m_s, ZERO)))
-        self._scene.add(log_time_ns, row)
+        if row.own_valid:
+            self._own_path.add(log_time_ns, row.own_position_enu_m)
+        if row.target_valid:
+            self._target_path.add(log_time_ns, row.target_position_enu_m)
         if self._due(MARKER_PERIOD_NS, log_time_ns):
-            made.append((f"{space}/cbf/markers", MARKER_ARRAY, self._scene.pack(row)))
+            own_path = self._own_path.marker(0, markers.OWN_COLOR)
+            target_path = self._target_path.marker(1, markers.TARGET_COLOR)
+            shown = [path for path in (own_path, target_path) if path is not None]
+            shown += markers.scene(row, self._shapes, self._base)
+            packed = self._pack_markers(([markers.values(stamp_ns, marker) for marker in shown],))
+            made.append((f"{space}/cbf/markers", MARKER_ARRAY, packed))
         return made
 
     def _due(self, period_ns: int, log_time_ns: int) -> bool:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterable
 from itertools import chain
 from typing import NamedTuple
 
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
-from logs.reader.flight_data import Sizes, sizes_of
+from logs.reader.flight_data import Sizes
 from logs.schema.rows import ControllerStepRow
-from logs.schema.schemas import MARKER_ARRAY, packer
 
 ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
 LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz, s; a marker that is not sent again disappears
@@ -108,40 +108,20 @@ def shapes(own_frame: str, target_frame: str, sizes: Sizes) -> list[Marker]:
     return found
 
 
-class Scene:
-    def __init__(self, own_frame: str, target_frame: str) -> None:
-        """Draw the vehicle in its own frame, for example ``cf1/base_link``, and the pad in the target's."""
-        self._own_frame, self._target_frame = own_frame, target_frame
-        self._own_path, self._target_path = Path(), Path()
-        self._pack = packer(MARKER_ARRAY, frame_id=None)
-        self.configure(sizes_of(None, {}))
-
-    def configure(self, sizes: Sizes) -> None:
-        """Set barrier, pad and ellipsoid; an unknown barrier is not drawn."""
-        self._shapes = shapes(self._own_frame, self._target_frame, sizes)
-
-    def add(self, log_time_ns: int, row: ControllerStepRow) -> None:
-        if row.own_valid:
-            self._own_path.add(log_time_ns, row.own_position_enu_m)
-        if row.target_valid:
-            self._target_path.add(log_time_ns, row.target_position_enu_m)
-
-    def pack(self, row: ControllerStepRow) -> bytes:
-        paths = (self._own_path.marker(0, OWN_COLOR), self._target_path.marker(1, TARGET_COLOR))
-        markers = [path for path in paths if path is not None]
-        for shape in self._shapes:
-            if row.own_valid if shape.frame_id == self._own_frame else row.target_valid:
-                markers.append(shape)
-        if row.own_valid:
-            arrows = (
-                (row.nominal_enu_m_s, NOMINAL_COLOR),
-                (row.filtered_enu_m_s, FILTERED_COLOR),
-                (row.command_enu_m_s if row.setpoint_sent else _NO_VELOCITY, COMMAND_COLOR),
-            )
-            for number, (velocity_m_s, color) in enumerate(arrows):
-                if math.isfinite(sum(velocity_m_s)):  # NaN: the filter did not run, or no set-point was sent
-                    markers.append(_arrow(number, row.own_position_enu_m, velocity_m_s, color))
-        return self._pack(([_values(row.stamp_ns, marker) for marker in markers],))
+def scene(row: ControllerStepRow, drawn: Iterable[Marker], own_frame: str) -> list[Marker]:
+    """Return the shapes of the bodies whose states are valid in a step, and the vehicle's velocities."""
+    valid = [each for each in drawn if (row.own_valid if each.frame_id == own_frame else row.target_valid)]
+    arrows = (
+        (row.nominal_enu_m_s, NOMINAL_COLOR),
+        (row.filtered_enu_m_s, FILTERED_COLOR),
+        (row.command_enu_m_s if row.setpoint_sent else _NO_VELOCITY, COMMAND_COLOR),
+    )
+    return valid + [
+        _arrow(number, row.own_position_enu_m, velocity_m_s, color)
+        for number, (velocity_m_s, color) in enumerate(arrows)
+        # NaN: the filter did not run, or no set-point was sent
+        if row.own_valid and math.isfinite(sum(velocity_m_s))
+    ]
 
 
 def surface(barrier: Barrier, reach: float = REACH) -> bytes:
@@ -172,7 +152,8 @@ def surface(barrier: Barrier, reach: float = REACH) -> bytes:
     return struct.pack(f"<{len(corners)}d", *corners)
 
 
-def _values(stamp_ns: int, marker: Marker) -> tuple[object, ...]:
+def values(stamp_ns: int, marker: Marker) -> tuple[object, ...]:
+    """Return a marker as values for the packer of its message."""
     return (
         (stamp_ns, marker.frame_id), marker.ns, marker.number, marker.kind, _ADD,
         (marker.position, _NO_ROTATION), marker.scale, marker.color, _LIFETIME_NS,
