@@ -43,7 +43,9 @@ def blueprint(members: Sequence[str] = ()) -> Any:
     """Return the layout of the viewer, which places the camera by itself."""
     scene = rrb.Spatial3DView(origin=WORLD, name="Scene: ENU, metres", line_grid=rrb.LineGrid3D(spacing=0.25))
     if members:
-        tabs = [_fleet(members), *(rrb.Tabs(*_tabs(m), name=m, active_tab=0) for m in members)]
+        phases = [f"+ {of_member(PHASE, member)}" for member in members]
+        fleet = rrb.StateTimelineView(origin="/", contents=phases, name="Fleet")
+        tabs: list[Any] = [fleet, *(rrb.Tabs(*_tabs(m), name=m, active_tab=0) for m in members)]
     else:
         tabs = list(_tabs(""))
     return rrb.Blueprint(
@@ -78,18 +80,12 @@ def _tabs(member: str) -> Iterator[Any]:
         yield rrb.Vertical(*views, name=chart.key.capitalize())
 
 
-def _fleet(members: Sequence[str]) -> Any:
-    phases = [of_member(PHASE, member) for member in members]
-    return rrb.StateTimelineView(origin="/", contents=[f"+ {each}" for each in phases], name="Fleet")
-
-
 def of_member(entity: str, member: str) -> str:
     """Return the name of a member's entity: below the common world, or else below the member's name."""
     if not member or entity == WORLD:
         return entity
-    return (
-        f"{WORLD}/{member}{entity[len(WORLD) :]}" if entity.startswith(f"{WORLD}/") else f"/{member}{entity}"
-    )
+    inner = entity.removeprefix(f"{WORLD}/")
+    return f"/{member}{entity}" if inner == entity else f"{WORLD}/{member}/{inner}"
 
 
 class Canvas:
