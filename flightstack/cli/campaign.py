@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
+import msgspec
 from rich.box import SIMPLE
 from rich.table import Column, Table
 from rich.text import Text
@@ -152,9 +153,10 @@ def validate(options: ValidateOptions) -> None:
             console.print(f"{flight.name}: {what}: {'; '.join(reasons(flight))}", soft_wrap=True)
     folder = options.out or new_folder("validate")
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "validate.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    written = msgspec.json.encode(found)
+    (folder / "validate.json").write_bytes(msgspec.json.format(written, indent=1) + b"\n")
     if options.as_json:
-        click.echo(json.dumps(found))
+        click.echo(written)
     else:
         _print_criteria(console, found)
     sys.exit(PASSED if found["passed"] else FAILED)

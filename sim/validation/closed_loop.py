@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +30,8 @@ SATURATED = 1.0 - 1e-6  # duty cycle from which a motor counts as saturated
 KNOWN_S = 8.0  # length of the compared time from which the airframe is identified, s
 
 
-class Flown(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Flown:
     """Statistics of one flight, recorded or simulated."""
 
     horizontal_m: float  # rms of the horizontal distance between position and set-point

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -266,7 +266,7 @@ CRITERIA = (
 def summary(
     options: ValidateOptions, flights: Sequence[Compared], verdicts: Sequence[Verdict]
 ) -> dict[str, Any]:
-    """Return the object that ``--json`` prints; SI units, intervals of 95 %."""
+    """Return the object that ``--json`` prints; SI units, intervals of 95 %; NaN becomes null there."""
     used = [flight for flight in flights if flight.used]
     met = bool(used) and all(verdict.met for verdict in verdicts)
     told = causes(verdicts) if used else ["nothing is left to compare with"]
@@ -282,21 +282,8 @@ def summary(
         "criteria": [_verdict(verdict) for verdict in verdicts],
         "passed": met,
         "causes": [] if met else told,
-        "by_flight": [plain(flight) for flight in used],
+        "by_flight": used,
     }
-
-
-def plain(value: Any) -> Any:
-    """Convert dataclasses and arrays to JSON types; NaN, which JSON lacks, becomes None."""
-    if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
-    if hasattr(value, "_asdict"):
-        return {name: plain(each) for name, each in value._asdict().items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(each) for each in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 def reasons(flight: Compared) -> list[str]:
@@ -312,7 +299,7 @@ def _verdict(verdict: Verdict) -> dict[str, Any]:
     c = verdict.criterion
     return {
         "part": c.part, "text": c.text, "limit": c.limit, "reason": c.reason, "found": verdict.text,
-        "value": plain(verdict.found and verdict.found.value),
-        "interval": plain([verdict.found.low, verdict.found.high] if verdict.found else [None, None]),
+        "value": verdict.found and verdict.found.value,
+        "interval": [verdict.found.low, verdict.found.high] if verdict.found else [None, None],
         "met": verdict.met, "word": verdict.word,
     }  # fmt: skip

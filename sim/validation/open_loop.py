@@ -49,7 +49,8 @@ FADES_S = 0.1  # correlation time of the fast part, s
 ANSWER_1_S = 9.0  # angular acceleration against a body rate, divided by that rate, 1/s
 
 
-class Compared(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Compared:
     """Rms errors of three predictions over all starts of a flight."""
 
     model: float

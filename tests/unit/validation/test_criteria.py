@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -58,9 +58,9 @@ def test_flights_that_the_simulator_flies_pass():
     [
         ({"thrust": 1.1}, "thrust, plant / recording"),
         ({"thrust": 0.9}, "thrust, plant / recording"),
-        ({"simulated": FLOWN._replace(duty=0.88)}, "PWM in hover, median difference"),
-        ({"simulated": FLOWN._replace(saturated=0.11)}, "saturated time / recorded"),
-        ({"simulated": FLOWN._replace(horizontal_m=0.07)}, "flights with tracking within 25 %"),
+        ({"simulated": replace(FLOWN, duty=0.88)}, "PWM in hover, median difference"),
+        ({"simulated": replace(FLOWN, saturated=0.11)}, "saturated time / recorded"),
+        ({"simulated": replace(FLOWN, horizontal_m=0.07)}, "flights with tracking within 25 %"),
         ({"sensed": replace(ERROR, delay_s=0.03)}, "delay of position - recorded"),
         (
             {"sensed": replace(ERROR, by_speed=(0.002, 0.01, 0.018, 0.025))},
@@ -121,7 +121,7 @@ def test_the_summary_is_json_and_counts_every_flight_once():
     cut = replace(flight("cut"), left_out=(Reason("values missing (NaN)", 1.23),))
     slow = replace(ERROR, by_speed=(0.002, float("nan"), 0.01, 0.02))
     flights = [out, cut, flight("good", sensed=slow)]
-    told = json.loads(json.dumps(summary(PLAN, flights, judge(flights)), allow_nan=False))
+    told = msgspec.json.decode(msgspec.json.encode(summary(PLAN, flights, judge(flights))))
     assert told["flights"] == told["used"] + len(told["left_out"]) == 3
     assert told["left_out"] == [{"name": "bad", "reasons": ["in the air for 0.0 s only"]}]
     assert told["cut"] == [{"name": "cut", "reasons": ["values missing (NaN) (1.2 s)"]}]
