@@ -191,7 +191,6 @@ OPEN_LOOP_MAX = {  # largest ratios to the errors of constant velocity: position
     0.5: ((0.5, _HALF), (0.75, _TORQUE)),
 }
 _QUANTITIES = (("position_m", "position"), ("velocity_m_s", "velocity"))
-_SHUFFLED = "the motor commands tell nothing: in random order they predict as well"
 
 
 def _closed(name: str) -> tuple[str, str]:
@@ -219,14 +218,6 @@ CRITERIA = (
             ("constant_velocity", "constant velocity", allowed, why),
             ("ideal", "ideal body", 1.0, "lag, drag and battery must help, or they are wrong"),
         )
-    ),
-    *(
-        Criterion(
-            "open loop", f"{name} after 0.1 s / commands in random order", -np.inf, 0.8,
-            "the information of the commands is in their order", median_ratio,
-            (f"open_loop.horizons.0.{quantity}.model", f"shuffled.horizons.0.{quantity}.model"), cause,
-        )
-        for (quantity, name), cause in zip(_QUANTITIES, (_SHUFFLED, None), strict=True)
     ),
     Criterion(
         "closed loop", "flights with tracking within 25 %", 0.8, np.inf,

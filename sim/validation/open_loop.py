@@ -279,17 +279,12 @@ def ideal(params: Params) -> Params:
     return replace(params, body=body, rotor=replace(params.rotor, lag_s=1e-6))
 
 
-def compare(flight: Screened, params: Params, *, shuffle_seed: int | None = None) -> OpenLoop | None:
-    """Compare the plant with the usable segments of a flight; None if every segment is too short.
-
-    ``shuffle_seed``: control experiment with the motor commands in random order.
-    """
+def compare(flight: Screened, params: Params) -> OpenLoop | None:
+    """Compare the plant with the usable segments of a flight; None if every segment is too short."""
     ends = np.array([round(seconds / SAMPLE_S) for seconds in HORIZONS_S])
     usable = [p for p in pieces(flight) if len(p.duty) > BACK + 1 + ends[-1]]
     if not usable:
         return None
-    if shuffle_seed is not None:
-        usable = _shuffled(usable, np.random.default_rng(shuffle_seed))
     mean_v = float(np.mean(np.concatenate([p.battery_v for p in usable])))
     model, simple = Model(params), Model(ideal(params))
     squares: list[F64] = []
@@ -337,11 +332,3 @@ def _constant(piece: Piece, starts: I64, ends: I64) -> F64:
         quaternion = turned.as_quat()[:, [3, 0, 1, 2]]
         rows.append(np.concatenate([piece.position[starts] + v * seconds, v, quaternion], axis=1))
     return np.stack(rows, axis=1)
-
-
-def _shuffled(usable: list[Piece], chance: np.random.Generator) -> list[Piece]:
-    """Return the segments with their motor commands in random order, as a control experiment."""
-    duty = np.concatenate([p.duty for p in usable])
-    chance.shuffle(duty)
-    ends = np.cumsum([len(p.duty) for p in usable])[:-1]
-    return [p._replace(duty=d) for p, d in zip(usable, np.split(duty, ends), strict=True)]

@@ -34,7 +34,6 @@ class Compared:
     open_loop: OpenLoop | None = None
     closed_loop: ClosedLoop | None = None
     sensing: Sensing | None = None
-    shuffled: OpenLoop | None = None  # open loop with the motor commands in random order
 
     @property
     def used(self) -> bool:
@@ -57,7 +56,6 @@ def compare(path: Path, params: Params, seed: int) -> Compared:
         open_loop.compare(flight, params),
         closed_loop.fly(flight, params, seed),
         sensing.compare(flight, seed),
-        open_loop.compare(flight, params, shuffle_seed=seed + 1),
     )
 
 

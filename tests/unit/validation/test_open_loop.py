@@ -51,12 +51,11 @@ def test_thrust_that_is_off_is_named_and_calibrated(factor):
     assert off.horizons[2].position_m.model < 2.0 * as_is.horizons[2].position_m.model
 
 
-def test_shuffled_commands_predict_badly_and_the_same_seed_shuffles_the_same():
+def test_commands_in_random_order_predict_badly():
     flight = screen(recorded(AIRFRAME))
+    duty = np.random.default_rng(1).permutation(flight.recording.duty)
     as_is = compare(flight, ROOM)
-    shuffled, again, other = (compare(flight, ROOM, shuffle_seed=seed) for seed in (1, 1, 2))
-    assert shuffled == again
-    assert shuffled != other
+    shuffled = compare(replace(flight, recording=replace(flight.recording, duty=duty)), ROOM)
     for before, after in zip(as_is.horizons, shuffled.horizons, strict=True):
         assert after.velocity_m_s.model > 2.0 * before.velocity_m_s.model
         assert after.position_m.constant_velocity == before.position_m.constant_velocity
