@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from enum import Enum
-from functools import partial
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -14,8 +13,6 @@ from sim.faults.samples import LOST
 from sim.faults.schedule import Component, Running
 from sim.plant.sensors import NS
 from sim.scenarios.fault_spec import Kind, What
-
-Rewrite = Callable[[Any, int], None]  # function of message and time (ns) that changes the message in place
 
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # only this message has a 32-bit time in us
@@ -30,18 +27,13 @@ def _write(message: Any, fields: tuple[str, ...], values: list[Any]) -> None:
         setattr(message, name, value)
 
 
-def _frozen(fields: tuple[str, ...]) -> Rewrite:
-    first: list[Any] = []
-
-    def rewrite(message: Any, _: int) -> None:
-        if not first:
-            first[:] = [getattr(message, name) for name in fields]
-        _write(message, fields, first)
-
-    return rewrite
+def _freeze(running: Running, message: Any, fields: tuple[str, ...]) -> None:
+    if running.memory is None:
+        running.memory = [getattr(message, name) for name in fields]
+    _write(message, fields, running.memory)
 
 
-def _heartbeat_wrong(message: Any, _: int) -> None:
+def _heartbeat_wrong(_: Running, message: Any, __: int) -> None:
     message.base_mode ^= dialect.MAV_MODE_FLAG_SAFETY_ARMED
 
 
@@ -55,8 +47,7 @@ def _setpoint_wrong(running: Running, message: Any, _: int) -> None:
 
 
 def _setpoint_garbage(running: Running, message: Any, _: int) -> None:
-    drawn = (running.fault.amount * running.rng.uniform(-1.0, 1.0, 3)).tolist()
-    _write(message, _VELOCITY_FIELDS, drawn)
+    _write(message, _VELOCITY_FIELDS, (running.fault.amount * running.rng.uniform(-1.0, 1.0, 3)).tolist())
 
 
 def _standing_ns(running: Running, now_ns: int) -> int:
@@ -104,15 +95,15 @@ def _clock(running: Running, message: Any, now_ns: int) -> None:
         message.time_unix_usec = max(0, unix_us + (shown_ns - now_ns) // 1000)
 
 
-# function that makes the effect of a fault on the content of messages
-_REWRITES: Mapping[tuple[What, Kind], Callable[[Running], Rewrite]] = {
-    (What.HEARTBEAT, Kind.STUCK): lambda _: _frozen(_HEARTBEAT_FIELDS),
-    (What.SETPOINTS, Kind.STUCK): lambda _: _frozen(_VELOCITY_FIELDS),
-    (What.HEARTBEAT, Kind.WRONG): lambda _: _heartbeat_wrong,
-    (What.HEARTBEAT, Kind.GARBAGE): lambda running: partial(_heartbeat_garbage, running),
-    (What.SETPOINTS, Kind.WRONG): lambda running: partial(_setpoint_wrong, running),
-    (What.SETPOINTS, Kind.GARBAGE): lambda running: partial(_setpoint_garbage, running),
-    **{(What.CLOCK, kind): lambda running: partial(_clock, running) for kind in _CLOCKS},
+# function of fault, message and time (ns) that changes the message in place
+_REWRITES: Mapping[tuple[What, Kind], Callable[[Running, Any, int], None]] = {
+    (What.HEARTBEAT, Kind.STUCK): lambda running, message, _: _freeze(running, message, _HEARTBEAT_FIELDS),
+    (What.SETPOINTS, Kind.STUCK): lambda running, message, _: _freeze(running, message, _VELOCITY_FIELDS),
+    (What.HEARTBEAT, Kind.WRONG): _heartbeat_wrong,
+    (What.HEARTBEAT, Kind.GARBAGE): _heartbeat_garbage,
+    (What.SETPOINTS, Kind.WRONG): _setpoint_wrong,
+    (What.SETPOINTS, Kind.GARBAGE): _setpoint_garbage,
+    **{(What.CLOCK, kind): _clock for kind in _CLOCKS},
 }
 
 
@@ -158,11 +149,6 @@ DUE: Mapping[Kind, Callable[[Running, Due], Due]] = {
 class LinkFaults(Component):
     """Active faults of one vehicle's MAVLink connection; call ``fate`` for every message."""
 
-    def begin(self, running: Running) -> None:
-        super().begin(running)
-        rewrite, lost = _REWRITES.get((running.fault.what, running.fault.kind)), LOST.get(running.fault.kind)
-        running.effect = rewrite and rewrite(running), lost and lost(running)
-
     def active(self, way: Way) -> bool:
         """Whether messages in this direction need a call of ``fate``."""
         return any(CONCERNS[running.fault.what][0] is way for running in self.running)
@@ -173,13 +159,13 @@ class LinkFaults(Component):
         due, damaged, stall = [now_ns], False, None
         for running in self.running:
             concerned, ids = CONCERNS[running.fault.what]
-            kind, (rewrite, lost) = running.fault.kind, running.effect
+            kind = running.fault.kind
             if concerned is not way or (ids is not None and id_ not in ids):
                 continue
-            if rewrite is not None:
-                rewrite(message, now_ns)
-            elif lost is not None:
-                due = [] if lost(now_ns) else due
+            if rewrite := _REWRITES.get((running.fault.what, kind)):
+                rewrite(running, message, now_ns)
+            elif kind in LOST:
+                due = [] if LOST[kind](running, now_ns) else due
             elif kind in DUE:
                 due = DUE[kind](running, due)
             elif kind is Kind.STUCK:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -21,35 +20,29 @@ S = TypeVar("S")
 HELD_MAX = 8192  # maximum number of delayed samples; 5 s at 500 Hz are 2500
 ESTIMATE_PERIOD_NS = NS // 100  # period of a Crazyflie's log stream of the state estimate
 
-Lost = Callable[[int], bool]  # function that returns whether a sample at this time (ns) is lost
+
+def _in_bursts(running: Running, now_ns: int) -> bool:
+    burst, change_ns = running.memory or (True, running.start_ns)  # a burst fault starts without loss
+    while now_ns >= change_ns:
+        burst = not burst
+        mean_s = running.fault.amount if burst else running.fault.period
+        change_ns += max(1, round(running.rng.exponential(mean_s) * NS))
+    running.memory = burst, change_ns
+    return bool(burst)
 
 
-def _in_bursts(running: Running) -> Lost:
-    fault, burst, change_ns = running.fault, True, running.start_ns  # a burst fault starts without loss
-
-    def lost(now_ns: int) -> bool:
-        nonlocal burst, change_ns
-        while now_ns >= change_ns:
-            burst = not burst
-            mean_s = fault.amount if burst else fault.period
-            change_ns += max(1, round(running.rng.exponential(mean_s) * NS))
-        return burst
-
-    return lost
+def _all_but_each_nth(running: Running, _: int) -> bool:
+    running.memory = (running.memory or 0) + 1
+    return bool(running.memory % round(running.fault.amount))
 
 
-def _all_but_each_nth(running: Running) -> Lost:
-    count, n = itertools.count(1), round(running.fault.amount)
-    return lambda _: next(count) % n != 0
-
-
-# By kind of loss: function that makes the ``Lost`` test of a fault, for samples and for messages.
-LOST: Mapping[Kind, Callable[[Running], Lost]] = {
-    Kind.OFF: lambda _: lambda _: True,
-    Kind.LOSS: lambda running: lambda _: running.happens(),
+# function from fault and time (ns) to whether a sample or message is lost, by kind of loss
+LOST: Mapping[Kind, Callable[[Running, int], bool]] = {
+    Kind.OFF: lambda _, __: True,
+    Kind.LOSS: lambda running, _: running.happens(),
     Kind.BURST_LOSS: _in_bursts,
     Kind.SLOW: _all_but_each_nth,
-    Kind.INTERMITTENT: lambda running: running.paused,
+    Kind.INTERMITTENT: Running.paused,
 }
 
 
@@ -60,46 +53,33 @@ class Shape(NamedTuple, Generic[S]):
     freeze: Callable[[S, S], S]  # returns the first sample with the time stamp of the second
 
 
-Change = Callable[[Any, int], Any]  # function from sample and time (ns) to the changed sample
+def _stuck(running: Running, shape: Shape[S], sample: S, _: int) -> S:
+    if running.memory is None:
+        running.memory = sample
+    return shape.freeze(running.memory, sample)
 
 
-def _stuck(_: Running, shape: Shape[Any]) -> Change:
-    first: list[Any] = []
-
-    def change(sample: Any, _: int) -> Any:
-        first[:] = first or [sample]
-        return shape.freeze(first[0], sample)
-
-    return change
+def _wrong(running: Running, shape: Shape[S], sample: S, _: int) -> S:
+    return shape.move(sample, running.fault.offset, running.fault.yaw_rad or 0.0)
 
 
-def _wrong(running: Running, shape: Shape[Any]) -> Change:
-    fault = running.fault
-    return lambda sample, _: shape.move(sample, fault.offset, fault.yaw_rad or 0.0)
+def _garbage(running: Running, shape: Shape[S], sample: S, _: int) -> S:
+    half = running.fault.amount
+    x, y, z, turn = running.rng.uniform(-1.0, 1.0, 4).tolist()
+    return shape.move(sample, (half * x, half * y, half * z), math.pi * turn)
 
 
-def _garbage(running: Running, shape: Shape[Any]) -> Change:
-    def change(sample: Any, _: int) -> Any:
-        half = running.fault.amount
-        x, y, z, turn = running.rng.uniform(-1.0, 1.0, 4).tolist()
-        return shape.move(sample, (half * x, half * y, half * z), math.pi * turn)
-
-    return change
-
-
-def _drift(running: Running, shape: Shape[Any]) -> Change:
-    first, second = running.rng.uniform(0.0, math.pi, 2).tolist()
-    sine = math.sin(second)
+def _drift(running: Running, shape: Shape[S], sample: S, now_ns: int) -> S:
+    if running.memory is None:
+        running.memory = running.rng.uniform(0.0, math.pi, 2).tolist()
+    first, second = running.memory
+    sine, length = math.sin(second), running.fault.amount * (now_ns - running.start_ns) / NS
     x, y, z = math.cos(2.0 * first) * sine, math.sin(2.0 * first) * sine, math.cos(second)
-
-    def change(sample: Any, now_ns: int) -> Any:
-        length = running.fault.amount * (now_ns - running.start_ns) / NS
-        return shape.move(sample, (length * x, length * y, length * z), 0.0)
-
-    return change
+    return shape.move(sample, (length * x, length * y, length * z), 0.0)
 
 
-CHANGES: Mapping[Kind, Callable[[Running, Shape[Any]], Change]] = {
+# function from fault, operations, sample and time (ns) to the changed sample
+CHANGES: Mapping[Kind, Callable[[Running, Shape[Any], Any, int], Any]] = {
     Kind.STUCK: _stuck,
     Kind.WRONG: _wrong,
     Kind.GARBAGE: _garbage,
@@ -125,14 +105,6 @@ class SampleFaults(Component, Generic[S]):
         """Whether samples need a call of ``deliver``."""
         return bool(self.running or self._held)
 
-    def begin(self, running: Running) -> None:
-        super().begin(running)
-        kind = running.fault.kind
-        running.effect = (
-            LOST[kind](running) if kind in LOST else None,
-            CHANGES[kind](running, self._shape) if kind in CHANGES else None,
-        )
-
     def end(self, running: Running, now_ns: int) -> None:
         """End a fault; delayed samples are due now."""
         super().end(running, now_ns)
@@ -157,10 +129,11 @@ class SampleFaults(Component, Generic[S]):
 
     def _through(self, sample: S, now_ns: int) -> S | None:
         for one in self.running:
-            lost, change = one.effect
-            if lost and lost(now_ns):
+            kind = one.fault.kind
+            if kind in LOST and LOST[kind](one, now_ns):
                 return None
-            sample = change(sample, now_ns) if change else sample
+            if kind in CHANGES:
+                sample = CHANGES[kind](one, self._shape, sample, now_ns)
         return sample
 
 

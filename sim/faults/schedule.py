@@ -25,7 +25,7 @@ class Running:
     rng: Generator
     start_ns: int = NEVER_NS
     over: bool = False
-    effect: Any = None  # state or functions with which its component applies an active fault
+    memory: Any = None  # state of the effect; None before its first use
 
     def happens(self) -> bool:
         """Return at random whether the fault acts on this item; ``value`` is its probability."""

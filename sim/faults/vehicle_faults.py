@@ -40,7 +40,7 @@ class MotorFaults(Component):
         if fault.kind is Kind.WEAK:
             thrust_n = fault.amount * self._rotor.thrust_n(self._hover_rpm)
             share = self._rotor.rpm(thrust_n) / self._hover_rpm
-        running.effect = share, float(self._rpm[at]) if fault.kind is Kind.STUCK else 0.0
+        running.memory = share, float(self._rpm[at]) if fault.kind is Kind.STUCK else 0.0
         super().begin(running)
         self._apply()
 
@@ -52,7 +52,7 @@ class MotorFaults(Component):
         self._share[:], self._held[:] = 1.0, 0.0
         for running in self.running:
             at = _index(running)
-            self._share[at], self._held[at] = running.effect
+            self._share[at], self._held[at] = running.memory
 
 
 def _index(running: Running) -> int:
@@ -72,7 +72,7 @@ class BatteryFaults(Component):
         super().begin(running)
         b, fault = self._record, running.fault
         left_a_s = float(b.charge_a_s - b.used_a_s)
-        running.effect = charge_a_s, volts = {
+        running.memory = charge_a_s, volts = {
             Kind.DROP: (0.0, fault.amount),
             Kind.LOSS: (min(left_a_s, fault.amount * float(b.charge_a_s)), 0.0),
             Kind.OFF: (left_a_s, max(0.0, float(b.empty_v) - EMPTY_V)),
@@ -82,7 +82,7 @@ class BatteryFaults(Component):
     def end(self, running: Running, now_ns: int) -> None:
         """Restore the charge and the voltage that the fault has taken from the battery."""
         super().end(running, now_ns)
-        charge_a_s, volts = running.effect
+        charge_a_s, volts = running.memory
         self._take(-charge_a_s, -volts)
 
     def _take(self, charge_a_s: float, volts: float) -> None:
