@@ -44,28 +44,32 @@ MOMENT_MAX = 32000.0  # limit of each moment, counts
 Counts = tuple[int, int, int]  # moments about body x, y, z, counts
 
 
-class AttitudeRecord(Record):
+class PaperRecord(Record):
+    """Constants of the paper's velocity loop, and state of its attitude controller."""
+
+    weight: float  # nominal weight, N
+    counts_per_n: float
     wx: float  # roll rate in the last call, rad/s; NaN before the first call
     wy: float
     integral_z: float
 
 
 @jitted
-def attitude_moments(a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy: float, wz: float) -> Counts:
+def attitude_moments(p: PaperRecord, axes: Nine, desired: Nine, wx: float, wy: float, wz: float) -> Counts:
     """Return the moments at 500 Hz; ``axes``: estimated; ``wx``, ``wy``, ``wz``: gyro rates, rad/s."""
     xx, xy, xz, yx, yy, yz, zx, zy, zz = axes
     dxx, dxy, dxz, dyx, dyy, dyz, dzx, dzy, dzz = desired
     ex = dzx * yx + dzy * yy + dzz * yz - (zx * dyx + zy * dyy + zz * dyz)
     ey = dxx * zx + dxy * zy + dxz * zz - (xx * dzx + xy * dzy + xz * dzz)
     ez = dyx * xx + dyy * xy + dyz * xz - (yx * dxx + yy * dxy + yz * dxz)
-    if math.isnan(a.wx):
-        a.wx, a.wy = wx, wy
-    ax, ay = (wx - a.wx) / CONTROL_STEP_S, (wy - a.wy) / CONTROL_STEP_S
-    a.wx, a.wy = wx, wy
-    a.integral_z = max(-I_RANGE_Z, min(I_RANGE_Z, a.integral_z - ez * CONTROL_STEP_S))
+    if math.isnan(p.wx):
+        p.wx, p.wy = wx, wy
+    ax, ay = (wx - p.wx) / CONTROL_STEP_S, (wy - p.wy) / CONTROL_STEP_S
+    p.wx, p.wy = wx, wy
+    p.integral_z = max(-I_RANGE_Z, min(I_RANGE_Z, p.integral_z - ez * CONTROL_STEP_S))
     mx = -K_R_XY * ex - K_W_XY * wx - K_D_OMEGA_RP * ax
     my = -K_R_XY * ey - K_W_XY * wy - K_D_OMEGA_RP * ay
-    mz = -K_R_Z * ez - K_W_Z * wz + K_I_Z * a.integral_z
+    mz = -K_R_Z * ez - K_W_Z * wz + K_I_Z * p.integral_z
     mx = max(-MOMENT_MAX, min(MOMENT_MAX, mx))
     my = max(-MOMENT_MAX, min(MOMENT_MAX, my))
     mz = max(-MOMENT_MAX, min(MOMENT_MAX, mz))
@@ -88,14 +92,6 @@ def axes_from_force(fx: float, fy: float, fz: float, cos_yaw: float, sin_yaw: fl
     return (yy * zz - yz * zy, yz * zx - yx * zz, yx * zy - yy * zx, yx, yy, yz, zx, zy, zz)
 
 
-class PaperRecord(Record):
-    """Constants of the paper's velocity loop and of its attitude controller."""
-
-    weight: float  # nominal weight, N
-    counts_per_n: float
-    attitude: AttitudeRecord
-
-
 @jitted
 def paper_update(
     p: PaperRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
@@ -113,7 +109,7 @@ def paper_update(
     counts = (fx * axes[6] + fy * axes[7] + fz * axes[8]) * p.counts_per_n
     desired = axes_from_force(fx, fy, fz, setpoint.cos_yaw, setpoint.sin_yaw)
     rates = sensed.rates
-    moments = attitude_moments(p.attitude, axes, desired, rates[0], rates[1], rates[2])
+    moments = attitude_moments(p, axes, desired, rates[0], rates[1], rates[2])
     if counts <= 0.0:  # as in controller_mellinger.c, zero thrust gives no moments and resets the integrals
         paper_reset(p)
         return 0.0, (0, 0, 0)
@@ -122,13 +118,13 @@ def paper_update(
 
 @jitted
 def paper_reset(p: PaperRecord) -> None:
-    p.attitude.integral_z = 0.0
+    p.integral_z = 0.0
 
 
 def set_up_paper(p: PaperRecord, params: Params) -> None:
     p.weight = weight_n = params.body.mass_kg * params.contact.gravity_m_s2
     p.counts_per_n = counts_per_n(params, weight_n)
-    p.attitude.wx = math.nan
+    p.wx = math.nan
 
 
 def paper_trim(p: PaperRecord, force: Vec3, counts_per_n: float) -> Vec3:

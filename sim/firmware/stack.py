@@ -58,7 +58,7 @@ def forget(f: FirmwareRecord) -> None:
     """Reset the velocity loop and the last rates between two flights."""
     if f.loop == PAPER:
         paper_reset(f.paper)
-        f.paper.attitude.wx = math.nan
+        f.paper.wx = math.nan
     else:
         cascade_reset(f.pid)
 

@@ -8,6 +8,7 @@ estimates along the same true path.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,16 +27,6 @@ SLOWEST = 10.0  # percentage of the samples, the slowest ones, that determine th
 
 
 @dataclass(frozen=True, slots=True)
-class Trace:
-    """True and estimated values at the same n times, without gaps, over more time than ``DELAY_S`` spans."""
-
-    step_s: float  # time between two samples
-    truth: Floats  # (n, 3) position in m or velocity in m/s
-    estimate: Floats  # (n, 3) estimate of the same quantity
-    speed_m_s: Floats  # (n,) true horizontal speed
-
-
-@dataclass(frozen=True, slots=True)
 class Error:
     """Error of an estimate in a flight."""
 
@@ -44,16 +35,17 @@ class Error:
     by_speed: tuple[float, ...]
 
 
-def analyse(traces: list[Trace]) -> Error:
-    """Return the error of an estimate in segments of one flight. Raises ValueError: no trace."""
-    if not traces:
-        raise ValueError("found no pieces of flight, one at least is needed")
-    step_s = traces[0].step_s
+def analyse(step_s: float, traces: Sequence[tuple[Floats, Floats, Floats]]) -> Error:
+    """Return the error of an estimate of position (m) or velocity (m/s) in segments of one flight.
+
+    ``traces``: true and estimated values (n, 3) at the same times, ``step_s`` apart and without gaps, and the
+    true horizontal speed (n,), m/s; each over more time than ``DELAY_S`` spans.
+    """
     # Both ends are cut off, because the delayed truth lies outside the segment at its ends.
     inner = slice(math.ceil(DELAY_S[1] / step_s), math.floor(DELAY_S[0] / step_s))
 
     def errors(delay_s: float) -> list[Floats]:
-        return [(t.estimate - _delayed(t.truth, delay_s / step_s))[inner] for t in traces]
+        return [(estimate - _delayed(truth, delay_s / step_s))[inner] for truth, estimate, _ in traces]
 
     def misfit(delay_s: float) -> float:
         left = np.concatenate(errors(delay_s))
@@ -61,7 +53,7 @@ def analyse(traces: list[Trace]) -> Error:
 
     delay_s = float(minimize_scalar(misfit, bounds=DELAY_S, method="bounded", options={"xatol": 1e-4}).x)
     parts = errors(delay_s)
-    speed = np.concatenate([t.speed_m_s[inner] for t in traces])
+    speed = np.concatenate([speed_m_s[inner] for _, _, speed_m_s in traces])
     slow = speed <= np.percentile(speed, SLOWEST)  # samples at which a delay has little effect
     offset = np.median(np.concatenate(parts)[slow], axis=0)
     horizontal = np.sum((np.concatenate(parts) - offset)[:, :2] ** 2, axis=1)
@@ -130,14 +122,11 @@ def compare(flight: Screened, seed: int, error: StateError | None = None) -> Sen
 def _errors(flight: Screened, pieces: list[slice], estimates: list[Floats]) -> Errors:
     """Analyse estimates of position and velocity, (n, 6) for each segment."""
     r = flight.recording
+    speeds = [np.linalg.norm(r.velocity_m_s[p, :2], axis=1) for p in pieces]
 
     def error(truth: Floats, columns: slice) -> Error:
-        return analyse(
-            [
-                Trace(r.step_s, truth[p], each[:, columns], np.linalg.norm(r.velocity_m_s[p, :2], axis=1))
-                for p, each in zip(pieces, estimates, strict=True)
-            ]
-        )
+        parts = zip(pieces, estimates, speeds, strict=True)
+        return analyse(r.step_s, [(truth[p], each[:, columns], speed) for p, each, speed in parts])
 
     return Errors(error(r.position_m, slice(0, 3)), error(r.velocity_m_s, slice(3, 6)))
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sim.flights.screening import screen
 from sim.plant.params import load
 from sim.validation.open_loop import HORIZONS_S, commanded_rpm, compare
-from sim.validation.sensing import Trace, analyse
+from sim.validation.sensing import analyse
 from tests.examples import examples
 from tests.unit.validation.test_closed_loop import AIRFRAME, recorded
 
@@ -84,7 +84,7 @@ def trace(seconds, delay_s=0.0, offset=(0.0, 0.0, 0.0), noise=None, speed=0.6):
     truth, velocity = path(t, speed)
     late, _ = path(t - delay_s, speed)
     estimate = late + np.array(offset) + (0.0 if noise is None else noise(t, velocity))
-    return Trace(STEP_S, truth, estimate, np.linalg.norm(velocity[:, :2], axis=1))
+    return truth, estimate, np.linalg.norm(velocity[:, :2], axis=1)
 
 
 @examples(25)
@@ -92,7 +92,9 @@ def trace(seconds, delay_s=0.0, offset=(0.0, 0.0, 0.0), noise=None, speed=0.6):
     delay_s=st.floats(-0.08, 0.15), offset=st.tuples(*[st.floats(-0.1, 0.1)] * 3), speed=st.floats(0.3, 1.2)
 )
 def test_delay_is_found_and_offset_is_no_error(delay_s, offset, speed):
-    found = analyse([trace(20.0, delay_s, offset, speed=speed), trace(10.0, delay_s, offset, speed=speed)])
+    found = analyse(
+        STEP_S, [trace(20.0, delay_s, offset, speed=speed), trace(10.0, delay_s, offset, speed=speed)]
+    )
     assert found.delay_s == pytest.approx(delay_s, abs=2e-3)
     assert np.nanmax(found.by_speed) < 2e-3
 
@@ -103,6 +105,6 @@ def test_a_delay_that_varies_is_an_error_at_the_flown_speed():
     def jitter(t, velocity):
         return -velocity * chance.normal(0.0, 0.02, len(t))[:, None]
 
-    found = analyse([trace(60.0, 0.02, noise=jitter)])
+    found = analyse(STEP_S, [trace(60.0, 0.02, noise=jitter)])
     assert found.by_speed[1] == pytest.approx(0.012, rel=0.1)
     assert np.isnan(found.by_speed[3])
