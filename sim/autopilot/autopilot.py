@@ -11,15 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.commander import Right, Sender
-from bridge.mavlink.server.commands import (
-    DENIED,
-    UNSUPPORTED,
-    Answer,
-    Command,
-    Entry,
-    answer,
-    integer,
-)
+from bridge.mavlink.server.commands import DENIED, UNSUPPORTED, Answer, Command, Entry, answer, integer
 from bridge.mavlink.server.parameters import REAL32, Parameter, Parameters, fixed, one_of, real
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.server import SYSTEM_ID, Handler, Server
@@ -38,12 +30,7 @@ class Autopilot(Server[Flight]):
     """
 
     def __init__(
-        self,
-        vehicle: VehicleSim,
-        rate_hz: float,
-        *,
-        system_id: int = SYSTEM_ID,
-        epoch_ns: int = 0,
+        self, vehicle: VehicleSim, rate_hz: float, *, system_id: int = SYSTEM_ID, epoch_ns: int = 0
     ) -> None:
         """Start the autopilot; a flying vehicle holds its position.
 

@@ -6,11 +6,7 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.frames import (
-    frd_from_flu,
-    ned_frd_from_enu_flu,
-    ned_from_enu,
-)
+from bridge.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server import telemetry as common
 from bridge.mavlink.server.telemetry import Snapshot, StreamTable

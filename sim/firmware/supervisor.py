@@ -46,22 +46,14 @@ TIMEOUT, WARNING, FRESH, TUMBLED, FLYING, NOT_FLYING, STAYED_READY, STAYED_LANDE
 # transitions of each state; the first true condition applies
 TRANSITIONS: dict[State, tuple[tuple[int, State], ...]] = {
     State.DISARMED: (),
-    State.READY: (
-        (TUMBLED, State.DISARMED),
-        (FLYING, State.FLYING),
-        (STAYED_READY, State.DISARMED),
-    ),
+    State.READY: ((TUMBLED, State.DISARMED), (FLYING, State.FLYING), (STAYED_READY, State.DISARMED)),
     State.FLYING: (
         (TIMEOUT, State.LOCKED),
         (TUMBLED, State.CRASHED),
         (WARNING, State.LEVEL_OUT),
         (NOT_FLYING, State.LANDED),
     ),
-    State.LEVEL_OUT: (
-        (TIMEOUT, State.LOCKED),
-        (TUMBLED, State.LOCKED),
-        (FRESH, State.FLYING),
-    ),
+    State.LEVEL_OUT: ((TIMEOUT, State.LOCKED), (TUMBLED, State.LOCKED), (FRESH, State.FLYING)),
     State.LANDED: ((STAYED_LANDED, State.DISARMED), (FLYING, State.FLYING)),
     State.LOCKED: (),
     State.CRASHED: (),

@@ -74,9 +74,7 @@ def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
     if simulated is None:
         return None
     return ClosedLoop(
-        plant.thrust,
-        _flown(r, compared, r.position_m, r.duty),
-        _flown(r, compared, *simulated),
+        plant.thrust, _flown(r, compared, r.position_m, r.duty), _flown(r, compared, *simulated)
     )
 
 
