@@ -20,12 +20,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from sim.firmware.mixer import OFF
 from sim.plant.params import Params, Rotor
 from sim.plant.rotors import MIX_YAW, POSITION_X, POSITION_Y, Four
 from sim.scenarios.tables import OdometryLink
 
 PX4_OF_M = (0, 3, 1, 2)  # index of the PX4 output that drives M1..M4
-OFF: Four = (0.0, 0.0, 0.0, 0.0)
 
 
 def share(control: float) -> float:

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.frames import body_from_world, frd_from_flu, ned_from_enu
+from bridge.frames import body_from_world, enu_from_ned, frd_from_flu, ned_from_enu
 from bridge.mavlink.codec.messages import Message
 from bridge.mocap.checks import Passed
 from bridge.mocap.process import odometry
@@ -125,18 +125,11 @@ _COG_UNKNOWN = 65535
 _COG_MIN_M_S = 0.2  # speed below which the course over ground is noise
 
 
-def field_ned_gauss() -> Vec3:
-    """Return the earth's magnetic field in the room, NED."""
-    level = STRENGTH_GAUSS * math.cos(INCLINATION_RAD)
-    return (
-        level * math.cos(DECLINATION_RAD),
-        level * math.sin(DECLINATION_RAD),
-        STRENGTH_GAUSS * math.sin(INCLINATION_RAD),
-    )
-
-
-_NORTH, _EAST, _DOWN = field_ned_gauss()
-_FIELD_ENU: Vec3 = (_EAST, _NORTH, -_DOWN)
+_LEVEL = STRENGTH_GAUSS * math.cos(INCLINATION_RAD)
+FIELD_NED_GAUSS: Vec3 = (
+    _LEVEL * math.cos(DECLINATION_RAD), _LEVEL * math.sin(DECLINATION_RAD),
+    STRENGTH_GAUSS * math.sin(INCLINATION_RAD),
+)  # fmt: skip
 
 
 def temperature_k(altitude_m: float) -> float:
@@ -201,7 +194,7 @@ class Px4Sensors:
 
     def _slow(self, body: Body) -> tuple[float, ...]:
         """Return magnetic field (3, G), pressure and its difference (hPa), altitude (m), temperature (C)."""
-        x, y, z = frd_from_flu(body_from_world(body.quaternion, _FIELD_ENU))
+        x, y, z = frd_from_flu(body_from_world(body.quaternion, enu_from_ned(FIELD_NED_GAUSS)))
         nx, ny, nz = self._mag.take()
         height = body.position_enu_m[2]
         hpa = pressure_hpa(height) + self._baro.take()[0]

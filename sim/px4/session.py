@@ -72,16 +72,9 @@ class Px4Session:
     """
 
     def __init__(
-        self,
-        link: Px4Link,
-        plant: Px4Plant,
-        sensors: Px4Sensors,
-        stop: Stop,
-        *,
-        speed: float,
-        silent_max_s: float,
-        tell: Callable[[str], None],
-    ) -> None:
+        self, link: Px4Link, plant: Px4Plant, sensors: Px4Sensors, stop: Stop, *, speed: float,
+        silent_max_s: float, tell: Callable[[str], None],
+    ) -> None:  # fmt: skip
         self._link, self.plant, self._sensors, self._stop = link, plant, sensors, stop
         self.lockstep = Lockstep()
         self._speed, self._silent_max_s, self._tell = speed, silent_max_s, tell

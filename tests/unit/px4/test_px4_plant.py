@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from bridge.mavlink.preflight.table import Needs, table
 from bridge.mocap.process import POSE_NEEDS
 from flightstack.common.strict_toml import ConfigError
+from sim.firmware.mixer import OFF
 from sim.plant.params import load
 from sim.plant.rotors import MIX_YAW
-from sim.px4.airframe import FORMATS, OFF, parameter_text, parameters, rotor_speeds
+from sim.px4.airframe import FORMATS, parameter_text, parameters, rotor_speeds
 from sim.px4.plant import Px4Plant
 from sim.scenarios.scenario import load as load_scenario
 from sim.scenarios.tables import VEHICLE_FILES, OdometryLink, Start, StartKind, Wind

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mav
 from sim.autopilot.telemetry import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 from sim.plant.params import load
 from sim.plant.states import Body
-from sim.px4.plant import Px4Mocap, Px4Sensors, field_ned_gauss, pressure_altitude_m
+from sim.px4.plant import FIELD_NED_GAUSS, Px4Mocap, Px4Sensors, pressure_altitude_m
 from sim.scenarios.tables import OdometryLink
 from tests.examples import examples
 
@@ -84,7 +84,7 @@ def test_at_rest_in_any_attitude_accelerometer_and_magnetometer_show_the_world_t
     ned_of_frd = NED_OF_ENU @ rotation(q) @ FRD
     assert ned_of_frd @ mean(map(accel, readings)) == pytest.approx([0.0, 0.0, -G], abs=0.2)
     mag = mean((r.xmag, r.ymag, r.zmag) for r in readings if r.fields_updated & SLOW_BITS)
-    assert ned_of_frd @ mag == pytest.approx(field_ned_gauss(), abs=0.008)
+    assert ned_of_frd @ mag == pytest.approx(FIELD_NED_GAUSS, abs=0.008)
 
 
 def test_acceleration_is_that_of_the_velocity_with_weight_in_the_body():
