@@ -21,6 +21,7 @@ class Flies(Enum):
 
     OWN = ""  # simulated vehicle with the simulator's autopilot
     PX4 = "--px4"  # PX4 on the simulated vehicle
+    PX4_SIH = "--px4-sih"  # PX4 with its built-in simulation of the physics
     ARDUPILOT = "--ardupilot"  # ArduCopter with its built-in simulation of the physics
 
 
@@ -50,6 +51,9 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
     px4: Annotated[Path | None, _program(
         Flies.PX4, "Fly this PX4 (SITL program or build folder) on the simulated vehicle."
     )] = None  # fmt: skip
+    px4_sih: Annotated[
+        Path | None, _program(Flies.PX4_SIH, "Fly this PX4 with its own physics of a 1 kg quadrotor.")
+    ] = None
     ardupilot: Annotated[Path | None, _program(
         Flies.ARDUPILOT, "Fly this ArduCopter (SITL program) with its own physics."
     )] = None  # fmt: skip
@@ -71,7 +75,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
 
     @property
     def _programs(self) -> Mapping[Flies, Path]:
-        given = {Flies.PX4: self.px4, Flies.ARDUPILOT: self.ardupilot}
+        given = {Flies.PX4: self.px4, Flies.PX4_SIH: self.px4_sih, Flies.ARDUPILOT: self.ardupilot}
         return {flies: program for flies, program in given.items() if program is not None}
 
     @property

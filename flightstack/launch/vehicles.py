@@ -1,8 +1,8 @@
-"""Vehicles of ``sitl``: the simulated vehicle, PX4 on it, and ArduPilot with its built-in physics.
+"""Vehicles of ``sitl``: the simulated vehicle, PX4 on it, and PX4 and ArduPilot with their built-in physics.
 
 Every vehicle starts its processes and returns the options with which the onboard process connects to it.
-A vehicle with built-in physics has no pad: it lands on the floor under the landing spot. Its position is 0 at
-the start, so the robot's path is moved instead.
+Vehicles with built-in physics have no pad: they land on the floor under the landing spot. Their position is 0
+at the start, so the robot's path is moved instead.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from flightstack.launch.run_options import Flies, RunOptions
 from logs.schema import SCENARIO
 from sim.autopilot.telemetry import ORIGIN_WGS84
 from sim.options import Px4SimOptions, WorldOptions
-from sim.px4.program import Px4Program, free_instance
+from sim.px4.program import Px4Model, Px4Program, free_instance
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.tables import StartKind
 from sim.vehicle.vehicle import compile_first
@@ -69,6 +69,24 @@ def _own(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at:
     return Flying(given, child)
 
 
+def _run_px4(
+    launcher: Launcher, options: RunOptions, number: int, model: Px4Model, wanted: Mapping[str, float]
+) -> Mapping[str, Any]:
+    """Start PX4 and wait until it can arm; return the options of the onboard process."""
+    program = Px4Program(
+        _program_of(options), launcher.folder / "px4", model, instance=number, parameters=wanted,
+        speed=options.speed,
+    )  # fmt: skip
+    launcher.children.append(program)
+    program.boot()
+    for name in program.absent:
+        text = f"PX4: this release has no {name}; the pre-flight check uses those that it has"
+        launcher.console.print(text, markup=False, soft_wrap=True)
+    url = f"udpin:127.0.0.1:{program.onboard_port}"
+    system_id = 1 + number  # PX4's script rcS sets MAV_SYS_ID to this value
+    return {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
+
+
 def _px4(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
     """Start the simulator, then PX4 on it."""
     _program_of(options)  # a missing program is an error before anything starts
@@ -89,16 +107,17 @@ def _px4(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at:
     from sim.px4.airframe import parameters
 
     wanted = parameters(params.load(scenario.vehicle.airframe), poses)
-    program = Px4Program(_program_of(options), launcher.folder / "px4", instance=number, parameters=wanted)
-    launcher.children.append(program)
-    program.boot()
-    for name in program.absent:
-        text = f"PX4: this release has no {name}; the pre-flight check uses those that it has"
-        launcher.console.print(text, markup=False, soft_wrap=True)
-    url = f"udpin:127.0.0.1:{program.onboard_port}"
-    system_id = 1 + number  # PX4's script rcS sets MAV_SYS_ID to this value
-    given = {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
+    given = _run_px4(launcher, options, number, Px4Model.NONE_IRIS, wanted)
     return Flying([given], simulator, {**clock, "speed": 1.0})
+
+
+def _px4_sih(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
+    """Start PX4 and its simulation-in-hardware of a 1 kg quadrotor."""
+    del scenario, robots_at
+    from sim.px4.airframe import SAFE_PARAMETERS
+
+    number = free_instance() if options.instance is None else options.instance
+    return Flying([_run_px4(launcher, options, number, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)])
 
 
 def _ardupilot(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
@@ -175,6 +194,7 @@ _PX4_CONFIGURATIONS = {"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"} 
 VEHICLES: Mapping[Flies, Vehicle] = {
     Flies.OWN: Vehicle(_own, with_robots=True),
     Flies.PX4: Vehicle(_px4, lambda scenario, _: _PX4_CONFIGURATIONS.get(scenario.vehicle.airframe)),
+    Flies.PX4_SIH: Vehicle(_px4_sih, lambda *_: "px4-1kg", own_physics=True),
     Flies.ARDUPILOT: Vehicle(_ardupilot, _ardupilot_configuration, own_physics=True),
 }
 

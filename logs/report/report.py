@@ -171,7 +171,7 @@ def _warnings(fleet: Fleet, verdict: FleetVerdict) -> list[str]:
     return texts
 
 
-_VEHICLES = ("px4", "ardupilot")
+_VEHICLES = ("px4", "px4-sih", "ardupilot")
 
 
 def command(run: Mapping[str, str], scenario: str) -> str:

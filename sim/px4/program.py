@@ -10,6 +10,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Mapping
+from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,6 +30,9 @@ _ASK_S = 0.2  # time between two repeated console commands, s
 _SAME_PLACE_DEG = 1e-5  # tolerance of the origin, 1 m; PX4 prints its reference with six decimals
 _REFERENCE = re.compile(r"^\s*(ref_lat|ref_lon): (\S+)", re.MULTILINE)
 _ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
+# rcS multiplies these time-outs by the speed, for clients in real time; our clients run at the simulation's
+# speed. PX4 1.18 has a fixed value of 5 s instead of COM_OBC_LOSS_T.
+_SCALED_WITH_SPEED = ("COM_DL_LOSS_T", "COM_RC_LOSS_T", "COM_OF_LOSS_T", "COM_OBC_LOSS_T")
 # Waits for the program, whose output becomes that of the errors. SIGHUP, sent when this process is killed,
 # immediately kills the whole group: during its start script PX4 ignores SIGTERM, and the script's commands
 # would wait for a killed PX4 without end.
@@ -39,6 +43,16 @@ trap : TERM INT
 while wait $!; status=$?; kill -0 $! 2>/dev/null; do :; done
 exit $status
 """
+
+
+class Px4Model(Enum):
+    """Source of the physics; the value is PX4_SIM_MODEL."""
+
+    NONE_IRIS = "none_iris"  # an external simulator that PX4 connects to: flightstack px4-sim
+    SIHSIM_QUADX = "sihsim_quadx"  # PX4's own simulator-in-hardware, 1 kg
+
+
+_AUTOSTART = {Px4Model.NONE_IRIS: "10016", Px4Model.SIHSIM_QUADX: "10040"}
 
 
 class Px4Error(LaunchError):
@@ -93,16 +107,20 @@ def _instance_runs(number: int) -> bool:
 
 
 class Px4Program(Child):
-    """One PX4 SITL process, which connects to an external simulator: ``flightstack px4-sim``.
+    """One PX4 SITL process.
 
-    ``parameters``: PX4's parameters by name, with integers for PX4's integers.
+    ``parameters``: PX4's parameters by name, with integers for PX4's integers; ``speed``: ratio of simulated
+    to real time for ``SIHSIM_QUADX`` (with ``NONE_IRIS`` the simulator sets it); ``origin_wgs84``: origin of
+    the room, degrees, degrees, m; None keeps PX4's origin.
     """
 
     end_signal, lines_max = signal.SIGHUP, 12
 
     def __init__(
-        self, binary: Path, folder: Path, *, instance: int = 0, parameters: Mapping[str, float] | None = None
-    ) -> None:
+        self, binary: Path, folder: Path, model: Px4Model, *, instance: int = 0,
+        parameters: Mapping[str, float] | None = None, speed: float = 1.0,
+        origin_wgs84: tuple[float, float, float] | None = ROOM_WGS84,
+    ) -> None:  # fmt: skip
         if instance not in INSTANCES:
             raise ValueError(f"PX4 instance {instance}: allowed are 0 to {INSTANCES.stop - 1}")
         files = find_px4(binary)
@@ -111,6 +129,7 @@ class Px4Program(Child):
         # UDP port to which PX4 sends the MAVLink of a companion
         self.onboard_port = 14540 + instance
         self._parameters = dict(parameters or {})
+        self._speed, self._model, self._origin = speed, model, origin_wgs84
         self.absent: list[str] = []  # requested parameters that this release lacks; set by ``boot``
         self._bin = self.folder / "bin"
         self._lay_out(files)
@@ -135,7 +154,13 @@ class Px4Program(Child):
     def _environment(self) -> dict[str, str]:
         ours = {name: text for name, text in os.environ.items() if not name.startswith("PX4_")}
         ours |= {f"PX4_PARAM_{name}": str(value) for name, value in self._parameters.items()}
-        return ours | {"PX4_SIM_MODEL": "none_iris", "PX4_SYS_AUTOSTART": "10016"}
+        ours |= {"PX4_SIM_MODEL": self._model.value, "PX4_SYS_AUTOSTART": _AUTOSTART[self._model]}
+        if self._model is Px4Model.SIHSIM_QUADX:
+            places = ("LAT", "LON", "ALT")
+            ours |= {f"PX4_HOME_{p}": str(v) for p, v in zip(places, self._origin or (), strict=False)}
+            if self._speed != 1.0:
+                ours["PX4_SIM_SPEED_FACTOR"] = f"{self._speed:g}"
+        return ours
 
     def boot(self, timeout_s: float = BOOT_MAX_S) -> None:
         """Wait until PX4 can arm, with the requested parameters and the room's origin.
@@ -148,11 +173,13 @@ class Px4Program(Child):
         self._wait_for(_BOOTED, until_s)
         self._settle_parameters()
         self._wait_for(_POSITIONED, until_s)
-        self.console("commander", "set_ekf_origin", *(f"{value:.9g}" for value in ROOM_WGS84))
+        if self._origin is None:
+            return
+        self.console("commander", "set_ekf_origin", *(f"{value:.9g}" for value in self._origin))
         while not self._at_origin():
             self._keep_waiting(until_s, "the origin of the room")
             time.sleep(_ASK_S)
-        while _CHECKED not in self._client("commander", "check").stdout:
+        while _CHECKED not in self._client("commander", ("check",), CONSOLE_MAX_S).stdout:
             self._keep_waiting(until_s, repr(_CHECKED))
             time.sleep(_ASK_S)
 
@@ -167,43 +194,55 @@ class Px4Program(Child):
         PX4 does not store a value that equals its own default. The start script's default for simulations
         then applies instead (SYS_FAILURE_EN of v1.16).
         """
+        if self._model is Px4Model.SIHSIM_QUADX and self._speed != 1.0:
+            for name in _SCALED_WITH_SPEED:
+                if name not in self._parameters and self._has(name):
+                    self.console("param", "reset", name)
         for name, value in self._parameters.items():
-            if self._client("param", "compare", name, str(value)).returncode == 0:
+            if self._client("param", ("compare", name, str(value)), CONSOLE_MAX_S).returncode == 0:
                 continue
-            if self._client("param", "find", name).returncode != 0:
+            if not self._has(name):
                 self.absent.append(name)
                 continue
             self.console("param", "set", name, str(value))
             self.console("param", "compare", name, str(value))
 
-    def _at_origin(self) -> bool:
-        found = dict(_REFERENCE.findall(self._client("listener", "vehicle_local_position", "-n", "1").stdout))
-        place = zip(("ref_lat", "ref_lon"), ROOM_WGS84, strict=False)
-        return all(abs(float(found.get(key, "nan")) - deg) < _SAME_PLACE_DEG for key, deg in place)
+    def _has(self, name: str) -> bool:
+        return self._client("param", ("find", name), CONSOLE_MAX_S).returncode == 0
 
-    def console(self, module: str, *words: str) -> str:
+    def _at_origin(self) -> bool:
+        assert self._origin is not None
+        said = self._client("listener", ("vehicle_local_position", "-n", "1"), CONSOLE_MAX_S).stdout
+        found = dict(_REFERENCE.findall(said))
+        latitude, longitude, _ = self._origin
+        return (
+            abs(float(found.get("ref_lat", "nan")) - latitude) < _SAME_PLACE_DEG
+            and abs(float(found.get("ref_lon", "nan")) - longitude) < _SAME_PLACE_DEG
+        )
+
+    def console(self, module: str, *words: str, timeout_s: float = CONSOLE_MAX_S) -> str:
         """Return the reply of a module at PX4's console, e.g. ``console("param", "show", "MAV_SYS_ID")``."""
-        done = self._client(module, *words)
+        done = self._client(module, words, timeout_s)
         if done.returncode != 0:
             command = " ".join((module, *words))
             raise Px4Error(f"PX4: {command!r} failed with status {done.returncode}: {done.stdout.strip()}")
         return done.stdout
 
-    def _client(self, module: str, *words: str) -> subprocess.CompletedProcess[str]:
+    def _client(
+        self, module: str, words: tuple[str, ...], timeout_s: float
+    ) -> subprocess.CompletedProcess[str]:
         self._check_alive()
         try:
             return subprocess.run(
                 [self._bin / f"px4-{module}", "--instance", str(self.instance), *words],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                text=True, errors="replace", timeout=CONSOLE_MAX_S, check=False,
+                text=True, errors="replace", timeout=timeout_s, check=False,
             )  # fmt: skip
         except FileNotFoundError as error:
             raise Px4Error(f"this PX4 has no module {module!r}") from error
         except subprocess.TimeoutExpired as error:
             command = " ".join((module, *words))
-            raise Px4Error(
-                f"PX4 did not answer {command!r} in {CONSOLE_MAX_S:g} s:\n{self.errors()}"
-            ) from error
+            raise Px4Error(f"PX4 did not answer {command!r} in {timeout_s:g} s:\n{self.errors()}") from error
 
     def _check_alive(self) -> None:
         if not self.alive():

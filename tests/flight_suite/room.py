@@ -17,7 +17,7 @@ from flightstack.common.strict_toml import dumps
 from flightstack.core.types import ZERO, Vec3
 from sim.plant import params
 from sim.px4.airframe import parameters
-from sim.px4.program import Px4Program, free_instance
+from sim.px4.program import Px4Model, Px4Program, free_instance
 from sim.scenarios.scenario import Scenario, load, text
 from tests.processes.started import StartedChild
 
@@ -48,7 +48,7 @@ _OWN = Limits(
 
 # PX4 holds velocity, not position: a change of force of 1 N on 1 kg moves it by 1 / MPC_XY_VEL_I_ACC = 2.5 m,
 # half of that within 3 s. A model of its velocity loop flew 1000 times in wind of 0.5 m/s with gusts of 0.2
-# m/s, which push PX4's 1 kg quadrotor by 1 N per m/s: 999 flights drift by less than 0.8 m, are
+# m/s, which push PX4's 1 kg quadrotor by 1 N per m/s (SIH_KDV): 999 flights drift by less than 0.8 m, are
 # slower than 0.23 m/s at zero velocity, and move 0.36 to 0.73 of the step.
 _PX4 = Limits(
     settle_s=5.0, still_m_s=0.3, drift_m=1.0,
@@ -214,7 +214,7 @@ def on_px4(
         plugs += ["--recorder", str(recorder)] if recorder is not None else []
         simulator = start("px4-sim", *plugs)
         px4 = Px4Program(
-            place, folder / "px4", instance=instance,
+            place, folder / "px4", Px4Model.NONE_IRIS, instance=instance,
             parameters=parameters(params.load(scenario.vehicle.airframe), poses),
         )  # fmt: skip
         stack.callback(px4.end)

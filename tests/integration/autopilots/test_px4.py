@@ -21,7 +21,7 @@ from logs.reader.flight_data import Truth
 from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.plant import Px4Plant
-from sim.px4.program import Px4Error, Px4Program, find_px4, free_instance
+from sim.px4.program import Px4Error, Px4Model, Px4Program, find_px4, free_instance
 from sim.scenarios.scenario import load
 from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
@@ -56,7 +56,7 @@ def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_r
 
 
 def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, instance):
-    px4 = Px4Program(px4_or_skip(), tmp_path, instance=instance)
+    px4 = Px4Program(px4_or_skip(), tmp_path, Px4Model.NONE_IRIS, instance=instance)
     try:
         wait_for(lambda: "Waiting for simulator" in px4.output.read_text(), "PX4 that waits")
         with pytest.raises(Px4Error, match="Waiting for simulator"):
@@ -84,7 +84,7 @@ def test_places_without_a_px4_are_refused_with_what_is_missing(tmp_path):
     (tmp_path / "px4-alias.sh").write_text("")
     assert find_px4(tmp_path).binary == tmp_path / "px4"
     with pytest.raises(ValueError, match="0 to 9"):
-        Px4Program(tmp_path, tmp_path, instance=10)
+        Px4Program(tmp_path, tmp_path, Px4Model.NONE_IRIS, instance=10)
 
 
 FLIGHTS = 2

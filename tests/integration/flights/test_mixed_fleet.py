@@ -15,7 +15,7 @@ from logs.schema.rows import MemberStatusRow
 from logs.verdict.verdict import judge_fleet
 from sim.plant import params
 from sim.px4.airframe import parameters
-from sim.px4.program import Px4Program
+from sim.px4.program import Px4Model, Px4Program
 from sim.scenarios.scenario import load
 from tests.integration.runs import Flying, called
 from tests.integration.sim_processes import ROOT, verb
@@ -39,7 +39,7 @@ def second_member(kind, folder, robots, place):
     scenario, _ = load(TEAM).one(SEED, SECOND)
     wanted = parameters(params.load(scenario.vehicle.airframe), scenario.vehicle.mocap)
     with verb("px4-sim", *words, "--mocap", "--once", "--tcp", "127.0.0.1:4561"):
-        px4 = Px4Program(px4_or_skip(), folder, instance=1, parameters=wanted)
+        px4 = Px4Program(px4_or_skip(), folder, Px4Model.NONE_IRIS, instance=1, parameters=wanted)
         try:
             px4.boot(READY_S)
             yield

@@ -118,7 +118,7 @@ def test_the_command_repeats_the_run(written, tmp_path):
 
 # options that do not change the flight, or that the flown scenario contains
 NOT_TOLD = {"scenario", "seed", "filter", "lockstep", "out", "listen", "zenoh_config", "ros2_where", "view"}
-NOT_TOLD |= {"ros_domain", "instance", "members", "runs", "as_json", "with_report", "ardupilot"}
+NOT_TOLD |= {"ros_domain", "instance", "members", "runs", "as_json", "with_report", "px4_sih", "ardupilot"}
 
 
 def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
