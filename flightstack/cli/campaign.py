@@ -35,6 +35,9 @@ class CampaignOptions(shared.Result):
     first_seed: Annotated[int, Option("--seed", "First seed.", span=(0, 2**62))] = 0
     filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the scenario's")] = None
     workers: shared.Workers = None
+    cluster: Annotated[
+        str | None, Option("--cluster", "Fly on a Dask cluster, e.g. tcp://10.0.0.2:8786.", metavar="ADDRESS")
+    ] = None
     out: Annotated[Path | None, Option(
         "--out",
         "Folder; a campaign that it already holds in part is continued. Default: a new folder in runs/.",
@@ -65,7 +68,7 @@ def campaign(options: CampaignOptions) -> None:
         console.print(line, soft_wrap=True, markup=False)
     with Bar(console, f"{scenario.name}, filter {wanted.filter_name}", wanted.runs) as bar:
         flown = core.fly(
-            wanted, folder, workers=options.workers or os.cpu_count() or 1,
+            wanted, folder, workers=options.workers or os.cpu_count() or 1, cluster=options.cluster,
             on_row=lambda row: bar.done(*kinds(row)),
         )  # fmt: skip
     sys.exit(_print(console, wanted, folder, flown, options))

@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
@@ -88,17 +89,18 @@ def _end_after(parent: BaseProcess) -> None:
     os._exit(1)
 
 
-def _results(
-    executor: Executor, work: Callable[[T], R], waiting: deque[T], ahead: int, limit_s: float | None
-) -> Iterator[R]:
-    """Yield the result of each item of ``waiting``, in any order.
+def results(
+    executor: Executor, work: Callable[[T], R], waiting: deque[T], ahead: Callable[[], int],
+    limit_s: float | None = None,
+) -> Iterator[tuple[T, Future[R]]]:  # fmt: skip
+    """Yield each item of ``waiting`` with its finished future, in any order.
 
     ``ahead``: number of items that the executor has at a time; ``limit_s``: time-out without a result.
     """
     running: dict[Future[R], T] = {}
     try:
         while waiting or running:
-            while waiting and len(running) < ahead:
+            while waiting and len(running) < ahead():
                 future = executor.submit(work, waiting[0])
                 running[future] = waiting.popleft()
             done = wait(running, limit_s, FIRST_COMPLETED).done
@@ -107,8 +109,7 @@ def _results(
             for future in done:
                 if isinstance(future.exception(), BrokenProcessPool):
                     raise BrokenProcessPool
-                del running[future]
-                yield future.result()
+            yield from [(running.pop(future), future) for future in done]
     except BrokenProcessPool:
         raise _LostError(running.values(), "ended its worker") from None
 
@@ -135,7 +136,10 @@ def in_processes(
         most = 1 if alone else min(number, len(waiting))
         try:
             with _started(most, start, arguments) as pool:
-                yield from _results(pool, work, suspects if alone else waiting, most, limit_s)
+                for _, future in results(
+                    pool, work, suspects if alone else waiting, partial(int, most), limit_s
+                ):
+                    yield future.result()
         except _LostError as lost:
             if alone:
                 yield from (failed(item, f"{lost} twice") for item in lost.items)

@@ -40,7 +40,7 @@ from sim.campaign.rows import (
     write_rows,
 )
 from sim.campaign.summary import apart, lines, summary
-from sim.campaign.workers import code_fingerprint, fly_here
+from sim.campaign.workers import code_fingerprint, fly_here, fly_on_cluster
 from sim.robot import try_out
 from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Scenario, load, text
@@ -136,12 +136,13 @@ def _known_rows(wanted: Plan, now: dict[str, Any], folder: Path) -> list[Row]:
     return rows
 
 
-def fly(wanted: Plan, folder: Path, *, workers: int, on_row: OnRow) -> Flown:
+def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row: OnRow) -> Flown:
     """Fly the missing landings and write the summary; after an interrupt the rows so far are kept.
 
-    ``workers``: number of processes; ``on_row``: called with each row, including rows of earlier calls.
-    Raises RowsError: the folder has other content, or another campaign runs there; WorkersError: workers end
-    before they fly.
+    ``workers``: number of processes, unused on a cluster; ``cluster``: address of a Dask scheduler, None:
+    this machine; ``on_row``: called with each row, including rows of earlier calls. Raises RowsError: the
+    folder has other content, or another campaign runs there; WorkersError: workers end before they fly;
+    ClusterError: the cluster cannot be used.
     """
     began_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
@@ -159,9 +160,10 @@ def fly(wanted: Plan, folder: Path, *, workers: int, on_row: OnRow) -> Flown:
         try:
             if todo:
                 with appending(folder / ROWS) as add:
-                    warm_up(wanted.scenario)  # compile once for all workers
+                    if cluster is None:
+                        warm_up(wanted.scenario)  # compile once for all workers
                     began_s = time.monotonic()  # the reported speed does not include compilation
-                    for row in fly_here(wanted.scenario_toml, todo, workers, wanted.duration_max_s):
+                    for row in _rows(wanted, todo, workers, cluster):
                         add(row)
                         flown_s += row.simulated_s or 0.0
                         on_row(row)
@@ -178,6 +180,12 @@ def fly(wanted: Plan, folder: Path, *, workers: int, on_row: OnRow) -> Flown:
             )  # fmt: skip
             (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
         return Flown(rows, wanted.runs - len(rows), told)
+
+
+def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> Iterator[Row]:
+    if cluster is not None:
+        return fly_on_cluster(cluster, wanted.scenario_toml, todo)
+    return fly_here(wanted.scenario_toml, todo, workers, wanted.duration_max_s)
 
 
 def identity(wanted: Plan) -> dict[str, Any]:

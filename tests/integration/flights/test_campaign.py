@@ -1,10 +1,13 @@
 """Tests campaigns: rows equal single runs, also if workers fail; filters of users; limits of the tiers."""
 
+import contextlib
 import json
 import os
 import re
 import shutil
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -150,6 +153,43 @@ def test_a_changed_campaign_is_refused(whole, arguments, said):
     assert done.code == 2
     assert said in done.err
     assert "--out" in done.err
+
+
+@shared
+def test_a_cluster_that_loses_a_worker_ends_complete_and_equal(whole, tmp_path):
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
+         "--no-dashboard", "--scheduler-file", str(tmp_path / "scheduler.json")],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    started = [scheduler]
+    try:
+        file, told = tmp_path / "scheduler.json", {}
+
+        def listens():
+            with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):  # no complete file yet
+                told.update(json.loads(file.read_text()))
+            return told
+
+        wait_for(listens, "the scheduler's address")
+        address = told["address"]
+        for number in range(2):
+            started.append(
+                subprocess.Popen(
+                    [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1",
+                     "--no-dashboard", "--no-nanny", "--host", "127.0.0.1",
+                     "--local-directory", str(tmp_path / f"worker{number}")],
+                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                )
+            )  # fmt: skip
+        running = begun(tmp_path / "out", *SHORT, "--cluster", address)
+        started[1].kill()
+        assert running.end() == 0, running.lines
+        assert untimed(tmp_path / "out") == untimed(whole[0])
+    finally:
+        for process in reversed(started):
+            process.kill()
+            process.wait(30.0)
 
 
 ROOT = Path(__file__).parents[3]

@@ -269,16 +269,16 @@ def interrupted(monkeypatch, *, written):
 
 @pytest.mark.parametrize("written", [True, False])
 def test_rows_on_the_disk_are_kept(monkeypatch, tmp_path, written):
-    monkeypatch.setattr(campaign, "fly_here", lambda toml, todo, workers, duration_s: map(landed, todo))
+    monkeypatch.setattr(campaign, "_rows", lambda wanted, todo, workers, cluster: map(landed, todo))
     monkeypatch.setattr(campaign, "warm_up", lambda scenario: None)
     wanted = campaign.plan("straight", RUNS, 0, None)
     with monkeypatch.context() as patch:
         interrupted(patch, written=written)
-        flown = campaign.fly(wanted, tmp_path, workers=1, on_row=lambda row: None)
+        flown = campaign.fly(wanted, tmp_path, workers=1, cluster=None, on_row=lambda row: None)
     kept = [row.seed for row in read_rows(tmp_path / campaign.ROWS)]
     assert kept == [row.seed for row in flown.rows] == list(range(AT_ROW + written))
     assert flown.missing == RUNS - len(kept)
-    flown = campaign.fly(wanted, tmp_path, workers=1, on_row=lambda row: None)
+    flown = campaign.fly(wanted, tmp_path, workers=1, cluster=None, on_row=lambda row: None)
     assert [row.seed for row in flown.rows] == list(range(RUNS))
     assert flown.missing == 0
 
@@ -289,13 +289,13 @@ def test_the_wall_time_of_a_campaign_does_not_include_compilation(monkeypatch, t
     def wait(*_, seconds=20.0):
         clock_s[0] += seconds
 
-    def rows(toml, todo, workers, duration_max_s):
+    def rows(wanted, todo, workers, cluster):
         wait(seconds=2.0)
         yield from (replace(GOOD, seed=seed, simulated_s=8.0) for seed in todo)
 
     monkeypatch.setattr(campaign, "time", SimpleNamespace(monotonic=lambda: clock_s[0]))
     monkeypatch.setattr(campaign, "warm_up", wait)
-    monkeypatch.setattr(campaign, "fly_here", rows)
+    monkeypatch.setattr(campaign, "_rows", rows)
     wanted = campaign.plan("lab", 2, 0, None)
-    flown = campaign.fly(wanted, tmp_path, workers=1, on_row=lambda row: None)
+    flown = campaign.fly(wanted, tmp_path, workers=1, cluster=None, on_row=lambda row: None)
     assert (flown.summary["wall_s"], flown.summary["realtime_factor"]) == (2.0, 8.0)

@@ -37,7 +37,7 @@ EXTRAS = {
     "sim": {"sim"},
     "sim.flights": {"sim", "export"},
     "sim.validation": {"sim", "export"},
-    "sim.campaign": {"sim", "report", "export"},
+    "sim.campaign": {"sim", "cluster", "report", "export"},
 }
 # distributions whose extension is loaded by name, without an import statement
 BY_NAME = {"osqp": "flightstack/core/safety/osqp.py"}
