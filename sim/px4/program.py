@@ -179,7 +179,7 @@ class Px4Program(Child):
         while not self._at_origin():
             self._keep_waiting(until_s, "the origin of the room")
             time.sleep(_ASK_S)
-        while _CHECKED not in self._client("commander", ("check",), CONSOLE_MAX_S).stdout:
+        while _CHECKED not in self._client("commander", "check").stdout:
             self._keep_waiting(until_s, repr(_CHECKED))
             time.sleep(_ASK_S)
 
@@ -199,7 +199,7 @@ class Px4Program(Child):
                 if name not in self._parameters and self._has(name):
                     self.console("param", "reset", name)
         for name, value in self._parameters.items():
-            if self._client("param", ("compare", name, str(value)), CONSOLE_MAX_S).returncode == 0:
+            if self._client("param", "compare", name, str(value)).returncode == 0:
                 continue
             if not self._has(name):
                 self.absent.append(name)
@@ -208,41 +208,35 @@ class Px4Program(Child):
             self.console("param", "compare", name, str(value))
 
     def _has(self, name: str) -> bool:
-        return self._client("param", ("find", name), CONSOLE_MAX_S).returncode == 0
+        return self._client("param", "find", name).returncode == 0
 
     def _at_origin(self) -> bool:
         assert self._origin is not None
-        said = self._client("listener", ("vehicle_local_position", "-n", "1"), CONSOLE_MAX_S).stdout
-        found = dict(_REFERENCE.findall(said))
-        latitude, longitude, _ = self._origin
-        return (
-            abs(float(found.get("ref_lat", "nan")) - latitude) < _SAME_PLACE_DEG
-            and abs(float(found.get("ref_lon", "nan")) - longitude) < _SAME_PLACE_DEG
-        )
+        said = self._client("listener", "vehicle_local_position", "-n", "1").stdout
+        found, place = dict(_REFERENCE.findall(said)), zip(("ref_lat", "ref_lon"), self._origin, strict=False)
+        return all(abs(float(found.get(key, "nan")) - degrees) < _SAME_PLACE_DEG for key, degrees in place)
 
-    def console(self, module: str, *words: str, timeout_s: float = CONSOLE_MAX_S) -> str:
+    def console(self, module: str, *words: str) -> str:
         """Return the reply of a module at PX4's console, e.g. ``console("param", "show", "MAV_SYS_ID")``."""
-        done = self._client(module, words, timeout_s)
+        done = self._client(module, *words)
         if done.returncode != 0:
             command = " ".join((module, *words))
             raise Px4Error(f"PX4: {command!r} failed with status {done.returncode}: {done.stdout.strip()}")
         return done.stdout
 
-    def _client(
-        self, module: str, words: tuple[str, ...], timeout_s: float
-    ) -> subprocess.CompletedProcess[str]:
+    def _client(self, module: str, *words: str) -> subprocess.CompletedProcess[str]:
         self._check_alive()
         try:
             return subprocess.run(
                 [self._bin / f"px4-{module}", "--instance", str(self.instance), *words],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                text=True, errors="replace", timeout=timeout_s, check=False,
+                text=True, errors="replace", timeout=CONSOLE_MAX_S, check=False,
             )  # fmt: skip
         except FileNotFoundError as error:
             raise Px4Error(f"this PX4 has no module {module!r}") from error
         except subprocess.TimeoutExpired as error:
-            command = " ".join((module, *words))
-            raise Px4Error(f"PX4 did not answer {command!r} in {timeout_s:g} s:\n{self.errors()}") from error
+            text = f"PX4 did not answer {' '.join((module, *words))!r} in {CONSOLE_MAX_S:g} s"
+            raise Px4Error(f"{text}:\n{self.errors()}") from error
 
     def _check_alive(self) -> None:
         if not self.alive():
