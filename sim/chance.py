@@ -8,10 +8,7 @@ import numpy as np
 
 
 def stream(seed: int, purpose: str) -> np.random.Generator:
-    """Return the random stream of one purpose; streams of different purposes are independent.
-
-    ``seed``: seed of the run, 0 or more; ``purpose``: name of the stream.
-    """
+    """Return the random stream of one purpose, independent of all others; ``seed``: seed of the run."""
     return np.random.default_rng(np.random.SeedSequence([seed, zlib.crc32(purpose.encode())]))
 
 

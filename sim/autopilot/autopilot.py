@@ -32,11 +32,7 @@ class Autopilot(Server[Flight]):
     def __init__(
         self, vehicle: VehicleSim, rate_hz: float, *, system_id: int = SYSTEM_ID, epoch_ns: int = 0
     ) -> None:
-        """Start the autopilot; a flying vehicle holds its position.
-
-        ``rate_hz``: rate of the loop, and of position and attitude messages; ``epoch_ns``: Unix time at
-        simulated time zero.
-        """
+        """Start the autopilot; a flying vehicle holds. ``epoch_ns``: Unix time at simulated time zero."""
         parameters = Parameters(px4_parameters(system_id))
         self.flight = Flight(vehicle, parameters, 1.0 / rate_hz)
         self._epoch_ns = epoch_ns

@@ -170,10 +170,7 @@ class Flight(Commander):
         return self.vehicle.armed and not self.standing
 
     def sensors_healthy(self, _now_s: float) -> int:
-        """Return the health bits of position and fence.
-
-        There is no fence, but without its bit MAVProxy reports a breach of the fence.
-        """
+        """Return the bits of position and fence: without the latter MAVProxy reports a breach of a fence."""
         return (POSITION_SOURCE if self.positioned else 0) | int(dialect.MAV_SYS_STATUS_GEOFENCE)
 
     def problems(self, _now_s: float) -> list[str]:

@@ -112,10 +112,7 @@ class Pilot:
         return p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"]
 
     def _engage(self, estimate: Estimate) -> None:
-        """Start the position loop of a vehicle in motion: hold the point where it stops.
-
-        The hold point is v / gain ahead, so the first set-point equals the velocity, which then decays.
-        """
+        """Start the position loop: hold the point where the vehicle stops, which is v / gain ahead."""
         (x, y, z), (vx, vy, _) = estimate.position_enu_m, estimate.velocity_enu_m_s
         gain_1_s = self._parameters["MPC_XY_P"]
         self._point_enu_m = (x + vx / gain_1_s, y + vy / gain_1_s, z)
@@ -125,10 +122,7 @@ class Pilot:
         self._engaged = True
 
     def _approach(self, estimate: Estimate, dt_s: float, *, lands: bool, learn: bool) -> None:
-        """Fly towards the hold point, or sink; without a position estimate, fly level.
-
-        ``learn``: false while the vehicle is on the ground, where the integral stays constant.
-        """
+        """Fly towards the hold point, or sink; level without an estimate; on the ground nothing is learnt."""
         p, (xy_m_s, up_m_s, down_m_s) = self._parameters, self._clip
         down_m_s = min(down_m_s, p["MPC_LAND_SPEED"])
         wanted = (0.0, 0.0, -down_m_s if lands else 0.0)

@@ -272,10 +272,7 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
 
 @contextmanager
 def appending(path: Path) -> Iterator[Callable[[Row], None]]:
-    """Open a file of rows, remove a truncated last line, and yield the function that appends a row.
-
-    After this function has returned, the row survives any crash.
-    """
+    """Open a file of rows without a truncated last line; yield a function whose rows survive any crash."""
     with path.open("a+b") as file:
         file.seek(0)
         whole = file.read().rfind(b"\n") + 1

@@ -108,9 +108,8 @@ class Flown:
 
 
 def _known_rows(wanted: Plan, now: dict[str, Any], folder: Path) -> list[Row]:
-    """Return the rows that a folder already has.
+    """Return the rows of a folder; ``now``: data that all rows must share (``identity``).
 
-    ``now``: data that all rows must share (``identity``).
     Raises RowsError: rows of another campaign or of other seeds, or damaged ones.
     """
     path, about = folder / ROWS, folder / ABOUT

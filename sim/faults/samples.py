@@ -112,10 +112,7 @@ class SampleFaults(Component, Generic[S]):
             self._held = deque((min(due_ns, now_ns), sample) for due_ns, sample in self._held)
 
     def deliver(self, now_ns: int, samples: list[S]) -> list[S]:
-        """Return the samples that arrive now, in order; possibly none.
-
-        Without faults these are ``samples``.
-        """
+        """Return the samples that arrive now, in order; without faults these are ``samples``."""
         delays_s = (one.fault.amount for one in self.running if one.fault.kind is Kind.DELAYED)
         due_ns = now_ns + sum(round(delay_s * NS) for delay_s in delays_s)
         for sample in samples:

@@ -62,10 +62,7 @@ class Component:
 
 
 class ScheduledFaults:
-    """Starts and ends the faults of some components; times are simulated, integer ns.
-
-    ``components``: faults of other components are ignored.
-    """
+    """Starts and ends the faults of ``components``, ignores others; times are simulated, integer ns."""
 
     def __init__(self, faults: Iterable[Fault], seed: int, components: Mapping[What, Component]) -> None:
         self._seed, self._components = seed, components

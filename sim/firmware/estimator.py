@@ -44,9 +44,8 @@ INNOVATION_AGE_MAX_S = 0.5  # time without a sample after which the estimate is 
 def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float, float, float]:
     """Return stationary gains on (position, velocity, acceleration error) for one metre of innovation.
 
-    ``period_s``: time between position samples; ``accel_std``: the firmware's acceleration noise on this
-    axis, m/s^2 per 1 ms step; ``gravity``: m/s^2; it turns gyro noise into a random walk of the acceleration
-    error.
+    ``accel_std``: the firmware's acceleration noise on this axis, m/s^2 per step of 1 ms. Gyro noise becomes
+    a random walk of the acceleration error.
     """
     t = period_s
     velocity_walk = accel_std**2 * FIRMWARE_STEP_S  # variance rate of the velocity, (m/s)^2 per s
@@ -73,10 +72,7 @@ def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float
 def pose_gains(
     period_s: float, gravity: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return the stationary gains of a pose on (position, velocity, tilt): from its position, its attitude.
-
-    The first gains are for one metre of innovation, the second gains for one radian.
-    """
+    """Return the stationary gains of a pose on (position, velocity, tilt): for one metre, for one radian."""
     t, g = FIRMWARE_STEP_S, gravity
     f = np.array([[1.0, t, 0.5 * g * t * t], [0.0, 1.0, g * t], [0.0, 0.0, 1.0]])
     q = np.diag([(ACCEL_XY_M_S2 * t * t) ** 2, (ACCEL_XY_M_S2 * t) ** 2, (GYRO_RAD_S * t) ** 2])
@@ -232,11 +228,7 @@ def turn_estimate(s: SensedState, dx: float, dy: float, dz: float) -> None:
 
 
 class Estimator:
-    """State estimator of one vehicle; ``sensed`` is the result.
-
-    ``record``: record that stores the state; ``mocap_period_s``: time between motion-capture samples;
-    ``known_drag_1_s``: ``kalman.dragB_*`` for the firmware's form; None: default form.
-    """
+    """State estimator of one vehicle; ``sensed`` is the result. ``known_drag_1_s``: see the module."""
 
     def __init__(
         self, record: EstimatorRecord, mocap_period_s: float, gravity_m_s2: float,

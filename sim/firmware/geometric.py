@@ -128,10 +128,7 @@ def set_up_paper(p: PaperRecord, params: Params) -> None:
 
 
 def paper_trim(p: PaperRecord, force: Vec3, counts_per_n: float) -> Vec3:
-    """Return the set-point at which the loop, at rest, commands ``force`` (world, N).
-
-    ``counts_per_n``: thrust counts per newton; the loop uses the nominal value.
-    """
+    """Return the set-point at which the loop, at rest, commands ``force`` (world, N) of this vehicle."""
     scale = counts_per_n / p.counts_per_n
     fx, fy, fz = scale * force[0], scale * force[1], scale * force[2]
     return (fx / K_V_N_S_M, fy / K_V_N_S_M, (fz - p.weight) / K_V_N_S_M)

@@ -206,10 +206,7 @@ def set_up_cascade(c: CascadeRecord, params: Params) -> None:
 
 
 def cascade_trim(c: CascadeRecord, force: Vec3, counts_per_n: float, moments: Counts) -> None:
-    """Set the integrals for hover at yaw 0 with thrust ``force`` (world, N); the set-point of hover is zero.
-
-    ``counts_per_n``: thrust counts per newton; ``moments``: counts that balance unequal motors.
-    """
+    """Set the integrals for hover with ``force`` (world, N) at yaw 0; ``moments`` balance the motors."""
     c.mode = FREE
     thrust = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     c.vx.integral = math.atan2(force[0], force[2]) * DEG / c.vx.ki

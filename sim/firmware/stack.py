@@ -110,8 +110,7 @@ class Firmware:
     def start_flying(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
         """Start armed in hover at yaw 0 and time zero; return the velocity set-point of the hover.
 
-        ``force``: force of nominal motors, world frame, N; ``motors``: ratio of each thrust to the mean;
-        ``battery_v``: voltage under the load of hover.
+        ``force``: force of nominal motors, world frame, N; ``motors``: ratio of each thrust to the mean.
         """
         r, trim = self.record, ZERO
         thrust_n = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)

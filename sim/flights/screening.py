@@ -201,10 +201,7 @@ class Screened:
 
 
 def load(path: Path) -> Screened:
-    """Read a flight, check units and signs, and screen it.
-
-    Raises RecordingError: the file cannot be read, or a quantity contradicts the others.
-    """
+    """Read, check and screen a flight. Raises RecordingError: it is unreadable or contradicts itself."""
     recording = read_recording(path)
     check(recording)
     return screen(recording)
@@ -250,10 +247,7 @@ def _highest_m(r: Recording) -> float:
 
 
 def _checks(r: Recording, flying: Mask) -> Iterator[tuple[str, bool, Mask]]:
-    """Yield failures and gaps of the recording, each with its samples and whether it is damage.
-
-    Damage shows that the link or the estimator of the vehicle failed.
-    """
+    """Yield failures and gaps with their samples; damage: the vehicle's link or estimator failed."""
     steps = np.diff(r.time_s, prepend=r.time_s[0] - r.step_s)
     needed = [r.position_m, r.velocity_m_s, r.attitude, r.rates_rad_s, r.duty, r.battery_v[:, None]]
     with np.errstate(invalid="ignore"):

@@ -56,8 +56,7 @@ def vary(n: NoiseRecord) -> None:
 def set_up_noise(n: NoiseRecord, rms: Vec3, time_s: Vec3, seed: int, purpose: str, step_s: float) -> Tape:
     """Initialise the record of correlated noise; return its tape, which needs new numbers every 340 steps.
 
-    ``rms``: standard deviation of each axis, all zero for no noise; ``time_s``: correlation times;
-    ``purpose``: name of the random stream; ``step_s``: time between calls of ``vary``.
+    ``rms``: standard deviation of each axis, all zero for no noise; ``time_s``: correlation times.
     """
     tape = Tape(seed, purpose, n.tape)
     n.on = any(axis > 0.0 for axis in rms)
@@ -86,11 +85,7 @@ def blow(w: WindRecord) -> None:
 
 
 def set_up_wind(w: WindRecord, wind: Wind, shape: WindShape, seed: int, step_s: float) -> Tape:
-    """Initialise the record; return the tape of the gusts (``set_up_noise``).
-
-    ``wind``: mean, gust rms, direction towards which the mean blows (None: drawn from the seed); ``shape``:
-    correlation times, ratio of vertical to horizontal gust rms; ``step_s``: time between calls of ``blow``.
-    """
+    """Initialise the record; return the tape of the gusts (``set_up_noise``)."""
     drawn = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
     direction = drawn if wind.direction_rad is None else wind.direction_rad
     w.steady[:] = wind.mean_m_s * math.cos(direction), wind.mean_m_s * math.sin(direction), 0.0
@@ -132,11 +127,7 @@ class DownwashRecord(Record):
 
 @jitted
 def jet_speed(along_m: float, beside_m: float, hover_m_s: float, size_m: float) -> float:
-    """Return the air velocity in a jet, m/s.
-
-    ``along_m``: distance from the rotors along the jet; ``beside_m``: distance from the axis; ``hover_m_s``:
-    induced velocity U_H; ``size_m``: distance l between two opposite motors.
-    """
+    """Return the air velocity in a jet, m/s, from s, r, U_H and l (``size_m``) of the module's formula."""
     lengths = along_m / size_m
     if lengths <= 0.0:
         return 0.0
@@ -175,10 +166,7 @@ def set_jet(d: DownwashRecord, thrust_n: float, position: F64, axes: Nine, jet: 
 
 @jitted
 def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> None:
-    """Sum the air velocities at vehicle ``own`` from the jets of all other vehicles.
-
-    ``jets``: (N, JET); ``position``: (3,) its centre of mass, ENU, m; ``axes``: its body axes in the world.
-    """
+    """Sum the air velocities at vehicle ``own`` from the jets (N, JET) of all other vehicles."""
     d.on = False
     d.air[:] = 0.0
     d.along[:] = 0.0

@@ -57,10 +57,7 @@ class RotorRecord(Record):
 
 @jitted
 def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
-    """Advance the speeds towards ``command`` (rpm) by one step; compute force and torque on the body.
-
-    ``wx``, ``wy``: body roll and pitch rate, rad/s. The factors ``r.ground_factors`` must be current.
-    """
+    """Advance the speeds towards ``command`` (rpm); compute force and torque; ``wx``, ``wy``: body rates."""
     r1, r2, r3, r4 = r.rpm[0], r.rpm[1], r.rpm[2], r.rpm[3]
     c1, c2, c3, c4 = command[0], command[1], command[2], command[3]
     d1, d2, d3, d4 = c1 - r1, c2 - r2, c3 - r3, c4 - r4
@@ -92,11 +89,7 @@ def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
 
 
 def set_up_rotors(r: RotorRecord, rotor: Rotor, plant: Plant, slow: bool, step_s: float) -> None:
-    """Initialise the record of resting rotors.
-
-    ``plant``: ratios of thrust (and torque) and lag; ``slow``: use the slow, asymmetric lag instead of the
-    first-order lag; ``step_s``: time between calls of ``turn_rotors``.
-    """
+    """Initialise the record of resting rotors; ``slow``: with the slow, asymmetric lag."""
     r.p1 = rotor.thrust_linear_n_rpm * plant.thrust
     r.p2 = rotor.thrust_square_n_rpm2 * plant.thrust
     r.q1 = rotor.torque_linear_n_m_rpm * plant.thrust
@@ -201,8 +194,7 @@ def ground_effect(
 ) -> None:
     """Compute the ground effect's factors on the four thrusts; a factor is 1 without a surface nearby.
 
-    ``ex``, ``ey``, ``ez``: vehicle minus pad centre, ENU, m; ``pad_height_m``: height of the pad above the
-    floor; ``axes``: body axes in the world.
+    ``ex``, ``ey``, ``ez``: vehicle minus pad centre, ENU, m; ``pad_height_m``: its height above the floor.
     """
     factors[:] = 1.0
     height = ez + pad_height_m

@@ -42,10 +42,7 @@ def normals(rng: np.random.Generator) -> F64:
 
 
 class NoiseRows:
-    """Noise for samples of several values; each value with noise uses one standard normal number.
-
-    ``sigmas``: standard deviation of each value; ``purpose``: name of the random stream.
-    """
+    """Noise for samples of several values; each value with a sigma uses one standard normal number."""
 
     def __init__(self, sigmas: Sequence[float], seed: int, purpose: str) -> None:
         self._sigmas = np.array(sigmas, dtype=np.float64)
@@ -199,10 +196,7 @@ class ImuRecord(Record):
 
 @jitted
 def measure(imu: ImuRecord, velocity: F64, rates: F64, axes: Nine) -> None:
-    """Measure the mean acceleration since the last call and the current rates; uses six random numbers.
-
-    ``velocity``: true velocity, world, m/s; ``rates``: true body rates, rad/s; ``axes``: true body axes.
-    """
+    """Measure mean acceleration and rates with six random numbers, from world velocity and body rates."""
     old, per_step = imu.velocity, imu.per_step
     ax, ay = (velocity[0] - old[0]) * per_step, (velocity[1] - old[1]) * per_step
     az = (velocity[2] - old[2]) * per_step + imu.gravity

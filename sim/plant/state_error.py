@@ -127,10 +127,7 @@ _NOISY = (*range(POSITION, POSITION + 3), AHEAD, ASIDE, VELOCITY + 2, *range(TUR
 
 
 class ErrorRows:
-    """Errors from the statistical model with the parameters of ``StateError``.
-
-    ``purpose``: name of the random stream; all purposes share the delay; ``rate_hz``: rate of the samples.
-    """
+    """Errors from the statistical model of ``StateError``; streams of all purposes share the delay."""
 
     def __init__(self, spec: StateError, seed: int, purpose: str, rate_hz: float) -> None:
         self._spec = spec

@@ -154,10 +154,7 @@ def _within(flu: F64, limit: float) -> Vec3:
 
 
 class Px4Sensors:
-    """All sensors of one vehicle, which starts at rest; call ``read`` every ``STEP_MS``.
-
-    ``mocap``: link of the motion capture that replaces satellites; None: satellites.
-    """
+    """All sensors of one vehicle at rest, read every ``STEP_MS``; ``mocap`` replaces the satellites."""
 
     def __init__(self, params: Params, body: Body, seed: int, mocap: OdometryLink | None = None) -> None:
         raw = replace(params.imu, gyro_filter_hz=math.inf, accel_filter_hz=math.inf)
@@ -171,10 +168,7 @@ class Px4Sensors:
         self._count = 0
 
     def read(self, body: Body, now_us: int) -> list[Message]:
-        """Return the readings that are due now; HIL_SENSOR is the last, because it advances PX4's clock.
-
-        ``now_us``: PX4's clock.
-        """
+        """Return the readings that are due; HIL_SENSOR is the last, because it advances PX4's clock."""
         count, messages = self._count, []
         self._count += 1
         if self._poses is not None:
@@ -237,10 +231,7 @@ class Px4Mocap:
         self._covariance = tuple(diagonal[i] if i == j else 0.0 for i in range(6) for j in range(6))
 
     def poll(self, body: Body, now_ns: int, now_us: int) -> list[Message]:
-        """Measure when a sample is due; return ODOMETRY messages for the samples that have arrived.
-
-        ``now_ns``: simulated time; ``now_us``: PX4's clock.
-        """
+        """Measure when a sample is due; return the samples that arrive. ``now_us``: PX4's clock."""
         values = np.array([(*body.position_enu_m, 0.0, *body.quaternion)])
         _, rows = self._channel.run([now_ns], values.__getitem__)
         return [self._odometry(row[1:], now_us) for row in rows.tolist()]

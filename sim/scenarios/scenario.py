@@ -321,10 +321,7 @@ def _built(path: Path, table: dict[str, Any]) -> Scenario:
 
 
 def _configured(path: Path, shared: dict[str, Any], own: dict[str, Any], number: int) -> dict[str, Any]:
-    """Return the shared tables for a member; its ``config`` replaces the shared onboard configuration.
-
-    The shared values of [fleet], the tick rate and the start of landings remain.
-    """
+    """Return a member's tables: ``config`` replaces [onboard] except fleet, rate and start of landings."""
     if "config" not in own:
         return shared
     onboard = shared.get("onboard", {})

@@ -92,10 +92,7 @@ def _commanded(r: Recording) -> slice | None:
 def _simulate(
     r: Recording, span: slice, params: Params, plant: Plant, seed: int
 ) -> tuple[Floats, Floats] | None:
-    """Fly the set-points; return positions (n, 3) and duty cycles (n, 4), NaN outside ``span``.
-
-    None: the firmware rejects arming.
-    """
+    """Fly the set-points; return positions, duties (n, 4), NaN outside ``span``; None: arming is rejected."""
     start, stop = span.start, span.stop
     assert r.setpoint_position_m is not None
     x, y, ground = r.position_m[start].tolist()

@@ -149,11 +149,10 @@ def _follow(
 
 @jitted
 def _observe(acceleration: F64, rates: F64, fade: float, fast: F64, slow: F64) -> None:
-    """Estimate the missing angular acceleration at each sample: ``fast`` and ``slow`` part (n, 3).
+    """Estimate the missing angular acceleration at each sample from earlier ones: ``fast``, ``slow`` (n, 3).
 
-    Only earlier samples are used. ``acceleration``: (n, 3) angular acceleration of the plant at the recorded
-    rates, until the next sample, rad/s^2; ``rates``: (n, 3) gyro rates; ``fade``: fraction of the fast part
-    that remains after a sample.
+    ``acceleration``: of the plant at the recorded rates until the next sample, (n, 3), rad/s^2; ``fade``:
+    fraction of the fast part that remains after a sample.
     """
     for axis in range(3):
         rate, fades, stays = rates[0, axis], 0.0, 0.0

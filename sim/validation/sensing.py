@@ -93,7 +93,6 @@ def compare(flight: Screened, seed: int, error: StateError | None = None) -> Sen
 
     The model's only input is the true path of the flight: delay and size of the errors are drawn for each of
     ``DRAWS`` estimates. Single flights therefore differ; over many flights both agree if the model is right.
-    ``error``: parameters; None: the defaults.
     """
     r = flight.recording
     estimates = (r.estimate_position_m, r.estimate_velocity_m_s)

@@ -75,8 +75,7 @@ def note_contact(
 ) -> None:
     """Update contact times; store the state before the first judged touch of the pad.
 
-    The arguments are valid at the start of the step: ``now_ms``; ``before_e``: vehicle minus pad centre, m;
-    ``before_velocity``: velocity of the vehicle, m/s.
+    ``before_e`` (vehicle minus pad centre, m) and ``before_velocity`` are those at the start of the step.
     """
     deck, bits = world.deck, world.contacts
     c.bits |= bits
@@ -171,11 +170,9 @@ class Team:
         self.inside, self.overlap_ms = np.zeros(number, dtype=np.int64), np.full(number, -1, dtype=np.int64)
 
     def follow(self, before: F64, after: F64, flew: I64, steps: int) -> bool:
-        """Update all pairs from one tick (exclusive) to the next.
+        """Update all pairs over ``steps`` ms; return whether any was inside an ellipsoid or overlapped.
 
-        ``before``, ``after``: (N, 6) positions (m) and velocities (m/s), ENU, at both ticks; ``flew``: (N,)
-        whether the vehicle flew at both ticks; ``steps``: time between the ticks, ms.
-        Returns whether any pair was inside an ellipsoid or overlapped.
+        ``before``, ``after``: (N, 6) positions (m) and velocities (m/s), ENU; ``flew``: (N,) at both ticks.
         """
         found = (self.least, self.inside, self.overlap_ms)
         return bool(_follow(before, after, flew, steps, self._shapes, *found))

@@ -87,10 +87,7 @@ def correct_estimate(m: MocapRecord, estimator: EstimatorRecord, body: BodyRecor
 
 
 class MocapTape:
-    """Fills the rows with random numbers; while a fault diverts samples, ``take`` returns them.
-
-    ``error``: errors of recorded flights; they replace noise and delay of the link.
-    """
+    """Fills the rows with random numbers; ``error`` of recorded flights replaces noise and delay."""
 
     def __init__(
         self, link: OdometryLink, seed: int, record: MocapRecord, body: BodyRecord,

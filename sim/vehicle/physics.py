@@ -161,10 +161,7 @@ def move(v: VehicleRecord, now_ms: int) -> None:
 
 @jitted
 def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
-    """Run steps of 1 ms until ``end_ms``, or earlier until the next start or end of a fault.
-
-    Enough random numbers must have been drawn (``VehicleSim.advance`` draws them).
-    """
+    """Run steps of 1 ms until ``end_ms``; the random numbers must have been drawn (``advance``)."""
     v = vehicle[0]
     for now_ms in range(begin_ms, end_ms):
         receive(v.firmware.inbox, v.firmware.setpoint, now_ms)
@@ -230,10 +227,7 @@ def write_truth(vehicle: Cell[VehicleRecord], now_ms: int, row: F64) -> None:
 
 
 class Physics(ABC):
-    """Body and surroundings of one vehicle, and their simulated time.
-
-    ``params``: replaces the vehicle file's parameters; ``plant``: replaces the plant drawn from the seed.
-    """
+    """Body and surroundings of one vehicle; ``plant`` replaces the one that is drawn from the seed."""
 
     def __init__(
         self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None

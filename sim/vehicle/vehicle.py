@@ -131,10 +131,7 @@ class VehicleSim(Physics):
         return min(super()._supply(), drawn_until_ms)
 
     def _fail(self) -> int:
-        """Start and end faults, and apply the faults of vehicle state and motion capture.
-
-        Returns the time of the next call, ms.
-        """
+        """Apply the faults that are due; return the time of the next call, ms."""
         faults, mocap, now_ms = self.faults, self._mocap, self._ms
         now_ns = now_ms * NS_PER_MS
         if now_ms % PERIOD_MS == 0 and faults.waits_for(After.TAKEOFF) and self.airborne:
