@@ -134,16 +134,15 @@ def validate(options: ValidateOptions) -> None:
     Exit status: 0 all criteria are met, 1 a criterion is missed or no flight is usable, 2 wrong input.
     """
     from flightstack.onboard.recording import new_folder
-    from sim.flights.recording import RecordingError, find_recordings
+    from sim.flights.recording import SUFFIXES
     from sim.validation import run as core
     from sim.validation.criteria import judge, reasons, summary
 
     console = Terminal(stderr=options.as_json)
-    try:
-        paths = find_recordings(options.folder)
-    except RecordingError as error:
-        console.print(str(error), soft_wrap=True)
-        paths = []
+    paths = sorted(path for path in options.folder.iterdir() if path.suffix in SUFFIXES)
+    if not paths:
+        text = f"{options.folder}: found no flights; files with {' or '.join(SUFFIXES)} are read"
+        console.print(text, soft_wrap=True)
     with Bar(console, f"flights of {options.folder}", len(paths)) as bar:
         flights = core.run(
             options, paths, options.workers or os.cpu_count() or 1,

@@ -88,19 +88,6 @@ class Recording:
         return self.thrust_command is None or bool(np.any(self.thrust_command > 0.0))
 
 
-def find_recordings(folder: Path) -> list[Path]:
-    """Return the files of a folder that may be recordings, sorted by name.
-
-    Raises RecordingError: the folder does not exist or has no such file.
-    """
-    if not folder.is_dir():
-        raise RecordingError(f"{folder}: found no such folder")
-    found = sorted(path for path in folder.iterdir() if path.suffix in SUFFIXES)
-    if not found:
-        raise RecordingError(f"{folder}: found no flights; files with {' or '.join(SUFFIXES)} are read")
-    return found
-
-
 def read_recording(path: Path) -> Recording:
     """Read the file of one recorded flight and convert its columns to SI units.
 
