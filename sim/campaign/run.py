@@ -145,7 +145,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
     """
     began_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
-    with alone(folder), of_file(folder):
+    with alone(folder):
         about = identity(wanted)
         rows = _known_rows(wanted, about, folder)
         (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n")
@@ -209,19 +209,11 @@ def _filter(name: str) -> dict[str, str]:
 
 
 @contextmanager
-def of_file(path: Path) -> Iterator[None]:
-    """Add the name of the file to an error of the system, such as a full disk."""
-    try:
-        yield
-    except OSError as error:
-        if error.filename is None and error.errno is not None:
-            error.filename = str(path)
-        raise
-
-
-@contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Lock a folder against other campaigns. Raises RowsError: another campaign holds the lock."""
+    """Lock a folder against other campaigns, and name it in an error of the system, such as a full disk.
+
+    Raises RowsError: another campaign holds the lock.
+    """
     with (folder / LOCK).open("w") as lock:
         try:
             fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # worker processes do not inherit this lock
@@ -229,7 +221,12 @@ def alone(folder: Path) -> Iterator[None]:
             raise RowsError(
                 f"{folder}: another campaign runs there; wait for it, or give another --out"
             ) from None
-        yield
+        try:
+            yield
+        except OSError as error:
+            if error.filename is None and error.errno is not None:
+                error.filename = str(folder)
+            raise
 
 
 _BINS = 60
@@ -256,12 +253,8 @@ _HISTOGRAMS = (
 
 
 def write_page(path: Path, wanted: Plan, flown: Flown) -> None:
-    """Write the page; ``flown`` has a summary. Raises as ``logs.report.page.write``."""
+    """Write the page; ``flown`` has a summary. Raises ReportError: the plotting library is not installed."""
     need_libraries()
-    write(path, campaign_page(wanted, flown))
-
-
-def campaign_page(wanted: Plan, flown: Flown) -> Page:
     summary = flown.summary or {}
     bad = summary["crashes"] or summary["violations"] or summary["undeclared_misses"] or flown.missing
     style = "bad" if bad else "good" if summary["landed"] == summary["runs"] else "fair"
@@ -271,7 +264,7 @@ def campaign_page(wanted: Plan, flown: Flown) -> Page:
     worst = [(str(w["seed"]), w["why"], w["command"]) for w in summary["worst"]]
     first = ("barrier violated, or not known", "lowest h outside the pad", "touchdown error, 95 %",
              "time to land, median")  # fmt: skip
-    return Page(
+    page = Page(
         f"{wanted.scenario.name}, filter {wanted.filter_name}",
         (f"{summary['landed']} of {summary['runs']} landed", style),
         f"{wanted.scenario.description} · {seeds}{lacking}",
@@ -285,6 +278,7 @@ def campaign_page(wanted: Plan, flown: Flown) -> Page:
         ],
         apart(summary),
     )  # fmt: skip
+    write(path, page)
 
 
 def _histogram(rows: Sequence[Row], key: str, title: str, axis: str, scale: float, column: str) -> Panel:
