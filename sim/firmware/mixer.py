@@ -13,8 +13,7 @@ from collections.abc import Sequence
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import Motors, Record
-from sim.plant.params import Battery, Params, Rotor
-from sim.plant.rotors import Four
+from sim.plant.params import Battery, Four, Params, Rotor
 
 COUNTS_MAX = 65535.0
 VOLTS_FIRST = 3.0  # initial value of Newton's method, V

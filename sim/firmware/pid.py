@@ -59,12 +59,6 @@ def pid_output(p: PidRecord, error: float, measured: float) -> float:
     return max(-p.limit, min(p.limit, out))
 
 
-@jitted
-def pid_forget(p: PidRecord) -> None:
-    """Reset integral and previous measurement."""
-    p.integral, p.previous = 0.0, math.nan
-
-
 def pid_record(
     kp: float, ki: float, kd: float, i_limit: float, dt: float, limit: float = math.inf
 ) -> PidRecord:
@@ -105,7 +99,7 @@ def cascade_reset(c: CascadeRecord) -> None:
     for pid in (
         c.x, c.y, c.z, c.vx, c.vy, c.vz, c.roll, c.pitch, c.yaw, c.roll_rate, c.pitch_rate, c.yaw_rate,
     ):  # fmt: skip
-        pid_forget(pid)
+        pid.integral, pid.previous = 0.0, math.nan
     c.roll_rate.previous = c.pitch_rate.previous = c.yaw_rate.previous = 0.0  # attitudeControllerResetAllPID
     c.calls = 0
     c.late[:] = 0.0

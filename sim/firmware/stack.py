@@ -14,8 +14,7 @@ from sim.firmware.mixer import OFF, MapRecord, counts_per_n, moments_of, motor_s
 from sim.firmware.pid import CascadeRecord, cascade_reset, cascade_trim, cascade_update, set_up_cascade
 from sim.firmware.setpoint import STOP, Inbox, InboxRecord, Setpoint, SetpointRecord, set_point
 from sim.firmware.supervisor import STATES, State, SupervisorRecord, flies, supervise
-from sim.plant.params import Params
-from sim.plant.rotors import Four
+from sim.plant.params import Four, Params
 from sim.scenarios.tables import VehicleSpec, VelocityLoop
 
 BATTERY_MIN_V = 3.2  # lowest voltage for arming (platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE)

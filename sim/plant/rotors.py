@@ -23,8 +23,6 @@ from flightstack.compiled.records import F64, Motors, Record
 from sim.plant.params import Battery, Plant, Rotor
 from sim.plant.states import Nine
 
-Four = tuple[float, float, float, float]
-
 RAD_S_PER_RPM = 2.0 * math.pi / 60.0
 POSITION_X = (1, -1, -1, 1)  # signs of the rotors' x, M1..M4
 POSITION_Y = (-1, -1, 1, 1)  # signs of the rotors' y, M1..M4

@@ -21,8 +21,8 @@ import math
 from collections.abc import Sequence
 
 from sim.firmware.mixer import OFF
-from sim.plant.params import Params, Rotor
-from sim.plant.rotors import MIX_YAW, POSITION_X, POSITION_Y, Four
+from sim.plant.params import Four, Params, Rotor
+from sim.plant.rotors import MIX_YAW, POSITION_X, POSITION_Y
 from sim.scenarios.tables import OdometryLink
 
 PX4_OF_M = (0, 3, 1, 2)  # index of the PX4 output that drives M1..M4
