@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import Motors, Record
+from flightstack.compiled.records import F64, Motors, Record
 from sim.plant.params import Battery, Four, Params, Rotor
 
 COUNTS_MAX = 65535.0
@@ -80,27 +80,22 @@ def motor_volts(m: MapRecord, counts: float) -> float:
 
 
 @jitted
-def motor_speeds(m: MapRecord, thrust: float, moments: tuple[int, int, int], rpm_max: float) -> Four:
-    """Return the commanded speeds of M1..M4, rpm; ``rpm_max``: speed at full duty cycle."""
-    if m.in_volts:
-        m1, m2, m3, m4 = spread(thrust, moments)
-        each = (motor_volts(m, m1), motor_volts(m, m2), motor_volts(m, m3), motor_volts(m, m4))
-        battery_v = (rpm_max - m.at_zero_rpm) / m.per_volt_rpm
-        v1, v2, v3, v4 = cap(each, battery_v)
-        per_v = (rpm_max - m.no_duty_rpm) / battery_v
-        return (
-            m.no_duty_rpm + per_v * v1 if v1 > 0.0 else 0.0,
-            m.no_duty_rpm + per_v * v2 if v2 > 0.0 else 0.0,
-            m.no_duty_rpm + per_v * v3 if v3 > 0.0 else 0.0,
-            m.no_duty_rpm + per_v * v4 if v4 > 0.0 else 0.0,
-        )
-    c1, c2, c3, c4 = cap(spread(thrust, moments), COUNTS_MAX)
-    return (
-        motor_speed(m, c1, rpm_max),
-        motor_speed(m, c2, rpm_max),
-        motor_speed(m, c3, rpm_max),
-        motor_speed(m, c4, rpm_max),
-    )
+def motor_speeds(
+    m: MapRecord, thrust: float, moments: tuple[int, int, int], rpm_max: float, commands: F64
+) -> None:
+    """Compute the commanded speeds of M1..M4, rpm; ``rpm_max``: speed at full duty cycle."""
+    wanted = spread(thrust, moments)
+    if not m.in_volts:
+        counts = cap(wanted, COUNTS_MAX)
+        for i in range(4):
+            commands[i] = motor_speed(m, counts[i], rpm_max)
+        return
+    battery_v = (rpm_max - m.at_zero_rpm) / m.per_volt_rpm
+    per_v = (rpm_max - m.no_duty_rpm) / battery_v
+    w1, w2, w3, w4 = wanted
+    volts = cap((motor_volts(m, w1), motor_volts(m, w2), motor_volts(m, w3), motor_volts(m, w4)), battery_v)
+    for i in range(4):
+        commands[i] = m.no_duty_rpm + per_v * volts[i] if volts[i] > 0.0 else 0.0
 
 
 def set_up_map(m: MapRecord, rotor: Rotor, battery: Battery) -> MapRecord:

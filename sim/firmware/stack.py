@@ -74,8 +74,7 @@ def control(f: FirmwareRecord, rpm_max: float) -> None:
         thrust, moments = paper_update(f.paper, f.estimator.sensed, f.setpoint, f.supervisor.level)
     else:
         thrust, moments = cascade_update(f.pid, f.estimator.sensed, f.setpoint, f.supervisor.level)
-    m1, m2, m3, m4 = motor_speeds(f.thrust_map, thrust, moments, rpm_max)
-    f.commands[0], f.commands[1], f.commands[2], f.commands[3] = m1, m2, m3, m4
+    motor_speeds(f.thrust_map, thrust, moments, rpm_max, f.commands)
 
 
 class Firmware:
