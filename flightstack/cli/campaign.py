@@ -155,7 +155,7 @@ def validate(options: ValidateOptions) -> None:
             console.print(f"{flight.name}: {what}: {'; '.join(reasons(flight))}", soft_wrap=True)
     folder = options.out or new_folder("validate")
     folder.mkdir(parents=True, exist_ok=True)
-    written = msgspec.json.encode(found)
+    written = msgspec.json.encode(found, enc_hook=float)  # numpy's numbers, too
     (folder / "validate.json").write_bytes(msgspec.json.format(written, indent=1) + b"\n")
     if options.as_json:
         click.echo(written)
