@@ -20,7 +20,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from bridge.zenoh import zenoh_link
-from flightstack.common.text import labels, one_line
+from flightstack.common.text import one_line
 from flightstack.core.types import FilterStatus, Landed, Mode, Phase
 from logs.schema.rows import ControllerStepRow, HealthRow, LoopTimingRow
 
@@ -218,8 +218,7 @@ class LiveView:
 def draw(watches: Mapping[str, Watch], title: str, whom: str = "") -> Panel:
     """Return a table with a column of newest values for each vehicle, below warnings about old data."""
     old = {namespace: watch for namespace, watch in watches.items() if watch.news is not News.FRESH}
-    names = dict(zip(watches, labels(list(watches)), strict=True))
-    lines = [Text.assemble(f"{names[each]} ".lstrip(), _no_news(watch, whom)) for each, watch in old.items()]
+    lines = [Text.assemble(f"{namespace} ", _no_news(watch, whom)) for namespace, watch in old.items()]
     columns = [_column(watch) for watch in watches.values()]
     table = Table("", *(Column(Text(namespace)) for namespace in watches), box=None, padding=(0, 2))
     for name in dict.fromkeys(name for column in columns for name in column):

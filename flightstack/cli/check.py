@@ -16,7 +16,6 @@ from rich.text import Text
 from flightstack.common.options import Option, arguments
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml, to_table
 from flightstack.common.terminal import Terminal
-from flightstack.common.text import labels
 from flightstack.config import load, names, path_of
 from flightstack.config import options as shared
 from flightstack.core.parameters.flight import FlightConfig
@@ -106,17 +105,17 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
         TargetModel(each.target, 0).run(round(each.duration_max_s / STEP_S), STEP_S, True)
     if name is not None:
         scenario = scenario.with_filter(name)
-    shown, parts = labels(list(scenario.namespaces().values())), []
+    shown, parts = list(scenario.namespaces().values()), []
     for config, numbers in _alike([each.onboard for each in scenario.members]):
         found = [*checks(config), *_worst(check for n in numbers for check in declared(scenario.members[n]))]
         parts.append(_part(config, found, [shown[n] for n in numbers]))
     if found := crowd(scenario):
         parts.append(_part(scenario.onboard, found, shown, " together"))
-    return parts
+    return parts if len(parts) > 1 else [parts[0]._replace(of="")]
 
 
 def _part(config: FlightConfig, found: list[Check], members: list[str], more: str = "") -> Part:
-    of = f" ({', '.join(members)}{more})" if any(members) else ""
+    of = f" ({', '.join(members)}{more})"
     return Part(config.filter, found, tuple(members), of, () if more else ignored(config))
 
 
@@ -168,7 +167,7 @@ def _as_json(name: str, parts: Sequence[Part]) -> dict[str, object]:
     }
     rows: list[dict[str, object]] = [
         {
-            **({"members": part.members} if any(part.members) else {}),
+            **({"members": part.members} if part.members else {}),
             "checks": [_row(result) for result in part.checks],
         }
         for part in parts

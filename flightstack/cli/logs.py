@@ -16,7 +16,7 @@ import click
 
 from flightstack.common.options import Option, arguments, takes
 from flightstack.common.strict_toml import ConfigError
-from flightstack.common.text import labels, named, outline, plain
+from flightstack.common.text import plain
 from flightstack.config import options as shared
 from flightstack.core.parameters.filters import FILTERS
 
@@ -311,19 +311,17 @@ def replay(options: ReplayOptions) -> None:
     with suppress(LogError):  # an unreadable log is reported below
         members = LogFile(options.log, options.member).members
     found, refused = {}, []
-    for member, label in zip(members, labels(members), strict=True):
+    for member in members:
         found[member], lines = _one(options, member or None)
         if reason := found[member].get("reason"):
-            refused.append(named(label, reason))
+            refused.append(": ".join(filter(None, (member, reason))))
         elif not options.as_json:
-            click.echo(plain("\n".join(named(label, line) for line in lines)))
+            click.echo(plain("\n".join(f"{member}: {line}" for line in lines)))
     results = [values["result"] for values in found.values()]
     worst = next(word for word in _STATUS if word in results)
     if options.as_json:
-        whole = {"result": worst, "path": str(options.log), "set": list(options.settings)}
-        click.echo(json.dumps(outline(whole, "members", found)))
-    elif len(members) > 1:
-        click.echo(f"{worst}: {len(members)} members")
+        first = next(values for values in found.values() if values["result"] == worst)
+        click.echo(json.dumps({**first, "members": found}))
     if refused:
         raise ReplayError("; ".join(refused))
     shown_only = options.settings and not options.check

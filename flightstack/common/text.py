@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 # C0 and C1 except tab and line feed, marks of writing direction, line separators, and surrogates (bytes of a
 # path that are not UTF-8)
@@ -15,25 +14,6 @@ _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202
 
 
 ROBOT_FAILED, FILTER_FAILED = "the robot's function", "the filter returned no velocity"
-
-
-def labels(names: Sequence[str]) -> list[str]:
-    """Return the names to print beside the members of a fleet; a single member is printed without a name."""
-    return list(names) if len(names) > 1 else [""] * len(names)
-
-
-def named(name: str, text: str, between: str = ": ") -> str:
-    """Return a text after the name of its vehicle; the only vehicle has no printed name."""
-    return f"{name}{between}{text}" if name else text
-
-
-def outline(shared: Mapping[str, object], key: str, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the JSON object of a fleet: shared values, and each member's values under the key ``key``.
-
-    For a single member, return the object of this member.
-    """
-    (only, *others) = entries.values()
-    return {**shared, key: entries} if others else only
 
 
 def pip_install(extras: str) -> str:

@@ -178,8 +178,6 @@ class VelocityCommand(Situation):
 
     def beside(self, nominal: NominalCommand, seen: Snapshot, now_s: float) -> NominalCommand:
         """Return the command with a side-step past neighbours, and store their constraints of this tick."""
-        if self.fleet.is_alone:
-            return nominal
         own, self.rows = seen.inputs.own, NO_ROWS
         if nominal.velocity is not None and own is not None and seen.own_ok:
             base, most_m_s = self.base(own.velocity_enu_m_s), self.config.limits.velocity_max_m_s

@@ -309,7 +309,7 @@ class Controller:
     def _message(self, seen: Snapshot, now_s: float) -> MemberStatus | None:
         """Return the message to the fleet after this tick; None without a recent vehicle state."""
         own = seen.inputs.own
-        if own is None or not seen.own_ok or self._fleet.is_alone:
+        if own is None or not seen.own_ok:
             return None
         base = self.velocity.base(own.velocity_enu_m_s)
         return self._fleet.message(self.memory, own, seen.inputs.status, base, seen.target, now_s)

@@ -12,9 +12,8 @@ from flightstack.config.options import OnboardOptions
 from flightstack.launch.launcher import Followed, Launcher
 from flightstack.launch.result import Flown
 from flightstack.launch.run_options import FlyOptions
-from flightstack.onboard.fleet_wire import namespace_of
 from flightstack.onboard.recording import Described, describe, log_in, new_folder
-from logs.schema import Names
+from logs.schema import Names, member_name
 
 
 def run(options: FlyOptions, console: Console) -> Flown:
@@ -23,7 +22,7 @@ def run(options: FlyOptions, console: Console) -> Flown:
     Raises ConfigError: wrong input; LaunchError: a process did not start.
     """
     config, name, live = load(options.config_file), options.config_file.stem, not options.as_json
-    namespace = options.namespace or namespace_of(config)
+    namespace = options.namespace or member_name(config.fleet.id)
     folder = options.out or new_folder(f"fly-{name}")
     log = None if options.no_record else log_in(folder)
     folder.mkdir(parents=True, exist_ok=True)

@@ -25,7 +25,7 @@ from flightstack.common.processes import (
     Port,
     socket_folder,
 )
-from flightstack.common.text import failed_code, named
+from flightstack.common.text import failed_code
 from flightstack.config.options import WatchOptions
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
@@ -46,7 +46,6 @@ class Followed:
     child: Child  # handle of the process
     namespace: str  # first part of the Zenoh keys of the process
     endpoints: Sequence[str]  # Zenoh endpoints of the process; the live view uses the first one
-    name: str = ""  # prefix of the printed lines; empty for a single process
     last_line: str = ""  # newest line that the process printed
     aborted: bool = False  # whether the process aborted or failed, so that the autopilot lands the vehicle
 
@@ -213,7 +212,7 @@ class Launcher:
         self._say(flight, child.lines(0.0))
         if child.process.returncode in (0, 1):
             if others_fly and child.process.returncode and not self._tells:
-                self._print(named(flight.name, flight.last_line, "  "))
+                self._print(f"{flight.namespace}  {flight.last_line}")
             return None
         problem = f"{child.name} ended in flight: {child.errors()}"
         flight.aborted = True
@@ -236,7 +235,7 @@ class Launcher:
             change = parse(line)
             flight.aborted = flight.aborted or (change is not None and change.after is Phase.ABORT)
             if self._tells:
-                self._print(named(flight.name, line, "  "))
+                self._print(f"{flight.namespace}  {line}")
 
     def _print(self, text: str, style: str | None = None) -> None:
         self.console.print(text, style=style, highlight=False, markup=False)

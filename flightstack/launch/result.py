@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,13 @@ from rich.console import Console, Group
 from rich.table import Column, Table
 from rich.text import Text
 
-from flightstack.common.text import MissingExtraError, failed_code, named, outline
+from flightstack.common.text import MissingExtraError, failed_code
 from flightstack.launch.launcher import Followed
 from logs.reader.flight import load_fleet
 from logs.reader.reader import EmptyLogError, LogError
 from logs.report.report import ReportError, write_report
-from logs.verdict.types import FALL_M_S, FALLS, SOURCES
-from logs.verdict.verdict import Verdict, judge_fleet, result
+from logs.verdict.types import FALL_M_S, FALLS, PROCESS, SOURCES, Outcome, Verdict
+from logs.verdict.verdict import fleet_verdict, judge_fleet, result
 
 _ABOUT = ("scenario", "seed", "config", "filter")
 # columns of the table of vehicles: heading, key, factor
@@ -48,46 +48,29 @@ def result_table(values: Mapping[str, Any], problem: str = "") -> Group:
 
     "-" is an unknown value; ``problem``: text to print after the reasons.
     """
-    vehicles = _vehicles(values)
+    vehicles = values["vehicles"]
     columns = (Column(name, justify="right") for name, _, _ in _COLUMNS)
     table = Table("", *columns, box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     for name, each in vehicles.items():
-        table.add_row(Text(name), *(_shown(each.get(key), factor) for _, key, factor in _COLUMNS))
-    run = [f"{name} {_shown(values[key])} {unit}".rstrip() for name, key, unit in _ROWS if key in values]
-    sources = dict.fromkeys(
-        SOURCES.get(each.get("judged_from") or "", "the onboard process's report")
-        for each in vehicles.values()
-    )
+        table.add_row(Text(name), *(_shown(each[key], factor) for _, key, factor in _COLUMNS))
+    rows = _ROWS if len(vehicles) > 1 else _ROWS[-1:]
+    run = [f"{name} {_shown(values[key])} {unit}".rstrip() for name, key, unit in rows]
+    sources = dict.fromkeys(SOURCES[each["judged_from"]] for each in vehicles.values())
     fell = any(
-        each["outcome"] == "landed" and (each.get("touchdown_speed_vertical_m_s") or 0.0) > FALL_M_S
+        each["outcome"] == "landed" and (each["touchdown_speed_vertical_m_s"] or 0.0) > FALL_M_S
         for each in vehicles.values()
     )
+    if outside := values.get("outside_envelope"):
+        outside = f"outside the proven envelope: {outside}"
     return Group(
         _title(values), table, *map(Text, run), Text(f"judged from {', '.join(sources)}"),
         Text(_reasons(values) + problem), *([Text(FALLS, style="dim")] if fell else []),
-        *_apart(vehicles.values()),
+        *(Text(each, style="yellow") for each in (outside, values.get("judged_apart")) if each),
     )  # fmt: skip
 
 
-def _vehicles(values: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
-    """Return the values of each vehicle by name; a result of one vehicle has neither names nor levels."""
-    found: Mapping[str, Mapping[str, Any]] = values.get("vehicles") or {"": values}
-    return found
-
-
 def _reasons(values: Mapping[str, Any]) -> str:
-    return "\n".join(named(name, each["reason"]) for name, each in _vehicles(values).items())
-
-
-def _apart(vehicles: Iterable[Mapping[str, Any]]) -> list[Text]:
-    """Return lines about flights outside the proven envelope, or judged by a barrier that was not flown."""
-    found = [
-        each[key] and f"{label}{each[key]}"
-        for key, label in (("outside_envelope", "outside the proven envelope: "), ("judged_apart", ""))
-        for each in vehicles
-        if key in each
-    ]
-    return [Text(line, style="yellow") for line in dict.fromkeys(filter(None, found))]
+    return "\n".join(f"{name}: {each['reason']}" for name, each in values["vehicles"].items())
 
 
 def _title(values: Mapping[str, Any]) -> Text:
@@ -98,10 +81,6 @@ def _title(values: Mapping[str, Any]) -> Text:
 def _shown(value: object, factor: float = 1.0) -> str:
     """Return a value of a result as text for a table."""
     return "-" if value is None else f"{value * factor:.3f}" if isinstance(value, float) else str(value)
-
-
-_VERDICT = tuple(field.name for field in fields(Verdict))
-_RUN = ("outcome", "violation", *(key for _, key, _ in _ROWS))
 
 
 @dataclass(frozen=True)
@@ -141,7 +120,7 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
 
     Without a log, the outcome is that of the onboard process, and there are no measured values.
     """
-    said = "; ".join(named(each.name, each.last_line) for each in flown.flights)
+    said = "; ".join(f"{each.namespace}: {each.last_line}" for each in flown.flights)
     try:
         log = load_fleet(flown.log) if flown.log is not None else None
     except LogError as error:  # the log is not usable
@@ -150,15 +129,12 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
             print(f"flightstack: no result: {flown.problem or said} {error}", file=sys.stderr)
         log = None
     if log is None:
-        about = {
-            "log": str(flown.log) if flown.log is not None and flown.log.exists() else None,
-            "report": None,
-        }
-        vehicles = {each.name: {**_of_process(each, flown.log), **about} for each in flown.flights}
-        return {
-            **flown.about,
-            **outline({**dict.fromkeys(_RUN), "reason": said, **about}, "vehicles", vehicles),
-        }
+        verdicts = {each.namespace: _of_process(each, flown.log) for each in flown.flights}
+        values = fleet_verdict(verdicts).to_json_dict()
+        vehicles = values.pop("members")
+        path = str(flown.log) if flown.log is not None and flown.log.exists() else None
+        more = {"realtime_factor": None, "log": path, "report": None, "vehicles": vehicles}
+        return {**flown.about, **values, **more}
     verdict, pages = judge_fleet(log), None
     if with_report:
         try:
@@ -171,11 +147,8 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
     return result(log, verdict, pages, flown.about, factor)
 
 
-def _of_process(flight: Followed, log: Path | None) -> dict[str, Any]:
-    """Return the values of a vehicle without a usable log: those that its onboard process reported."""
+def _of_process(flight: Followed, log: Path | None) -> Verdict:
+    """Return the verdict on a flight without a usable log: the result that its onboard process reported."""
     landed = log is None and flight.child.process.returncode == 0
-    return {
-        **dict.fromkeys((*_VERDICT, "realtime_factor")),
-        "outcome": "landed" if landed else None,
-        "reason": flight.last_line,
-    }
+    outcome = Outcome.LANDED if landed else Outcome.UNKNOWN
+    return Verdict(outcome=outcome, reason=flight.last_line, judged_from=PROCESS)

@@ -9,7 +9,6 @@ from rich.console import Console
 
 from flightstack.common.options import shared
 from flightstack.common.strict_toml import ConfigError, dumps
-from flightstack.common.text import labels
 from flightstack.config import load as load_config
 from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.filters import short_name
@@ -100,7 +99,6 @@ class _Vehicle:
 
     number: int  # number in the scenario, from 1
     name: str  # namespace of the vehicle
-    label: str  # name in the vehicle's output lines and files
     scenario: Scenario
     seed: int
     endpoint: str  # Zenoh endpoint of the vehicle's onboard process
@@ -126,12 +124,11 @@ class _Run:
     def __init__(self, launcher: Launcher, options: RunOptions, scenario: Scenario) -> None:
         self._launcher, self._options, self._scenario = launcher, options, scenario
         names = scenario.namespaces()
-        shown = labels(list(names.values()))
         self._vehicles: list[_Vehicle] = []
         for number, (member, seed) in enumerate(scenario.singles(options.seed), 1):
             name, config = names[number], launcher.folder / f"onboard-{names[number]}.toml"
             config.write_text(dumps(member.onboard), encoding="utf-8")
-            vehicle = _Vehicle(number, name, shown[number - 1], member, seed, launcher.endpoint(), config)
+            vehicle = _Vehicle(number, name, member, seed, launcher.endpoint(), config)
             self._vehicles.append(vehicle)
         self._robots_at = launcher.endpoint()  # Zenoh endpoint of the robots
 
@@ -179,8 +176,8 @@ class _Run:
             duration_s=vehicle.scenario.duration_max_s, recorder=self._launcher.socket,
             unproven=True,  # a simulated vehicle may fly an unproven configuration
         )  # fmt: skip
-        child = self._launcher.start("onboard", onboard, of=vehicle.label)
-        return Followed(child, vehicle.name, (vehicle.endpoint, *options.listen), vehicle.label)
+        child = self._launcher.start("onboard", onboard, of=vehicle.name)
+        return Followed(child, vehicle.name, (vehicle.endpoint, *options.listen))
 
     def _describe(self) -> None:
         """Write scenario, configuration and options of the run to the log."""

@@ -17,7 +17,7 @@ So d lies between -echo_ns and ahead_ns. The estimate is the centre, and its bou
 of the sum of the minimum delays of both directions. The delays need not be known or equal. This is the method
 of Cristian (1989), with the minimum delay of each direction instead of one round trip.
 
-Clocks drift, so both minimum values grow with their age by ``DRIFT``.
+Clocks drift, so both minimum values grow with their age by ``DRIFT_PPM``.
 """
 
 from __future__ import annotations
@@ -31,10 +31,8 @@ from typing import NamedTuple
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.parameters.fleet import Fleet
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.sender_clock import Reading, SenderClock
 from flightstack.core.types import MemberStatus
-from logs.schema import member_name
 from logs.schema.controller_rows import Echo, received_status, status_row
 from logs.schema.rows import MemberStatusRow
 from logs.schema.schemas import MEMBER_STATUS
@@ -46,13 +44,8 @@ BYTES_MAX = 2048  # maximum size of an accepted message, bytes
 PROOF_S = 0.3  # time for which messages after a clock step must agree, s: longer than the latency
 ONE_WAY_S = 2.0  # duration of one-way reception after which it is reported, s
 NAMESAKE_S = 1.0  # listening time before the start, s: is there a process with the same vehicle id?
-# Largest drift between two clocks, s/s: Linux slews each by at most 500 ppm (adjtimex(2)).
-DRIFT = 1e-3
-
-
-def namespace_of(config: FlightConfig) -> str:
-    """Return the default namespace of a vehicle: each member of a fleet needs its own."""
-    return member_name(config.fleet.id)
+# largest drift between two clocks: Linux slews each by at most 500 ppm (adjtimex(2))
+DRIFT_PPM = 1000
 
 
 class Offset(NamedTuple):
@@ -62,23 +55,13 @@ class Offset(NamedTuple):
     bound_ns: int  # bound of the error of ``ns``
 
 
-class Least(NamedTuple):
-    """Minimum of received values; it grows with its age, because clocks drift."""
-
-    value_ns: int
-    at_ns: int  # time of ``value_ns`` on this process's clock
-
-    def grown_ns(self, now_ns: int) -> int:
-        """Return the minimum with its growth until now."""
-        return self.value_ns + round(DRIFT * max(0, now_ns - self.at_ns))
-
-
 class OtherClock:
     """Estimate of the clock of another process; call ``heard`` with each of its messages."""
 
     def __init__(self) -> None:
-        self._ahead: Least | None = None
-        self._echo: Least | None = None
+        # minima without their growth since zero of this process's clock; None: nothing was received
+        self._ahead_ns: int | None = None
+        self._echo_ns: int | None = None
 
     def heard(self, stamp_ns: int, arrival_ns: int, echo_ns: int | None) -> bool:
         """Add the times of a message; return whether they agree with the earlier ones.
@@ -88,27 +71,32 @@ class OtherClock:
         ``stamp_ns``: stamp on the other clock; ``arrival_ns``: arrival on this process's clock; ``echo_ns``:
         minimum that the other process reports; None: it has received nothing from this process.
         """
-        ahead_ns, before_ns = arrival_ns - stamp_ns, self.ahead_ns(arrival_ns)
-        self._ahead = Least(ahead_ns if before_ns is None else min(ahead_ns, before_ns), arrival_ns)
-        if echo_ns is not None:  # None: the other process has not yet reported a minimum
-            self._echo = Least(echo_ns, arrival_ns)
+        grown_ns = _growth_ns(arrival_ns)
+        ahead_ns = arrival_ns - stamp_ns - grown_ns
+        self._ahead_ns = ahead_ns if self._ahead_ns is None else min(ahead_ns, self._ahead_ns)
+        if echo_ns is not None:
+            self._echo_ns = echo_ns - grown_ns
         offset = self.offset(arrival_ns)
         if offset is None or offset.bound_ns >= 0:
             return True
-        self._ahead = self._echo = None
+        self._ahead_ns = self._echo_ns = None
         return False
 
     def ahead_ns(self, now_ns: int) -> int | None:
         """Return the value to send to the other process as its ``echo_ns``; None: nothing was received."""
-        return self._ahead.grown_ns(now_ns) if self._ahead is not None else None
+        return None if self._ahead_ns is None else self._ahead_ns + _growth_ns(now_ns)
 
     def offset(self, now_ns: int) -> Offset | None:
         """Return this clock minus the other clock; None until both directions are known."""
-        if self._ahead is None or self._echo is None:
+        if self._ahead_ns is None or self._echo_ns is None:
             return None
-        ahead_ns, echo_ns = self._ahead.grown_ns(now_ns), self._echo.grown_ns(now_ns)
-        width_ns = ahead_ns + echo_ns
-        return Offset((ahead_ns - echo_ns) // 2, (width_ns + 1) // 2)
+        width_ns = self._ahead_ns + self._echo_ns + 2 * _growth_ns(now_ns)
+        return Offset((self._ahead_ns - self._echo_ns) // 2, (width_ns + 1) // 2)
+
+
+def _growth_ns(now_ns: int) -> int:
+    """Return the growth of a minimum since zero of this process's clock."""
+    return now_ns * DRIFT_PPM // 1_000_000
 
 
 class _Counts:

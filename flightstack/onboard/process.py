@@ -35,7 +35,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import ignored
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard import preflight
-from flightstack.onboard.fleet_wire import FleetWire, namespace_of
+from flightstack.onboard.fleet_wire import FleetWire
 from flightstack.onboard.leaving import Leaving, Signals, fly
 from flightstack.onboard.lockstep import LockstepStatuses, LockstepWires
 from flightstack.onboard.log import OnboardLog
@@ -51,7 +51,7 @@ from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.zenoh_wires import ZenohWires
 from flightstack.verify.certificate import certificate_of, refuse
 from logs.recorder.feed import Feed
-from logs.schema import Names
+from logs.schema import Names, member_name
 from logs.schema.events import CAUSE, ONBOARD
 
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
@@ -69,7 +69,7 @@ class Onboard:
     ) -> None:
         """Open the links; start a recorder if the options name none, and end it with ``records``."""
         self.options, self.config, self.say = options, config, say
-        self.namespace = options.namespace or namespace_of(config)
+        self.namespace = options.namespace or member_name(config.fleet.id)
         self.names = Names(self.namespace, options.system_id)
         rate_hz = config.loop.rate_hz
         self.core = chosen_core(options.core, config, lockstep=options.lockstep)

@@ -16,7 +16,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields
 from itertools import combinations
-from typing import NamedTuple
 
 from flightstack.core.fleet.pair import barrier
 from flightstack.core.parameters.fleet import HOLD_LATENCIES, KEPT_PART, PART_OF_LAG, ZERO_LATENCIES, Fleet
@@ -34,39 +33,47 @@ LATE_TICKS = 1.0  # number of consecutive late ticks, in addition to the tick of
 
 def fleet_checks(config: FlightConfig) -> list[Check]:
     """Return every check of the table [fleet]; none for a fleet of one."""
-    fleet = config.fleet
+    fleet, loop, touch, spread = (
+        config.fleet, config.velocity_loop, config.touchdown, config.envelope.lag_spread,
+    )  # fmt: skip
     if not fleet.others:
         return []
-    robust = issubclass(strategy_class(config.filter), RobustFilter)
-    spread, loop = config.envelope.lag_spread, config.velocity_loop
-    # the set-point compensates the declared lag, but not the vehicle's deviation from it
-    lag_s = (spread if robust else 1.0 + spread) * max(loop.lag_xy_s, loop.lag_z_s)
-    if robust:
-        x = extremes(config)
+    if _is_robust(config):
+        x, own = extremes(config), config.robust
         shape, climb_m_s, descent_s = x.shape, x.target_climb_m_s, touchdown.descent_time_s(config, x)
+        near_m, gain_1_s, down_m_s = own.commit_radius_m, own.gain_1_s, own.descent_max_m_s
+        lags = spread  # the set-point compensates the declared lag, but not the vehicle's deviation from it
     else:
-        shape, climb_m_s = Shape(config.barrier, Span(0.0, 0.0), 1.0), 0.0
-        descent_s = config.touchdown.height_m / config.touchdown.descent_m_s + (1.0 + spread) * loop.lag_z_s
-    where = crowd(config, fleet, shape, climb_m_s)
-    slew_m_s2 = strategy_of(config).acceleration_max_m_s2
+        shape, climb_m_s, lags = Shape(config.barrier, Span(0.0, 0.0), 1.0), 0.0, 1.0 + spread
+        descent_s = touch.height_m / touch.descent_m_s + lags * loop.lag_z_s
+        near_m, gain_1_s = touch.pad_radius_m, min(config.position_loop.gain_1_s)
+        down_m_s = config.limits.velocity_max_m_s[2]
+    # duration of a landing without a go-around, from the end of the wait
+    over_s = math.log(max(1.0, fleet.wait_distance_m / near_m)) / gain_1_s
+    announced_s = fleet.age_max_s + 2.0 * fleet.latency_max_s
+    landing_s = over_s + fleet.wait_height_m / down_m_s + announced_s + descent_s + loop.lag_xy_s
     return [
-        *_separation(config, fleet, lag_s, slew_m_s2),
-        *common_points(config, fleet, where),
-        *_landings(config, fleet, descent_s),
+        *_separation(config, lags * max(loop.lag_xy_s, loop.lag_z_s)),
+        *_common_points(config, steepest(config, shape), climb_m_s),
+        *_landings(config, descent_s, landing_s),
     ]
 
 
-def errors_m(config: FlightConfig, fleet: Fleet) -> float:
+def _is_robust(config: FlightConfig) -> bool:
+    return issubclass(strategy_class(config.filter), RobustFilter)
+
+
+def errors_m(config: FlightConfig) -> float:
     """Return the largest loss of h through velocity errors of two vehicles towards each other, m.
 
     h' >= -rate h - e keeps h above -e / rate. ``robust.tracking_error_m_s`` is declared for the vertical
     velocity; this check applies it in each direction.
     """
-    longest = max(1.0, fleet.radius_xy_m / fleet.radius_z_m)
-    return 2.0 * longest * config.robust.tracking_error_m_s / fleet.rate_1_s
+    fleet = config.fleet
+    return 2.0 * max(1.0, fleet.flat) * config.robust.tracking_error_m_s / fleet.rate_1_s
 
 
-def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec3) -> list[Check]:
+def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
     """Return the checks that two vehicles remain apart by their constraints.
 
     If velocities follow the commands with a first-order lag T and both constraints are met, y = h has
@@ -75,19 +82,24 @@ def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec
 
     A receiver relies on a message in ticks until ZERO_LATENCIES after it, plus the period of that tick and of
     late ones; the sender keeps the whole share in all ticks until HOLD_LATENCIES.
+
+    For an active constraint g . (u - c) = -rate h, g . u has to grow by rate times the closing speed plus the
+    acceleration of the other vehicle; the curvature of h reduces this sum, and half of a share halves it. The
+    room below the slew limit is homogeneous in g and concave, so it is smallest along an axis.
     """
+    fleet, speeds_m_s = config.fleet, config.limits.velocity_max_m_s
+    slew_m_s2 = strategy_of(config).acceleration_max_m_s2
     left = 1.0 - fleet.rate_1_s * lag_s / PART_OF_LAG
     root_1_s = (1.0 + math.sqrt(max(0.0, left))) / (2.0 * lag_s) if lag_s > 0.0 else math.inf
-    lost_m, (vx, vy, vz) = errors_m(config, fleet), config.limits.velocity_max_m_s
+    lost_m, (vx, vy, vz) = errors_m(config), speeds_m_s
     spare_s = (HOLD_LATENCIES - ZERO_LATENCIES) * fleet.latency_max_s
     needed_s = (1.0 + LATE_TICKS) * (1.0 / config.loop.rate_hz)
     corner_m_s, found_m_s2 = math.hypot(vx, vy, vz), math.hypot(*slew_m_s2)
-    lost_m_s = max(0.0, found_m_s2 - fleet.acceleration_max_m_s2) * fleet.latency_max_s
     # largest rate at which this vehicle can reduce the distance, along any gradient
-    own_m_s = math.sqrt(vx * vx + vy * vy + (fleet.radius_xy_m / fleet.radius_z_m * vz) ** 2)
+    own_m_s = math.sqrt(vx * vx + vy * vy + (fleet.flat * vz) ** 2)
     allowed_m_s = fleet.rate_1_s * (fleet.reach_m - fleet.radius_xy_m)
     closing_m_s = own_m_s + fleet.speed_max_m_s
-    return [
+    found = [
         Check(
             "fleet.rate_1_s",
             "two vehicles that meet their rows do not enter the ellipsoid, for equal lags within the spread",
@@ -125,8 +137,7 @@ def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec
             "the commanded velocity changes at most as fast as the others assume",
             fleet.acceleration_max_m_s2 - found_m_s2, "m/s^2",
             f"found {fleet.acceleration_max_m_s2:g}; the slew limits of all axes together allow "
-            f"{found_m_s2:.3g}; in a latency of {fleet.latency_max_s:g} s a velocity may differ by "
-            f"{lost_m_s:.3g} m/s from the assumed one",
+            f"{found_m_s2:.3g}",
             "raise fleet.acceleration_max_m_s2, or lower robust.acceleration_max_m_s2", PROOF,
         ),
         Check(
@@ -136,57 +147,34 @@ def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec
             f"the row allows a closing speed of {allowed_m_s:.3g} m/s there; a corner of the box and "
             f"fleet.speed_max_m_s result in {closing_m_s:.3g}", "raise fleet.reach_m", PROOF,
         ),
-        _slew(config, fleet, slew_m_s2, "half", 0.5),
-        _slew(config, fleet, slew_m_s2, "whole", 1.0),
     ]  # fmt: skip
+    for who, part in (("half", 0.5), ("whole", 1.0)):
+        needed = [
+            part * (fleet.rate_1_s * (m + fleet.speed_max_m_s) + fleet.acceleration_max_m_s2)
+            for m in speeds_m_s
+        ]
+        room_m_s2, axis = min((slew_m_s2[i] - needed[i], i) for i in range(3))
+        found.append(Check(
+            f"slew, {who} share",
+            f"the velocity of a vehicle with the {who} share can change as fast as the row of a neighbour",
+            room_m_s2, "m/s^2",
+            f"along axis {axis} the row may require {needed[axis]:.3g} m/s^2 at full speed of both vehicles; "
+            f"allowed are {slew_m_s2[axis]:.3g}",
+            "lower fleet.rate_1_s or fleet.speed_max_m_s, or raise robust.acceleration_max_m_s2 and "
+            "fleet.slew_xy_max_m_s2", PROOF,
+        ))  # fmt: skip
+    return found
 
 
-def _slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, who: str, part: float) -> Check:
-    """Check that within the slew limit a velocity can follow an active constraint; ``part``: the share taken.
-
-    For an active constraint g . (u - c) = -rate h: g . u has to grow by rate times the closing speed plus the
-    acceleration of the other vehicle; the curvature of h reduces this sum. A vehicle whose share is one half
-    needs only half of this growth. The remaining room is homogeneous in g and concave, so it is smallest
-    along an axis.
-    """
-    speeds, most = config.limits.velocity_max_m_s, fleet.speed_max_m_s
-    needed = [part * (fleet.rate_1_s * (m + most) + fleet.acceleration_max_m_s2) for m in speeds]
-    axis = min(range(3), key=lambda i: slew_m_s2[i] - needed[i])
-    return Check(
-        f"slew, {who} share",
-        f"the velocity of a vehicle with the {who} share can change as fast as the row of a neighbour",
-        slew_m_s2[axis] - needed[axis], "m/s^2",
-        f"along axis {axis} the row may require {needed[axis]:.3g} m/s^2 at full speed of both vehicles; "
-        f"allowed are {slew_m_s2[axis]:.3g}",
-        "lower fleet.rate_1_s or fleet.speed_max_m_s, or raise robust.acceleration_max_m_s2 and "
-        "fleet.slew_xy_max_m_s2", PROOF,
-    )  # fmt: skip
-
-
-def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> float:
-    """Return the duration of a landing without a go-around, from the end of the wait, s."""
-    robust = issubclass(strategy_class(config.filter), RobustFilter)
-    if robust:
-        near_m, gain_1_s, down_m_s = (
-            config.robust.commit_radius_m, config.robust.gain_1_s, config.robust.descent_max_m_s,
-        )  # fmt: skip
-    else:
-        near_m, gain_1_s = config.touchdown.pad_radius_m, min(config.position_loop.gain_1_s)
-        down_m_s = config.limits.velocity_max_m_s[2]
-    over_s = math.log(max(1.0, fleet.wait_distance_m / near_m)) / gain_1_s
-    announced_s = fleet.age_max_s + 2.0 * fleet.latency_max_s
-    return over_s + fleet.wait_height_m / down_m_s + announced_s + descent_s + config.velocity_loop.lag_xy_s
-
-
-def _landings(config: FlightConfig, fleet: Fleet, descent_s: float) -> list[Check]:
+def _landings(config: FlightConfig, descent_s: float, landing_s: float) -> list[Check]:
     """Return the checks of simultaneous touchdowns and of the wait for the right of way."""
-    # horizon of the conflict search: message age plus time until the touchdown
-    ahead_s, target_m_s = fleet.age_max_s + descent_s, config.touchdown.target_speed_max_m_s
+    fleet, target_m_s = config.fleet, config.touchdown.target_speed_max_m_s
+    ahead_s = fleet.age_max_s + descent_s  # horizon of the conflict search: message age, then the descent
     closer_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time in which pads may approach each other
     accelerated_m = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
     moved_m = min(accelerated_m + target_m_s * closer_s, 2.0 * target_m_s * ahead_s)
     needed_m = fleet.radius_xy_m + 2.0 * config.touchdown.pad_radius_m + 2.0 * moved_m
-    each_s, before = first_attempt_s(config, fleet, descent_s), len(fleet.others)
+    before = len(fleet.others)
     return [
         Check(
             "touchdowns",
@@ -199,84 +187,70 @@ def _landings(config: FlightConfig, fleet: Fleet, descent_s: float) -> list[Chec
         Check(
             "waits",
             "if each member lands at its first attempt, no member aborts while it waits for the right of way",
-            fleet.wait_max_s - before * each_s, "s",
-            f"{before} members land before the last one, in about {each_s:.3g} s each; allowed are "
+            fleet.wait_max_s - before * landing_s, "s",
+            f"{before} members land before the last one, in about {landing_s:.3g} s each; allowed are "
             f"{fleet.wait_max_s / before:.3g} s each; go-arounds and vehicles that remain on the pad do not "
             "count", "raise fleet.wait_max_s", PROOF,
         ),
     ]  # fmt: skip
 
 
-class Crowd(NamedTuple):
-    """Quantities that decide whether all constraints have a common feasible velocity."""
-
-    steepest: float  # steepest slope of the boundary outside the pad
-    climb_m_s: float  # vertical speed of the pad
-    speed_m_s: float  # speed of the fastest neighbour
-    flat: float  # factor k = radius_xy / radius_z
-    longest: float  # length of the longest gradient g
-    growth_m_s: float  # growth rate of the ellipsoid at the largest latency
-
-
-def crowd(config: FlightConfig, fleet: Fleet, shape: Shape, climb_m_s: float) -> Crowd:
-    """Return the quantities of ``Crowd`` for a configuration with a table [fleet].
-
-    ``shape``: boundary; ``climb_m_s``: fastest climb of the pad.
-    """
+def steepest(config: FlightConfig, shape: Shape) -> float:
+    """Return the steepest slope of the landing boundary outside the pad."""
     slope = shape.slope(Span(config.touchdown.pad_radius_m, math.inf))
-    flat, growth_m_s = fleet.radius_xy_m / fleet.radius_z_m, fleet.acceleration_max_m_s2 * fleet.latency_max_s
-    steepest = max(abs(slope.low), abs(slope.high))
-    return Crowd(steepest, climb_m_s, fleet.speed_max_m_s, flat, max(1.0, flat), growth_m_s)
+    return max(abs(slope.low), abs(slope.high))
 
 
-def anywhere_m(config: FlightConfig, fleet: Fleet, c: Crowd) -> float:
+def anywhere_m(config: FlightConfig) -> float:
     """Return the h above which the constraints of any number of neighbours have a common feasible velocity.
 
     This velocity is the pad's horizontal velocity with any climb; it meets the landing barrier if h is not
     negative.
     """
-    at_most = math.hypot(config.touchdown.target_speed_max_m_s, c.flat * config.limits.velocity_max_m_s[2])
-    return (c.longest * c.speed_m_s + at_most + c.growth_m_s) / fleet.rate_1_s
+    fleet, vz = config.fleet, config.limits.velocity_max_m_s[2]
+    at_most = math.hypot(config.touchdown.target_speed_max_m_s, fleet.flat * vz)
+    return (max(1.0, fleet.flat) * fleet.speed_max_m_s + at_most + fleet.growth_m_s) / fleet.rate_1_s
 
 
-def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
+def up_the_slope_m_s(config: FlightConfig, slope: float, climb_m_s: float) -> float:
     """Return the horizontal speed that remains for motion up the steepest slope of the boundary.
 
     The landing barrier at h = 0 needs (speed + w_pad) slope + the pad's climb, up to the climb of the box.
     """
     vx, vy, vz = config.limits.velocity_max_m_s
-    if c.steepest <= 0.0:
+    if slope <= 0.0:
         return min(vx, vy)
-    return min(vx, vy, (vz - c.climb_m_s) / c.steepest - config.touchdown.target_speed_max_m_s)
+    return min(vx, vy, (vz - climb_m_s) / slope - config.touchdown.target_speed_max_m_s)
 
 
-def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: float) -> Most:
+def one_short_m_s(config: FlightConfig, aside_m_s: float, lowest: float) -> Most:
     """Return the largest violation of one neighbour's constraint at h = 0, and the elevation of its g (rad).
 
     ``aside_m_s``: largest horizontal speed of evasion; ``lowest``: smallest elevation of g; -pi / 2 is a
     neighbour directly above a vehicle that has to climb.
     """
-    vz = config.limits.velocity_max_m_s[2]
+    fleet, flat, vz = config.fleet, config.fleet.flat, config.limits.velocity_max_m_s[2]
 
     def length(angle: float) -> float:
-        return math.hypot(math.cos(angle), c.flat * math.sin(angle))
+        return math.hypot(math.cos(angle), flat * math.sin(angle))
 
     def upper(span: Span) -> float:  # each term is monotone above and below the horizontal plane
         low, high = span
         at = (low, high, 0.0) if low < 0.0 < high else (low, high)
         pushed, aside = max(map(length, at)), max(-aside_m_s * math.cos(each) for each in at)
-        return c.speed_m_s * pushed + c.growth_m_s + aside - c.flat * vz * math.sin(low)
+        return fleet.speed_max_m_s * pushed + fleet.growth_m_s + aside - flat * vz * math.sin(low)
 
     return most(upper, Span(lowest, math.pi / 2.0), (0.0,))
 
 
-def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
+def _common_points(config: FlightConfig, slope: float, climb_m_s: float) -> list[Check]:
     """Return the checks that a velocity meets neighbours' rows, velocity limits and landing barrier."""
-    vx, vy, _ = config.limits.velocity_max_m_s
-    from_m, reach_m = anywhere_m(config, fleet, c), fleet.reach_m - fleet.radius_xy_m
-    short_m_s, elevation = one_short_m_s(config, c, up_the_slope_m_s(config, c), -math.pi / 2.0)
-    open_m_s, _ = one_short_m_s(config, c, min(vx, vy), 0.0)
-    opposite_m_s = c.longest * c.speed_m_s + c.growth_m_s  # needed speed away from the landing barrier
+    fleet, (vx, vy, _), speed_m_s = config.fleet, config.limits.velocity_max_m_s, config.fleet.speed_max_m_s
+    from_m, reach_m = anywhere_m(config), fleet.reach_m - fleet.radius_xy_m
+    short_m_s, elevation = one_short_m_s(config, up_the_slope_m_s(config, slope, climb_m_s), -math.pi / 2.0)
+    open_m_s, _ = one_short_m_s(config, min(vx, vy), 0.0)
+    # needed speed away from the landing barrier
+    opposite_m_s = max(1.0, fleet.flat) * speed_m_s + fleet.growth_m_s
     return [
         Check(
             "neighbours in reach",
@@ -284,16 +258,15 @@ def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
             "feasible point",
             reach_m - from_m, "m",
             f"from h = {from_m:.3g} m on, the pad's velocity with any climb meets all rows; rows "
-            "become active "
-            f"at {reach_m:.3g} m", "raise fleet.reach_m or fleet.rate_1_s, or lower fleet.speed_max_m_s",
-            PROOF,
+            f"become active at {reach_m:.3g} m",
+            "raise fleet.reach_m or fleet.rate_1_s, or lower fleet.speed_max_m_s", PROOF,
         ),
         Check(
             "one neighbour",
             "if no h is negative, landing barrier, box and the row of one neighbour have a common "
             "feasible point",
             -short_m_s, "m/s",
-            f"the neighbour approaches with {c.speed_m_s:g} m/s at a slope of {c.steepest:.3g}, "
+            f"the neighbour approaches with {speed_m_s:g} m/s at a slope of {slope:.3g}, "
             f"{math.degrees(-elevation):.0f} deg from above; a common point exists from h = "
             f"{max(0.0, short_m_s) / fleet.rate_1_s:.3g} m on, and without landing barrier from "
             f"{max(0.0, open_m_s) / fleet.rate_1_s:.3g} m on; below, its row is relaxed",
@@ -303,7 +276,7 @@ def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
             "several neighbours",
             "if no h is negative, box and the rows of several neighbours have a common feasible point",
             -opposite_m_s, "m/s",
-            f"two neighbours approach from opposite sides with {c.speed_m_s:g} m/s each; a common point "
+            f"two neighbours approach from opposite sides with {speed_m_s:g} m/s each; a common point "
             f"exists from h = {opposite_m_s / fleet.rate_1_s:.3g} m on, and for any number with the landing "
             f"barrier from {from_m:.3g} m on; below, the rows of neighbours are relaxed together",
             "lower fleet.speed_max_m_s, or raise fleet.rate_1_s; no setting meets all", PROOF,
@@ -314,19 +287,19 @@ def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
 def team_checks(
     configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3, pads_apart_m: float
 ) -> list[Check]:
-    """Return the checks that involve all members; none for a single vehicle, or if one has no neighbours.
+    """Return the checks that involve all members; none if a vehicle has no neighbours.
 
     ``configs``: configurations of the members; ``starts_enu_m``: known start places in the air; ``touch_m``:
     largest offset of two vehicles at which they overlap; ``pads_apart_m``: smallest distance of any two pads.
     """
     fleets = [config.fleet for config in configs]
-    if len(fleets) < 2 or not all(fleet.others for fleet in fleets):
+    if not all(fleet.others for fleet in fleets):
         return []
     first, config, ids = fleets[0], configs[0], sorted(fleet.id for fleet in fleets)
     keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
     other = [k for k in keys if any(getattr(each, k) != getattr(first, k) for each in fleets)]
     other += ["members"] if any(sorted(each.members) != ids for each in fleets) else []
-    if issubclass(strategy_class(config.filter), RobustFilter):
+    if _is_robust(config):
         x = extremes(config)
         velocity_m_s, position_m = x.velocity_error_m_s, x.position_error_m
     else:
@@ -334,10 +307,14 @@ def team_checks(
         velocity_m_s, position_m = factor * link.velocity_noise_m_s, factor * link.position_noise_m
     error_m = 2.0 * (position_m + velocity_m_s * first.descent_s)
     paths = f"paths remain {pads_apart_m:.3g} m apart" if pads_apart_m > 0.0 else "paths may meet"
+    starts = [
+        (barrier((x - ox, y - oy, z - oz), first.radius_xy_m, first.radius_z_m)[0], i, j)
+        for (i, (ox, oy, oz)), (j, (x, y, z)) in combinations(enumerate(starts_enu_m, 1), 2)
+    ]
     rooms = []
-    for config, fleet in zip(configs, fleets, strict=True):
+    for each in configs:
+        fleet, lost_m = each.fleet, max(0.0, errors_m(each) - each.fleet.margin_m)
         touch_h_m, _ = barrier(touch_m, fleet.radius_xy_m, fleet.radius_z_m)
-        lost_m = max(0.0, errors_m(config, fleet) - fleet.margin_m)
         rooms.append((-touch_h_m - lost_m, touch_h_m, lost_m, fleet.rate_1_s * (fleet.margin_m - touch_h_m)))
     room_m, touch_h_m, lost_m, allowed_m_s = min(rooms)
     return [
@@ -346,7 +323,13 @@ def team_checks(
             0.0 - len(other), "keys", f"{len(fleets)} members; different keys: {', '.join(other) or 'none'}",
             f"give all members the same fleet.{', fleet.'.join(other)}" if other else "", PROOF,
         ),
-        *([_begin(first, starts_enu_m)] if len(starts_enu_m) > 1 else []),
+        *(
+            Check(
+                "starts", "no vehicle starts inside the ellipsoid around another one", least_m, "m",
+                f"members {i} and {j} are nearest to each other", "give them other start positions", PROOF,
+            )
+            for least_m, i, j in sorted(starts)[:1]
+        ),
         Check(
             "pads", "no two pads are predicted to conflict, so no member waits",
             pads_apart_m - error_m - first.pad_distance_m, "m",
@@ -362,15 +345,3 @@ def team_checks(
             "raise fleet.margin_m, fleet.radius_xy_m or fleet.rate_1_s", PROOF,
         ),
     ]  # fmt: skip
-
-
-def _begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
-    starts = enumerate(starts_enu_m, 1)
-    least_m, i, j = min(
-        (barrier((x - ox, y - oy, z - oz), fleet.radius_xy_m, fleet.radius_z_m)[0], i, j)
-        for (i, (ox, oy, oz)), (j, (x, y, z)) in combinations(starts, 2)
-    )
-    return Check(
-        "starts", "no vehicle starts inside the ellipsoid around another one", least_m, "m",
-        f"members {i} and {j} are nearest to each other", "give them other start positions", PROOF,
-    )  # fmt: skip

@@ -19,7 +19,6 @@ import numpy as np
 
 from bridge.ros2.codec import Unpack
 from flightstack.common.strict_toml import ConfigError
-from flightstack.common.text import labels
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Intent
@@ -105,10 +104,7 @@ def _read(log: LogFile) -> Fleet:
                 found[name][schema].append(message)
             if topic == ROSOUT:
                 said.append(message)
-    flights = {
-        name: _flight(log.part(name), label, found[name])
-        for name, label in zip(log.members, labels(log.members), strict=True)
-    }
+    flights = {name: _flight(log.part(name), found[name]) for name in log.members}
     origin_ns = min(flight.origin_ns for flight in flights.values())
     shared = log if len(flights) > 1 else log.single()
     return Fleet(
@@ -123,7 +119,7 @@ def _read(log: LogFile) -> Fleet:
     )
 
 
-def _flight(log: LogFile, label: str, by_schema: Mapping[str, list[Message]]) -> Flight:
+def _flight(log: LogFile, by_schema: Mapping[str, list[Message]]) -> Flight:
     for messages in by_schema.values():
         messages.sort(key=lambda message: message.log_time_ns)
     damage = [f"the log is cut short or damaged ({log.problem})"] if log.problem else []
@@ -141,14 +137,13 @@ def _flight(log: LogFile, label: str, by_schema: Mapping[str, list[Message]]) ->
     truth = read(TRUE_STATE, partial(columns, Truth), TrueStateRow.unpack)
     if steps is None and truth is None:
         found = ", ".join(sorted(by_schema)) or "nothing this stack writes"
-        of = f", {label}" if label else ""
         raise (LogError if damage else EmptyLogError)(
-            f"{log.path}{of}: found {found}; a flight needs controller steps ({CONTROLLER_STEP}) or true "
-            f"states ({TRUE_STATE})" + "".join(f"; {each}" for each in damage)
+            f"{log.path}, {log.member}: found {found}; a flight needs controller steps "
+            f"({CONTROLLER_STEP}) or true states ({TRUE_STATE})" + "".join(f"; {each}" for each in damage)
         )
     return Flight(
         path=log.path,
-        label=label,
+        member=log.member or "",
         complete=log.complete,
         origin_ns=origin_ns,
         duration_s=(max(times_ns) - origin_ns) * 1e-9,

@@ -138,13 +138,17 @@ class Judged:
     complete: bool = True  # whether the recorder closed the file and every byte could be read
     pad_radius_m: float = PAD_RADIUS_M
 
+    def began_s(self, phase: Phase) -> float | None:
+        """Return the time of the first controller step in a phase; None: there is no such step."""
+        if self.steps is None:
+            return None
+        begun = np.flatnonzero(self.steps.phase == phase)
+        return float(self.steps.t_s[begun[0]]) if len(begun) else None
+
     @cached_property
     def landing_start_s(self) -> float | None:
         """Time of the first controller step in phase APPROACH: the landing and its verdict start there."""
-        if self.steps is None:
-            return None
-        begun = np.flatnonzero(self.steps.phase == Phase.APPROACH)
-        return float(self.steps.t_s[begun[0]]) if len(begun) else None
+        return self.began_s(Phase.APPROACH)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +167,7 @@ class Flight(Judged):
     spans: tuple[Span, ...] = ()  # messages to the other members, in order; empty for a vehicle alone
     attachments: dict[str, bytes] = field(default_factory=dict)  # files stored in the log, by name
     barrier: Barrier | None = None  # barrier of the verdict; ``None`` if the log does not hold it
-    label: str = ""  # name of the vehicle if the log has several
+    member: str = ""  # name of the vehicle in the log; empty for a flight without a log
     pad_carries: bool = True  # whether the vehicle can stand on the pad; False only if the log says so
 
     def phase_spans(self) -> list[tuple[Phase | int, float, float]]:

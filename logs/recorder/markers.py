@@ -38,8 +38,6 @@ COMMAND_COLOR: Color = (0.58, 0.40, 0.74, 1.0)
 # Colours of the members of a fleet; a member has the same colour in report and viewer.
 # Okabe and Ito (2008), dark ones first, then two of Paul Tol's palettes; the ninth flight repeats the first
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#44AA99")
-# further colours of Paul Tol's palettes for pairs of flights, so that no colour means a flight and a pair
-PAIR_COLORS = ("#332288", "#AA4499", "#117733", "#999933", "#661100", "#6699CC", "#DDCC77", "#888888")
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 _ADD = 0  # value of Marker.action: add or modify a marker

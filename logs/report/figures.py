@@ -1,11 +1,10 @@
-"""All figures of the report in order, each with its description and source: charts, timeline, pairs.
+"""All figures of the report in order, each with its description and source: charts and timeline.
 
 The lanes of the timeline are phases, faults, valid and sent data, right of way, and events.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from typing import NamedTuple
@@ -17,13 +16,11 @@ from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import Intent
 from logs.curves import BOUNDARY, CHARTS, COMMAND, INK, LIMIT, NOMINAL, Chart, Curve
 from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, Steps, phase_name
-from logs.recorder.markers import PAIR_COLORS
 from logs.report import space
 from logs.report.derived import Side, fault_spans
 from logs.report.page import Panel
 from logs.report.style import (
     FAULT,
-    UNSAFE,
     Axis,
     axis_of,
     chart,
@@ -37,8 +34,6 @@ from logs.report.style import (
     words,
 )
 from logs.schema.events import Severity
-from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
-from logs.verdict.verdict import PairSeries
 
 _EVENTS_MAX = 500
 _ROW_PX = 26
@@ -50,11 +45,6 @@ _INTENT_COLORS = {
     Intent.CLEARING: "#efb08a",
     Intent.DOWN: "#e4e7eb",
 }
-
-
-# ellipsoid norm at which the distance axis ends at the earliest, unless all values are smaller
-_MEASURE_SHOWN = 6.0
-PAIRS_SHOWN = len(PAIR_COLORS)  # number of drawn pairs: the nearest ones
 
 
 class Bar(NamedTuple):
@@ -172,32 +162,6 @@ def _trace(curve: Curve, t_s: Floats, values: Floats, *, first: bool) -> go.Scat
     return go.Scatter(x=x, y=y, mode="markers", name=curve.name, marker=marker, **look)
 
 
-def distances(pairs: Sequence[PairSeries], axis: Axis) -> go.Figure | None:
-    """Draw the distance of the nearest pairs, as ellipsoid norm and in m; ``None`` without pairs."""
-    if not pairs:
-        return None
-    traces = []
-    for color, pair in zip(PAIR_COLORS, sorted(pairs, key=_nearest), strict=False):
-        for row, values in ((1, pair.measure), (2, pair.distance_m)):
-            for both, width, opacity in ((pair.flying, 2.2, 1.0), (~pair.flying, 1.2, 0.35)):
-                t_s, shown = low_envelope(pair.t_s, np.where(both, values, np.nan))
-                look = {"width": width, "opacity": opacity, "legendgroup": pair.name, "connectgaps": False}
-                first = row == 1 and opacity == 1.0
-                traces.append((row, line(t_s, shown, pair.name, color, showlegend=first, **look)))
-    measures = np.concatenate([pair.measure for pair in pairs])
-    top = min(max(_MEASURE_SHOWN, 2.0 * float(measures.min())), float(measures.max()))
-    measure = {"title_text": "in the ellipsoid's measure [1]", "range": [0.0, 1.05 * top]}
-    distance = {"title_text": "distance [m]", "rangemode": "tozero"}
-    figure = chart(axis, 620, traces, measure, distance, spacing=0.06, hovermode="closest")
-    figure.add_hrect(y0=0.0, y1=1.0, fillcolor=UNSAFE, line={"width": 0}, layer="below", row=1, col=1)
-    figure.add_hline(1.0, line={"color": BOUNDARY, "width": 1.5}, row=1, col=1)
-    return figure
-
-
-def _nearest(pair: PairSeries) -> float:
-    return float(pair.measure[pair.flying].min()) if pair.flying.any() else math.inf
-
-
 def panels(side: Side) -> list[Panel]:
     """Return the figures of one flight; the first is the main picture."""
     flight, axis = side.flight, axis_of(side.flight)
@@ -223,16 +187,14 @@ def panels(side: Side) -> list[Panel]:
     ]  # fmt: skip
 
 
-def fleet_panels(fleet: Fleet, sides: Sequence[Side], pairs: Sequence[PairSeries]) -> list[Panel]:
+def fleet_panels(fleet: Fleet, sides: Sequence[Side]) -> list[Panel]:
     """Return the figures of a fleet; the first is the main picture."""
-    axis = fleet_axis(fleet)
     return [
         Panel("room", "All paths in the room", _ROOM, space.room_3d(sides)),
         Panel(
             "timeline", "Who did what, and who waited for whom", _LANES,
-            timeline(axis, chain.from_iterable(map(_bars, sides)), fleet.events, 0.0),
+            timeline(fleet_axis(fleet), chain.from_iterable(map(_bars, sides)), fleet.events, 0.0),
         ),
-        Panel("pairs", "Distance of the nearest pairs", _NEAR, distances(pairs, axis)),
     ]  # fmt: skip
 
 
@@ -243,11 +205,6 @@ _LANES = (
 _ROOM = (
     "True paths, or the vehicles' own estimates where the log has no true states. Dotted: the pads. Circle: "
     "start. Square: end."
-)
-_NEAR = (
-    f"By true states. The ellipsoid of two vehicles has the semi-axes {2 * RADIUS_BESIDE_M:g} m sideways and "
-    f"{2 * RADIUS_ABOVE_M:g} m up and down; its measure is 1 on the surface, below is too near. It counts "
-    f"while both fly; thin: one of them rests. Of many pairs, the {PAIRS_SHOWN} nearest are drawn."
 )
 _TIMELINE = (
     "The whole log. Touch or point at a bar or an event to read it; bands in the figures below have the same "

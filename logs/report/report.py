@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from flightstack.common.text import named
 from flightstack.config.options import repeated
 from logs.reader.flight_data import ATTACHMENT, Fleet
 from logs.report import tables
@@ -21,18 +20,22 @@ from logs.report.page import (
     write,
 )
 from logs.schema import FLEET, SCENARIO
-from logs.verdict.types import ESTIMATE, SOURCES, TRUTH
+from logs.verdict.types import ESTIMATE, RADIUS_ABOVE_M, RADIUS_BESIDE_M, SOURCES, TRUTH
 from logs.verdict.verdict import (
     FleetVerdict,
+    fleet_verdict,
     judged_apart,
     outside_envelope,
-    pair_series,
     pairs_known,
 )
 
 __all__ = ["ReportError", "write_report"]
 
-_NEAR = "Measured in every physics step while both flew."
+_NEAR = (
+    f"Measured in every physics step while both flew. The ellipsoid of two vehicles has the semi-axes "
+    f"{2 * RADIUS_BESIDE_M:g} m sideways and {2 * RADIUS_ABOVE_M:g} m up and down; its measure is 1 on the "
+    "surface, below is too near."
+)
 _EVENTS = "wide events"  # CSS classes of the tables of events
 _WAITS = "Times in which a member flew and gave way to neighbours, by its own messages."
 
@@ -51,16 +54,12 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
         for name in fleet.flights
     }
     for name, place in pages.items():
-        own, flight = verdict.members[name], fleet.flights[name]
-        alone = replace(
-            verdict, outcome=own.outcome, reason=own.reason, violation=own.violation, members={name: own},
-            ellipsoid_violations=None,
-        )  # fmt: skip
+        flight = fleet.flights[name]
         part_of = replace(
             fleet, flights={name: flight}, events=flight.events, metadata=flight.metadata,
             attachments=flight.attachments,
         )  # fmt: skip
-        write(place, page(part_of, alone, of=target.name))
+        write(place, page(part_of, fleet_verdict({name: verdict.members[name]}), of=target.name))
     return {"": write(target, page(fleet, verdict, pages)), **pages}
 
 
@@ -88,14 +87,13 @@ def page(
         for name, flight in fleet.flights.items()
     ]  # fmt: skip
     run = fleet.metadata.get("run", fleet.metadata.get(FLEET, {}))
-    picture, timeline, *figures = (
-        fleet_panels(fleet, sides, pair_series(fleet)) if several else panels(sides[0])
-    )
+    picture, timeline, *figures = fleet_panels(fleet, sides) if several else panels(sides[0])
     together = [
         Panel("near", "How near they came", _NEAR, tables.pairs_table(fleet)),
         Panel("waits", "Who waited for whom", _WAITS, tables.waits_table(sides)),
     ]
-    title, label = run.get("scenario", fleet.path.stem), "" if several else first.label
+    title = run.get("scenario", fleet.path.stem)
+    label = first.member if of is not None else ""  # name of a vehicle that flew with others
     about = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
     about += [run["mode"]] if "mode" in run else []
     return Page(
@@ -127,8 +125,8 @@ def page(
 def _configuration(fleet: Fleet) -> tuple[Panel, str]:
     """Return a panel with the attachments as text to open, and the end of the page."""
     files = [
-        (named(flight.label, "Configuration of the onboard process"), flight.attachments.get(ATTACHMENT),
-         named(flight.label, ATTACHMENT, "."))
+        (f"{flight.member}: Configuration of the onboard process", flight.attachments.get(ATTACHMENT),
+         f"{flight.member}.{ATTACHMENT}")
         for flight in fleet.flights.values()
     ]  # fmt: skip
     files.append(("Scenario, whole", fleet.attachments.get(SCENARIO), SCENARIO))
@@ -162,7 +160,7 @@ def _warnings(fleet: Fleet, verdict: FleetVerdict) -> list[str]:
             found.append("no controller steps in this log: phases, velocities and the estimate are missing")
         if verdict.members[name].violation is None:
             found.append("data is missing, so that a barrier violation cannot be excluded")
-        texts += [named(flight.label, text) for text in found]
+        texts += [f"{name}: {text}" for text in found]
     if len(fleet.flights) > 1 and not pairs_known(fleet):
         texts.append(
             "the simulator did not follow all pairs to the end: a collision or an ellipsoid violation cannot "

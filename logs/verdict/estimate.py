@@ -15,7 +15,6 @@ the contact, and must rest in the world instead of on the pad.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,13 +27,12 @@ from logs.verdict.types import (
     GAP_MAX_S,
     REST_TIME_S,
     Outcome,
+    Touch,
     Verdict,
     abort_declared,
-    finite,
     judged_until,
-    lowest,
+    measured,
     never_began,
-    violated,
 )
 
 REST_SPEED_MAX_M_S = 0.10  # maximum estimated speed relative to the pad at rest, m/s; estimates are noisy
@@ -62,7 +60,7 @@ def judge_estimate(flight: Flight) -> Verdict:
     steps, start_s = flight.steps, flight.landing_start_s
     if steps is None:
         reason = "the log holds neither true states nor controller steps"
-        return Verdict.unknown(Outcome.TIMEOUT, reason, ESTIMATE)
+        return Verdict(outcome=Outcome.TIMEOUT, reason=reason, judged_from=ESTIMATE)
     if start_s is None:
         return never_began(flight, ESTIMATE)
     begin = int(np.searchsorted(steps.t_s, start_s))
@@ -70,29 +68,19 @@ def judge_estimate(flight: Flight) -> Verdict:
     outcome, reason = _outcome(flight, steps, touch)
     end = judged_until(flight, steps.t_s, steps.d_m)
     counts = slice(begin, end if flight.pad_carries or touch is None else min(end, touch.index + 1))
-    d_m, h_m = steps.d_m[counts], np.where(steps.both_valid, steps.h_m, np.nan)[counts]
+    h_m = np.where(steps.both_valid, steps.h_m, np.nan)[counts]
     # After touchdown the filter no longer runs, and only h outside the pad counts.
     needed = h_m if touch is None else h_m[: touch.index - begin]
     known = bool(np.isfinite(needed).all()) and (flight.complete or outcome is Outcome.LANDED)
     started_safe = bool(h_m[0] >= 0.0) if math.isfinite(h_m[0]) else None
-    outside_m = lowest(np.where(d_m > flight.pad_radius_m, h_m, np.nan))
-    vx, vy, vz = (math.nan,) * 3 if touch is None else touch.velocity_m_s
-    return Verdict(
-        outcome=outcome,
-        violation=violated(outside_m, started_safe, complete=known and started_safe is not None),
-        h_min_m=lowest(h_m),
-        h_min_outside_pad_m=outside_m,
-        touchdown_error_m=None if touch is None else finite(touch.d_m),
-        touchdown_speed_vertical_m_s=finite(-vz),
-        touchdown_speed_horizontal_m_s=finite(math.hypot(vx, vy)),
-        time_to_land_s=touch.t_s - start_s if touch is not None and outcome is Outcome.LANDED else None,
-        reason=f"{reason}; {_NO_CONTACTS}",
-        started_safe=started_safe,
-        judged_from=ESTIMATE,
-    )
+    outside_m = np.where(steps.d_m[counts] > flight.pad_radius_m, h_m, np.nan)
+    return measured(
+        outcome, f"{reason}; {_NO_CONTACTS}", ESTIMATE, start_s, touch, h_m, outside_m, started_safe,
+        complete=known,
+    )  # fmt: skip
 
 
-def _outcome(flight: Flight, steps: Steps, touch: EstimatedTouchdown | None) -> tuple[Outcome, str]:
+def _outcome(flight: Flight, steps: Steps, touch: Touch | None) -> tuple[Outcome, str]:
     abort = abort_declared(flight)
     if abort:
         return Outcome.ABORTED, abort.text
@@ -121,35 +109,14 @@ def _outcome(flight: Flight, steps: Steps, touch: EstimatedTouchdown | None) -> 
     velocity_m_s = steps.relative_velocity_m_s if carried else steps.own_velocity_enu_m_s
     speed_m_s = float(np.linalg.norm(velocity_m_s[at]))
     on_pad = (d_m <= flight.pad_radius_m or not carried) and abs(height_m) <= gap_m + REST_HEIGHT_MAX_M
-    if not carried and on_pad and speed_m_s <= REST_SPEED_MAX_M_S:
-        return (
-            Outcome.LANDED,
-            "rests on the floor 2 s after the motors stopped; the vehicle's physics has no pad",
-        )
     if not (on_pad and speed_m_s <= REST_SPEED_MAX_M_S):
         text = f"did not rest on the pad: d {d_m:.3f} m, feet {height_m:+.3f} m above it"
         return Outcome.TIMEOUT, f"{text}, relative speed {speed_m_s:.3f} m/s"
-    return Outcome.LANDED, "rests on the pad 2 s after the motors stopped"
+    where, more = ("pad", "") if carried else ("floor", "; the vehicle's physics has no pad")
+    return Outcome.LANDED, f"rests on the {where} 2 s after the motors stopped{more}"
 
 
-@dataclass(frozen=True, slots=True)
-class EstimatedTouchdown:
-    """First contact with the pad, from the estimate."""
-
-    t_s: float  # time of the contact, s
-    index: int  # index of the first step at or after the contact
-    e_m: Floats  # position relative to the pad's centre, ENU, m, (3,)
-    # velocity relative to the pad, ENU, m/s, (3,); NaN if no contact is visible and only the stopped motors
-    # show that the vehicle stood
-    velocity_m_s: Floats
-
-    @property
-    def d_m(self) -> float:
-        """Horizontal distance to the pad's centre, m."""
-        return float(np.hypot(self.e_m[0], self.e_m[1]))
-
-
-def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> EstimatedTouchdown | None:
+def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> Touch | None:
     """Find the first contact with the pad from step ``begin`` on; ``config`` None: sizes of a Crazyflie.
 
     Returns ``None`` if the estimate shows no contact and the controller noticed none.
@@ -166,8 +133,8 @@ def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> Est
         if found is not None:
             return _at(steps, begin, found)
         if landed:
-            unknown = np.full(3, np.nan)
-            return EstimatedTouchdown(float(steps.t_s[last + 1]), last + 1, steps.e_m[last + 1], unknown)
+            # no contact is visible, and only the stopped motors show that the vehicle stood
+            return Touch(last + 1, float(steps.t_s[last + 1]), steps.e_m[last + 1], np.full(3, np.nan))
     return None
 
 
@@ -222,7 +189,7 @@ def _within(t_s: Floats, values: Floats, begin_s: float, end_s: float) -> Floats
     return np.asarray(part[np.isfinite(part)])
 
 
-def _at(steps: Steps, begin: int, last: int) -> EstimatedTouchdown:
+def _at(steps: Steps, begin: int, last: int) -> Touch:
     """Return position and velocity at the contact, halfway between the last step before it and the next.
 
     An estimated velocity is late by about half a step or more: the line through it ends at the next step.
@@ -230,9 +197,9 @@ def _at(steps: Steps, begin: int, last: int) -> EstimatedTouchdown:
     t_s, next_s = 0.5 * float(steps.t_s[last] + steps.t_s[last + 1]), float(steps.t_s[last + 1])
     first = max(begin, int(np.searchsorted(steps.t_s, t_s - FIT_S)))
     before = slice(first, last + 1)
-    return EstimatedTouchdown(
-        t_s,
+    return Touch(
         last + 1,
+        t_s,
         _at_zero(steps.t_s[before] - t_s, steps.e_m[before]),
         _at_zero(steps.t_s[before] - next_s, steps.relative_velocity_m_s[before]),
     )

@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from flightstack.core.types import Phase
 from logs.reader.flight_data import Judged, Truth
 from logs.schema.events import ContactBit
 from logs.verdict.types import (
@@ -17,14 +17,12 @@ from logs.verdict.types import (
     REST_TIME_S,
     TRUTH,
     Outcome,
+    Touch,
     Verdict,
     abort_declared,
-    finite,
     judged_until,
-    left_s,
-    lowest,
+    measured,
     never_began,
-    violated,
 )
 
 REST_SPEED_MAX_M_S = 0.05  # maximum speed relative to the pad at rest, m/s; sliding and rolling are faster
@@ -44,16 +42,6 @@ _HITS = ~int(ContactBit.PAD)  # contacts that are not allowed
 _FALLS = int(ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED | ContactBit.VEHICLE)
 
 
-@dataclass(frozen=True, slots=True)
-class _Touch:
-    """First contact since the landing began: index, time, distance and relative velocity just before it."""
-
-    index: int
-    t_s: float
-    d_m: float
-    velocity_m_s: tuple[float, float, float]
-
-
 def judge_truth(flight: Judged, truth: Truth) -> Verdict:
     start_s = flight.landing_start_s
     if start_s is None:
@@ -61,36 +49,26 @@ def judge_truth(flight: Judged, truth: Truth) -> Verdict:
     # index of the first true state after the landing starts
     begin = int(np.searchsorted(truth.t_s, start_s + _SAME_S))
     if begin >= len(truth.t_s):
-        return Verdict.unknown(Outcome.TIMEOUT, "the true states end before the landing began", TRUTH)
-    touch = _first_contact(truth, begin)
+        reason = "the true states end before the landing began"
+        return Verdict(outcome=Outcome.TIMEOUT, reason=reason, judged_from=TRUTH)
+    touched = np.flatnonzero(truth.contacts[begin:])
+    touch = _contact_at(truth, begin + int(touched[0])) if len(touched) else None
     outcome, reason = _outcome(flight, truth, begin, touch)
-    until = judged_until(flight, truth.t_s, truth.d_m)
-    missing = _missing(flight, truth, start_s, begin, until, outcome)
-    if outcome is Outcome.LANDED and not _covered(truth, start_s, begin):
+    counts = slice(begin, judged_until(flight, truth.t_s, truth.d_m))
+    started_safe, gap = _started_safe(truth, start_s), _gap(truth, start_s, begin)
+    missing = gap or _missing(flight, truth, start_s, counts, outcome)
+    if outcome is Outcome.LANDED and gap:
         outcome, reason = Outcome.TIMEOUT, f"not shown to have landed: {missing}"
-    started_safe = _started_safe(truth, start_s)
-    h_min_m = lowest(truth.h_min_m[begin:until])
-    outside_m = lowest(truth.h_min_outside_pad_m[begin:until])
     if not missing and started_safe is None:
         missing = "true h is missing where the landing began"
-    on_pad = touch if touch is not None and truth.contacts[touch.index] == ContactBit.PAD else None
-    vx, vy, vz = on_pad.velocity_m_s if on_pad else (math.nan,) * 3
-    return Verdict(
-        outcome=outcome,
-        violation=violated(outside_m, started_safe, complete=not missing),
-        h_min_m=h_min_m,
-        h_min_outside_pad_m=outside_m,
-        touchdown_error_m=finite(on_pad.d_m) if on_pad else None,
-        touchdown_speed_vertical_m_s=finite(-vz),
-        touchdown_speed_horizontal_m_s=finite(math.hypot(vx, vy)),
-        time_to_land_s=on_pad.t_s - start_s if on_pad and outcome is Outcome.LANDED else None,
-        reason=f"{reason}; {missing}" if missing and missing not in reason else reason,
-        started_safe=started_safe,
-        judged_from=TRUTH,
-    )
+    return measured(
+        outcome, f"{reason}; {missing}" if missing and missing not in reason else reason, TRUTH, start_s,
+        touch if touch is not None and truth.contacts[touch.index] == ContactBit.PAD else None,
+        truth.h_min_m[counts], truth.h_min_outside_pad_m[counts], started_safe, complete=not missing,
+    )  # fmt: skip
 
 
-def _outcome(flight: Judged, truth: Truth, begin: int, touch: _Touch | None) -> tuple[Outcome, str]:
+def _outcome(flight: Judged, truth: Truth, begin: int, touch: Touch | None) -> tuple[Outcome, str]:
     abort = abort_declared(flight)
     if abort and (touch is None or abort.t_s <= touch.t_s):
         if touch is None or _gentle_landing_away(truth, touch):
@@ -112,9 +90,10 @@ def _outcome(flight: Judged, truth: Truth, begin: int, touch: _Touch | None) -> 
     return outcome, reason
 
 
-def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) -> tuple[Outcome, str]:
+def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: Touch) -> tuple[Outcome, str]:
     """Return the outcome after a touchdown: landed if at rest on the pad 2 s after the motors stop."""
-    end = int(np.searchsorted(truth.t_s, left_s(flight) + _SAME_S))
+    left_s = flight.began_s(Phase.LEAVE)  # time of the take-off that frees the pad for another vehicle
+    end = len(truth.t_s) if left_s is None else int(np.searchsorted(truth.t_s, left_s + _SAME_S))
     running = np.flatnonzero(truth.motors_running[begin:end]) + begin
     off = int(running[-1]) + 1 if len(running) else begin
     rest_s = float(truth.t_s[off]) + REST_TIME_S if off < len(truth.t_s) else math.inf
@@ -155,26 +134,14 @@ def _hit_after(truth: Truth, begin: int) -> str:
     return _names(bits & ~int(ContactBit.GROUND))
 
 
-def _first_contact(truth: Truth, begin: int) -> _Touch | None:
-    touched = np.flatnonzero(truth.contacts[begin:])
-    return _contact_at(truth, begin + int(touched[0])) if len(touched) else None
-
-
-def _contact_at(truth: Truth, index: int) -> _Touch:
+def _contact_at(truth: Truth, index: int) -> Touch:
     """Return a contact with the record of the simulator just before it, or else the previous true state."""
-    before = max(index - 1, 0)
-    first_s = float(truth.first_touch_time_s[index])
-    noted = math.isfinite(first_s) and first_s != truth.first_touch_time_s[before]
-    if noted:
-        e_m, v_m_s = (
-            truth.first_touch_relative_position_enu_m[index],
-            truth.first_touch_relative_velocity_enu_m_s[index],
-        )
-    else:
-        e_m, v_m_s = truth.e_m[before], truth.relative_velocity_m_s[before]
-    t_s = _log_time(truth, index, first_s) if noted else float(truth.t_s[index])
-    velocity = (float(v_m_s[0]), float(v_m_s[1]), float(v_m_s[2]))
-    return _Touch(index, t_s, float(np.hypot(e_m[0], e_m[1])), velocity)
+    before, first_s = max(index - 1, 0), float(truth.first_touch_time_s[index])
+    if not math.isfinite(first_s) or first_s == truth.first_touch_time_s[before]:
+        return Touch(index, float(truth.t_s[index]), truth.e_m[before], truth.relative_velocity_m_s[before])
+    e_m = truth.first_touch_relative_position_enu_m[index]
+    velocity_m_s = truth.first_touch_relative_velocity_enu_m_s[index]
+    return Touch(index, _log_time(truth, index, first_s), e_m, velocity_m_s)
 
 
 def _log_time(truth: Truth, index: int, simulated_s: float) -> float:
@@ -187,7 +154,7 @@ def _log_time(truth: Truth, index: int, simulated_s: float) -> float:
     return min(max(late_s + simulated_s - float(truth.tick[index]) * period_s, before_s), late_s)
 
 
-def _gentle_landing_away(truth: Truth, touch: _Touch) -> bool:
+def _gentle_landing_away(truth: Truth, touch: Touch) -> bool:
     """Whether the vehicle touched only the ground, upright and slowly, as a declared abort may end."""
     falling_m_s = -float(truth.velocity_enu_m_s[max(touch.index - 1, 0), 2])
     return truth.contacts[touch.index] == ContactBit.GROUND and falling_m_s <= LAND_AWAY_SPEED_MAX_M_S
@@ -200,20 +167,18 @@ def _started_safe(truth: Truth, start_s: float) -> bool | None:
     return h_m >= 0.0 if near and math.isfinite(h_m) else None
 
 
-def _covered(truth: Truth, start_s: float, begin: int) -> bool:
-    """Whether the true states since the start of the landing have no gap."""
-    t_s = np.concatenate(([start_s], truth.t_s[begin:]))
-    return bool(np.max(np.diff(t_s)) <= GAP_MAX_S)
+def _gap(truth: Truth, start_s: float, begin: int) -> str:
+    """Return a text if the true states since the start of the landing have a gap; else an empty text."""
+    longest_s = np.max(np.diff(truth.t_s[begin:], prepend=start_s))
+    return f"true states have a gap of more than {GAP_MAX_S:g} s" if longest_s > GAP_MAX_S else ""
 
 
-def _missing(flight: Judged, truth: Truth, start_s: float, begin: int, until: int, outcome: Outcome) -> str:
+def _missing(flight: Judged, truth: Truth, start_s: float, counts: slice, outcome: Outcome) -> str:
     """Return a text that names missing data, which could hide other events; empty if no data are missing."""
-    if not _covered(truth, start_s, begin):
-        return f"true states have a gap of more than {GAP_MAX_S:g} s"
     lost = int(flight.metadata.get("losses", {}).get("vehicle", "0"))
     if lost:
         return f"{lost} records of the vehicle were lost"
-    if np.isnan(truth.h_min_m[begin:until]).any() or np.isnan(truth.h_min_outside_pad_m[begin:until]).any():
+    if np.isnan(truth.h_min_m[counts]).any() or np.isnan(truth.h_min_outside_pad_m[counts]).any():
         return "true h is missing at some ticks"
     last_s = float(flight.steps.t_s[-1]) if flight.steps is not None else start_s
     if outcome is not Outcome.LANDED and last_s - truth.t_s[-1] > GAP_MAX_S:
@@ -224,13 +189,10 @@ def _missing(flight: Judged, truth: Truth, start_s: float, begin: int, until: in
 
 
 def _never_began(flight: Judged, truth: Truth) -> Verdict:
-    hits = (
-        int(np.bitwise_or.reduce(truth.contacts))
-        & int(_FALLS | ContactBit.PAD_EDGE)
-        & ~int(ContactBit.GROUND)
-    )
-    if hits:
-        return Verdict.unknown(Outcome.CRASHED, f"before the landing began: {_names(hits)}", TRUTH)
+    bits = int(np.bitwise_or.reduce(truth.contacts))
+    if hits := bits & ~int(ContactBit.PAD | ContactBit.GROUND):
+        reason = f"before the landing began: {_names(hits)}"
+        return Verdict(outcome=Outcome.CRASHED, reason=reason, judged_from=TRUTH)
     return never_began(flight, TRUTH)
 
 

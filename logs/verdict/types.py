@@ -21,7 +21,13 @@ REST_TIME_S = 2.0  # time at rest after the motors stop, s
 GAP_MAX_S = 0.2  # longest time without data, s; events in a longer gap are unknown
 TRUTH = "truth"
 ESTIMATE = "estimate"
-SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # texts of ``judged_from``
+PROCESS = "process"
+# texts of ``judged_from``
+SOURCES = {
+    TRUTH: "true states",
+    ESTIMATE: "the vehicle's own estimate",
+    PROCESS: "the onboard process's report",
+}
 BELOW_ON_PAD = (
     "h is the height above the boundary that the filter keeps. Over the pad it may be below 0 and does not "
     "count: beside the landing spot the boundary is higher than the reference point of a vehicle that stands "
@@ -48,54 +54,84 @@ class Outcome(StrEnum):
     UNKNOWN = "unknown"  # the log lacks records; does not occur in a campaign
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
     """Verdict on a flight; ``None`` for a value that does not apply or is unknown."""
 
     outcome: Outcome  # outcome of the flight
     # whether h < -5 mm outside the pad, in a run that began with h >= 0; ``None`` if data are missing
-    violation: bool | None
-    h_min_m: float | None  # lowest h since the landing began
-    h_min_outside_pad_m: float | None  # lowest h where d > pad radius
-    touchdown_error_m: float | None  # distance d at the first contact; None: the contact is not with the pad
+    violation: bool | None = None
+    h_min_m: float | None = None  # lowest h since the landing began
+    h_min_outside_pad_m: float | None = None  # lowest h where d > pad radius
+    # distance d at the first contact; None: the contact is not with the pad
+    touchdown_error_m: float | None = None
     # vertical speed relative to the pad's surface at the first contact, positive downwards
-    touchdown_speed_vertical_m_s: float | None
-    touchdown_speed_horizontal_m_s: float | None  # horizontal speed relative to the pad's surface
-    time_to_land_s: float | None  # time from the start of the landing to first contact, if landed
+    touchdown_speed_vertical_m_s: float | None = None
+    touchdown_speed_horizontal_m_s: float | None = None  # horizontal speed relative to the pad's surface
+    time_to_land_s: float | None = None  # time from the start of the landing to first contact, if landed
     reason: str  # reason of the outcome, as text
-    started_safe: bool | None  # whether h >= 0 at the start of the landing; ``None`` if unknown
-    judged_from: str  # source of the verdict: ``TRUTH`` or ``ESTIMATE``
-
-    @staticmethod
-    def unknown(outcome: Outcome, reason: str, judged_from: str) -> Verdict:
-        """Return a verdict with an outcome but without numbers."""
-        return Verdict(outcome, None, None, None, None, None, None, None, reason, None, judged_from)
+    started_safe: bool | None = None  # whether h >= 0 at the start of the landing; ``None`` if unknown
+    judged_from: str  # source of the verdict: a key of ``SOURCES``
 
     def to_json_dict(self) -> dict[str, Any]:
-        """Return plain values; a number that is not finite becomes ``None``."""
-        values = asdict(self)
-        values["outcome"] = self.outcome.value
-        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+        """Return plain values."""
+        return {**asdict(self), "outcome": self.outcome.value}
 
 
-def finite(value: float) -> float | None:
-    """Return the number, or ``None`` if it is not finite."""
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """First contact since the landing began, with place and velocity just before it; NaN: unknown."""
+
+    index: int  # index of the first state at or after the contact
+    t_s: float  # time of the contact, s
+    e_m: Floats  # position relative to the pad's centre, ENU, m, (3,)
+    velocity_m_s: Floats  # velocity relative to the pad's surface, ENU, m/s, (3,)
+
+    @property
+    def d_m(self) -> float:
+        """Horizontal distance to the pad's centre, m."""
+        return float(np.hypot(self.e_m[0], self.e_m[1]))
+
+
+def measured(
+    outcome: Outcome, reason: str, judged_from: str, start_s: float, touch: Touch | None, h_m: Floats,
+    h_outside_pad_m: Floats, started_safe: bool | None, *, complete: bool,
+) -> Verdict:  # fmt: skip
+    """Return a verdict with the numbers of a landing.
+
+    ``touch``: contact with the pad; ``h_m``, ``h_outside_pad_m``: values at the states that count;
+    ``complete``: whether no missing data can hide a violation.
+    """
+    outside_m = _lowest(h_outside_pad_m)
+    violation: bool | None = outside_m is not None and outside_m < VIOLATION_LIMIT_M
+    if started_safe is False:
+        violation = False
+    elif not violation and not (complete and started_safe):
+        violation = None
+    vx, vy, vz = (math.nan,) * 3 if touch is None else touch.velocity_m_s
+    return Verdict(
+        outcome=outcome,
+        violation=violation,
+        h_min_m=_lowest(h_m),
+        h_min_outside_pad_m=outside_m,
+        touchdown_error_m=None if touch is None else _finite(touch.d_m),
+        touchdown_speed_vertical_m_s=_finite(-vz),
+        touchdown_speed_horizontal_m_s=_finite(math.hypot(vx, vy)),
+        time_to_land_s=touch.t_s - start_s if touch is not None and outcome is Outcome.LANDED else None,
+        reason=reason,
+        started_safe=started_safe,
+        judged_from=judged_from,
+    )
+
+
+def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def lowest(values: Floats) -> float | None:
+def _lowest(values: Floats) -> float | None:
     """Return the smallest number; ``None`` if it is not finite (+inf: no step was outside the pad)."""
     known = values[np.isfinite(values)]
     return float(known.min()) if len(known) else None
-
-
-def violated(h_min_outside_pad_m: float | None, started_safe: bool | None, *, complete: bool) -> bool | None:
-    """Whether the barrier was violated; ``None`` if missing data could hide a violation."""
-    if started_safe is False:
-        return False
-    if h_min_outside_pad_m is not None and h_min_outside_pad_m < VIOLATION_LIMIT_M:
-        return True
-    return False if complete else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +142,9 @@ class Abort:
 
 def abort_declared(flight: Judged) -> Abort | None:
     """Return time and reason of the first step in phase ABORT; ``None`` if there is no such step."""
-    if flight.steps is None:
+    t_s = flight.began_s(Phase.ABORT)
+    if t_s is None:
         return None
-    steps = np.flatnonzero(flight.steps.phase == Phase.ABORT)
-    if not len(steps):
-        return None
-    t_s = float(flight.steps.t_s[steps[0]])
     near = [e.text for e in flight.events if abs(e.t_s - t_s) <= _SAID_WITHIN_S and "abort" in e.text.lower()]
     causes = [f"; {text.removeprefix(CAUSE)}" for text in near if text.startswith(CAUSE)]
     said = [text for text in near if not text.startswith(CAUSE)] or ["no reason in the log"]
@@ -121,18 +154,10 @@ def abort_declared(flight: Judged) -> Abort | None:
 def never_began(flight: Judged, judged_from: str) -> Verdict:
     """Return the verdict on a flight without a controller step in phase APPROACH."""
     abort = abort_declared(flight)
+    outcome, reason = Outcome.TIMEOUT, "the landing never began: no controller step in phase APPROACH"
     if abort:
-        return Verdict.unknown(Outcome.ABORTED, f"before the landing began: {abort.text}", judged_from)
-    reason = "the landing never began: no controller step in phase APPROACH"
-    return Verdict.unknown(Outcome.TIMEOUT, reason, judged_from)
-
-
-def left_s(flight: Judged) -> float:
-    """Return the time of the take-off that frees the pad for another vehicle; inf: there is none."""
-    if flight.steps is None:
-        return math.inf
-    steps = np.flatnonzero(flight.steps.phase == Phase.LEAVE)
-    return float(flight.steps.t_s[steps[0]]) if len(steps) else math.inf
+        outcome, reason = Outcome.ABORTED, f"before the landing began: {abort.text}"
+    return Verdict(outcome=outcome, reason=reason, judged_from=judged_from)
 
 
 def judged_until(flight: Judged, t_s: Floats, d_m: Floats) -> int:
@@ -142,9 +167,9 @@ def judged_until(flight: Judged, t_s: Floats, d_m: Floats) -> int:
     the clearance distance still counts, with the physics steps before it. Without the configuration the
     clearance distance is unknown, and all states count.
     """
-    abort = abort_declared(flight)
-    since_s = min(abort.t_s if abort is not None else math.inf, left_s(flight))
-    if flight.config is None:
+    began_s = [t for phase in (Phase.ABORT, Phase.LEAVE) if (t := flight.began_s(phase)) is not None]
+    if flight.config is None or not began_s:
         return len(t_s)
+    since_s = min(began_s)
     found = np.flatnonzero((t_s > since_s) & (d_m > flight.config.checks.clearance_m))
     return int(found[0]) + 1 if len(found) else len(t_s)

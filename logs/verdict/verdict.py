@@ -28,27 +28,27 @@ an absent collision or ellipsoid violation is "not known".
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any
 
-import numpy as np
-
-from flightstack.common.text import labels, named, outline
 from logs.reader.flight import load_fleet
-from logs.reader.flight_data import Bools, Fleet, Flight, Floats
+from logs.reader.flight_data import Fleet, Flight
 from logs.schema import FLEET, LOSSES
-from logs.schema.events import ContactBit
 from logs.schema.rows import FleetPairRow
 from logs.verdict.estimate import judge_estimate
 from logs.verdict.truth import judge_truth
-from logs.verdict.types import GAP_MAX_S, RADIUS_ABOVE_M, RADIUS_BESIDE_M, Outcome, Verdict
+from logs.verdict.types import GAP_MAX_S, Outcome, Verdict
 
 __all__ = ["Outcome", "Verdict", "judge", "judge_fleet", "judged", "result"]
 
 _WORST_FIRST = (Outcome.CRASHED, Outcome.TIMEOUT, Outcome.UNKNOWN, Outcome.ABORTED, Outcome.LANDED)
+_TOUCHDOWN = ("touchdown_error_m", "touchdown_speed_vertical_m_s", "touchdown_speed_horizontal_m_s")
+# worst of several numbers, by field
+_WORST = {"h_min_m": min, "h_min_outside_pad_m": min, **dict.fromkeys(_TOUCHDOWN, max)}
 
 
 def judge(flight: Flight) -> Verdict:
@@ -87,32 +87,18 @@ def two_barriers(judge: Sequence[object], flown: Sequence[object]) -> str:
     return "judged by alpha {} 1/m, beta {} m; flown with alpha {} 1/m, beta {} m".format(*judge, *flown)
 
 
-def flown_by(told: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of ``--json`` that describe the flight, from the metadata of a log."""
-    seed = told.get("seed", "")
-    return {
-        "scenario": told.get("scenario"),
-        "seed": int(seed) if seed.isdigit() else None,
-        "filter": told.get("filter"),
-    }
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetVerdict(Verdict):
+    """Verdict on a run: of each value the worst one of its vehicles, and the distances between them."""
 
-
-@dataclass(frozen=True, slots=True)
-class FleetVerdict:
-    """Verdict on a fleet from the verdicts of its members."""
-
-    outcome: Outcome  # worst outcome of the members
-    reason: str  # reason of the outcome, as text
-    violation: bool | None  # whether a member violated the barrier over its pad; None: unknown
     # verdict of each member, by name; a member that collided with another vehicle has the outcome crashed
     members: dict[str, Verdict]
-    collisions: int | None  # pairs whose shapes overlapped; None: data are missing
-    # number of times that two flying vehicles came inside their ellipsoid; None: data are missing
+    collisions: int | None  # pairs whose shapes overlapped; None: data are missing, or there are no pairs
+    # number of times that two flying vehicles came inside their ellipsoid; None: as above
     ellipsoid_violations: int | None
     # smallest ellipsoid norm between two flying vehicles, below 1: inside; None: never two, or unknown
     ellipsoid_min: float | None
-    # smallest distance of two centres of mass; None: unknown, or a single member
-    distance_min_m: float | None
+    distance_min_m: float | None  # smallest distance of two centres of mass; None: unknown, or no pairs
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
@@ -121,28 +107,39 @@ class FleetVerdict:
 
 def fleet_verdict(
     members: Mapping[str, Verdict],
-    pairs: Collection[FleetPairRow],
-    names: Mapping[int, str],
+    pairs: Collection[FleetPairRow] = (),
+    names: Mapping[int, str] = MappingProxyType({}),
     *,
     complete: bool = True,
 ) -> FleetVerdict:
-    """Judge a fleet by its members' verdicts and by the distances between the members."""
+    """Judge a run by its members' verdicts and by the distances between the members."""
     struck = [pair for pair in pairs if pair.collided_ms >= 0]
     ends = [each for pair in struck for each in ((pair.one, pair.other), (pair.other, pair.one))]
     hits = {names[one]: names[other] for one, other in ends}
     judged = {name: _struck(each, hits.get(name)) for name, each in members.items()}
-    outcome = min((each.outcome for each in judged.values()), key=_WORST_FIRST.index)
+    found = list(judged.values())
+    outcome = min((each.outcome for each in found), key=_WORST_FIRST.index)
+    violations, safe = {each.violation for each in found}, {each.started_safe for each in found}
     inside, complete = sum(pair.violations for pair in pairs), complete and len(pairs) > 0
     return FleetVerdict(
-        outcome,
-        _reason(outcome, judged, hits),
-        _any_known(each.violation for each in judged.values()),
-        judged,
-        len(struck) if struck or complete else None,
-        inside if inside or complete else None,
-        _least(pair.ellipsoid_min for pair in pairs) if complete else None,
-        _least(pair.distance_min_m for pair in pairs) if complete else None,
+        outcome=outcome,
+        violation=True if True in violations else None if None in violations else False,
+        **{name: _known(worst, (getattr(each, name) for each in found)) for name, worst in _WORST.items()},
+        time_to_land_s=_known(max, (e.time_to_land_s for e in found)) if outcome is Outcome.LANDED else None,
+        reason=_reason(outcome, judged, hits),
+        started_safe=False if False in safe else None if None in safe else True,
+        judged_from=", ".join(dict.fromkeys(each.judged_from for each in found)),
+        members=judged,
+        collisions=len(struck) if struck or complete else None,
+        ellipsoid_violations=inside if inside or complete else None,
+        ellipsoid_min=_known(min, (pair.ellipsoid_min for pair in pairs)) if complete else None,
+        distance_min_m=_known(min, (pair.distance_min_m for pair in pairs)) if complete else None,
     )
+
+
+def _known(worst: Callable[..., float | None], values: Iterable[float | None]) -> float | None:
+    """Return the smallest or largest known and finite value; None without one."""
+    return worst((value for value in values if value is not None and value < math.inf), default=None)
 
 
 def _struck(verdict: Verdict, by: str | None) -> Verdict:
@@ -153,15 +150,15 @@ def _struck(verdict: Verdict, by: str | None) -> Verdict:
 
 
 def _reason(outcome: Outcome, judged: Mapping[str, Verdict], hits: Collection[str]) -> str:
-    if outcome is Outcome.LANDED and len(judged) > 1:
+    if len(judged) == 1:
+        return next(iter(judged.values())).reason
+    if outcome is Outcome.LANDED:
         return f"all {len(judged)} landed"
-    shown = dict(zip(judged, labels(list(judged)), strict=True))
-    texts = {
-        name: "collision" if name in hits else each.reason
+    return "; ".join(
+        f"{name}: {'collision' if name in hits else each.reason}"
         for name, each in judged.items()
         if each.outcome is outcome
-    }
-    return "; ".join(named(shown[name], text) for name, text in texts.items())
+    )
 
 
 def judge_fleet(fleet: Fleet) -> FleetVerdict:
@@ -201,89 +198,52 @@ def result(
     """
     pages = pages or {}
     vehicles = {
-        name: _vehicle_result(fleet.flights[name], each, pages.get(name, pages.get("")), realtime_factor)
-        for name, each in verdict.members.items()
+        name: {
+            **_flown_by(_run(flight)),
+            **verdict.members[name].to_json_dict(),
+            "outside_envelope": outside_envelope(flight),
+            "judged_apart": judged_apart(flight),
+            "records_lost": sum(records_lost(flight).values()),
+            "report": _path(pages.get(name, pages.get(""))),
+        }
+        for name, flight in fleet.flights.items()
     }
-    filters = ", ".join(sorted({str(each["filter"]) for each in vehicles.values()}))
-    shared = {
-        **flown_by({**fleet.metadata.get(FLEET, {}), "filter": filters}),
-        "outcome": verdict.outcome.value,
-        "violation": verdict.violation,
-        "reason": verdict.reason,
+    first, values = next(iter(fleet.flights.values())), verdict.to_json_dict()
+    values.pop("members")
+    return {
+        **(about or {}),
+        **_flown_by({**_run(first), **fleet.metadata.get(FLEET, {})}),
+        "filter": _joined(", ", sorted(str(each["filter"]) for each in vehicles.values())),
+        **values,
+        "outside_envelope": _joined("; ", (each["outside_envelope"] for each in vehicles.values())),
+        "judged_apart": _joined("; ", (each["judged_apart"] for each in vehicles.values())),
         "records_lost": sum(int(n) for n in fleet.metadata.get(LOSSES, {}).values()),
-        "ellipsoid_violations": verdict.ellipsoid_violations,
-        "ellipsoid_min": verdict.ellipsoid_min,
-        "distance_min_m": verdict.distance_min_m,
-        "collisions": verdict.collisions,
         "realtime_factor": realtime_factor,
         "log": str(fleet.path),
-        "report": str(pages[""]) if "" in pages else None,
+        "report": _path(pages.get("")),
+        "vehicles": vehicles,
     }
-    return {**(about or {}), **outline(shared, "vehicles", vehicles)}
 
 
-def _vehicle_result(
-    flight: Flight, verdict: Verdict, page: Path | None, realtime_factor: float | None
-) -> dict[str, Any]:
+def _run(flight: Flight) -> dict[str, Any]:
+    """Return the metadata of a flight's run; without them, only the filter of its configuration."""
     filter_flown = flight.config.filter if flight.config is not None else None
+    return {"filter": filter_flown, **flight.metadata.get("run", {})}
+
+
+def _flown_by(run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of ``--json`` that describe a flight, from the metadata of its run."""
+    seed = run.get("seed", "")
     return {
-        **flown_by({"filter": filter_flown, **flight.metadata.get("run", {})}),
-        **verdict.to_json_dict(),
-        "outside_envelope": outside_envelope(flight),
-        "judged_apart": judged_apart(flight),
-        "records_lost": sum(records_lost(flight).values()),
-        "realtime_factor": realtime_factor,
-        "log": str(flight.path),
-        "report": str(page) if page is not None else None,
+        "scenario": run.get("scenario"),
+        "seed": int(seed) if seed.isdigit() else None,
+        "filter": run["filter"],
     }
 
 
-def _any_known(values: Iterable[bool | None]) -> bool | None:
-    """Whether any value is True; None if no value is True and one is unknown."""
-    found = set(values)
-    return True if True in found else None if None in found else False
+def _joined(between: str, texts: Iterable[str | None]) -> str:
+    return between.join(dict.fromkeys(text for text in texts if text))
 
 
-def _least(values: Iterable[float | None]) -> float | None:
-    """Return the smallest known and finite value; None without one."""
-    return min((value for value in values if value is not None and value < float("inf")), default=None)
-
-
-class PairSeries(NamedTuple):
-    """Distance of two members over time, from their true states; arrays are (n,)."""
-
-    name: str  # names of both members, for example cf1–cf2
-    t_s: Floats  # seconds since the origin of the fleet
-    distance_m: Floats  # distance of the centres of mass
-    measure: Floats  # distance in units of the ellipsoid around both vehicles: 1 on its surface, less inside
-    flying: Bools  # at each time: whether both vehicles were flying (motors on, no contact)
-
-
-def pair_series(fleet: Fleet) -> list[PairSeries]:
-    """Return the distances of all pairs with true states, at the times that both members have."""
-    found = []
-    for (a, one), (b, other) in combinations(fleet.flights.items(), 2):
-        if one.truth is None or other.truth is None:
-            continue
-        t_s, to_s = one.truth.t_s + fleet.shift_s(one), other.truth.t_s + fleet.shift_s(other)
-        both = (t_s >= to_s[0]) & (t_s <= to_s[-1])
-        if not both.any():
-            continue
-        t_s = t_s[both]
-        there_m = np.column_stack([np.interp(t_s, to_s, column) for column in other.truth.position_enu_m.T])
-        apart_m = one.truth.position_enu_m[both] - there_m
-        beside, above = 2.0 * RADIUS_BESIDE_M, 2.0 * RADIUS_ABOVE_M
-        measure = np.sqrt(
-            (apart_m[:, 0] ** 2 + apart_m[:, 1] ** 2) / beside**2 + (apart_m[:, 2] / above) ** 2
-        )
-        nearest = np.clip(np.searchsorted(to_s, t_s), 0, len(to_s) - 1)
-        flying = _flying(one)[both] & _flying(other)[nearest]
-        distance_m = np.linalg.norm(apart_m, axis=1)
-        found.append(PairSeries(f"{a}–{b}", t_s, distance_m, measure, flying))
-    return found
-
-
-def _flying(flight: Flight) -> Bools:
-    assert flight.truth is not None
-    rests = flight.truth.contacts & int(ContactBit.PAD | ContactBit.GROUND)
-    return np.asarray(flight.truth.motors_running & (rests == 0))
+def _path(page: Path | None) -> str | None:
+    return str(page) if page is not None else None

@@ -140,14 +140,14 @@ def save(log: Path, out: Path) -> str:
     """Write a log as a recording; return the damage of the log, as text."""
     fleet = load_fleet(log)
     flights = fleet.flights.values()
-    first, members = next(iter(flights)), [flight.label for flight in flights if flight.label]
+    first, members = next(iter(flights)), list(fleet.flights) if len(flights) > 1 else []
     told = fleet.metadata.get(FLEET, first.metadata.get("run", {}))
     stream = rr.RecordingStream("flightstack")
     stream.send_recording_name(f"{told.get('scenario', 'flight')}: {log.name}")
     stream.save(out, default_blueprint=blueprint(members))
-    for number, flight in enumerate(flights):
+    for number, (member, flight) in enumerate(zip(members or [""], flights, strict=True)):
         color = markers.COLORS[number % len(markers.COLORS)]
-        draw(Canvas(stream, fleet.origin_ns, flight.label, color), flight)
+        draw(Canvas(stream, fleet.origin_ns, member, color), flight)
     events(Canvas(stream, fleet.origin_ns), fleet.origin_ns, fleet.events)
     stream.flush()
     stream.disconnect()

@@ -10,10 +10,9 @@ import io
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -38,9 +37,12 @@ _TIMED = {
     "approach_s": Phase.APPROACH, "land_s": Phase.LAND, "touchdown_s": Phase.TOUCHDOWN,
     "hold_s": Phase.HOLD, "climb_s": Phase.CLIMB, "abort_s": Phase.ABORT,
 }  # fmt: skip
-_TOUCHDOWN = ("touchdown_error_m", "touchdown_speed_vertical_m_s", "touchdown_speed_horizontal_m_s")
-# values that are fields of a verdict
-_JUDGED = ("started_safe", "h_min_m", "h_min_outside_pad_m", *_TOUCHDOWN, "time_to_land_s")
+# columns that are fields of the verdict on the run
+_JUDGED = (
+    "reason", "violation", "started_safe", "h_min_m", "h_min_outside_pad_m", "touchdown_error_m",
+    "touchdown_speed_vertical_m_s", "touchdown_speed_horizontal_m_s", "time_to_land_s", "collisions",
+    "ellipsoid_violations", "ellipsoid_min", "distance_min_m",
+)  # fmt: skip
 
 
 class RowsError(ValueError):
@@ -105,57 +107,44 @@ def judge_landing(flown: Landing) -> FleetVerdict:
     return fleet_verdict(members, flown.pairs, names)
 
 
-# columns in which the values of all vehicles are joined, and the function that joins the known ones
-_JOINED: Mapping[str, Callable[[list[Any]], Any]] = {
-    "h_min_m": partial(min, default=None),
-    **dict.fromkeys(("retries", *_TIMED), sum),
-    **dict.fromkeys((*_TOUCHDOWN, "own_age_max_s", "target_age_max_s"), partial(max, default=None)),
-}
-
-
 def row_of(flown: Landing) -> Row:
     """Return the row of a run: sums of retries and phase durations, and the worst vehicle's other values."""
     verdict, vehicles = judge_landing(flown), [_values(landing) for landing in flown.members]
-    deepest = min(vehicles, key=lambda each: math.inf if (h := each["h_min_outside_pad_m"]) is None else h)
+    deepest = min(vehicles, key=lambda each: each["h_min_outside_pad_m"])
     known = {name: [each[name] for each in vehicles if each[name] is not None] for name in vehicles[0]}
-    landed_s = known["time_to_land_s"] if verdict.outcome is Outcome.LANDED else []
     waits_s = (each.wait_s for each in flown.members)
     several: dict[str, Any] = {"outcomes": " ".join(verdict.outcomes), "wait_max_s": max(waits_s)}
     return Row(
         seed=flown.seed,
         outcome=verdict.outcome.value,
-        reason=verdict.reason,
-        violation=verdict.violation,
-        started_safe=_all(each["started_safe"] for each in vehicles),
-        **{name: deepest[name] for name in ("h_min_outside_pad_m", "h_min_d_m", "h_min_e_z_m")},
-        **{name: join(known[name]) for name, join in _JOINED.items()},
-        time_to_land_s=max(landed_s, default=None),
+        **{name: getattr(verdict, name) for name in _JUDGED},
+        h_min_d_m=deepest["h_min_d_m"],
+        h_min_e_z_m=deepest["h_min_e_z_m"],
+        **{name: sum(known[name]) for name in ("retries", *_TIMED)},
+        own_age_max_s=max(known["own_age_max_s"], default=None),
+        target_age_max_s=max(known["target_age_max_s"], default=None),
         simulated_s=max(each.simulated_s for each in flown.members),
         wall_s=flown.wall_s,
         cells=_cells(*map(np.concatenate, zip(*known["cells"], strict=True))),
-        collisions=verdict.collisions,
-        ellipsoid_violations=verdict.ellipsoid_violations,
-        ellipsoid_min=verdict.ellipsoid_min,
-        distance_min_m=verdict.distance_min_m,
         **(several if flown.others else {}),
     )
 
 
 def _values(landing: Landing) -> dict[str, Any]:
     """Return the values of one vehicle by column; those of ``cells`` are d, e_z and h since the start."""
-    verdict, seen = landing.verdict, landing.seen
+    h_m, seen = landing.verdict.h_min_outside_pad_m, landing.seen
     steps, truth, start_s = seen.steps, seen.truth, seen.landing_start_s
     begin = len(truth.t_s) if start_s is None else int(np.searchsorted(truth.t_s, start_s))
     lowest_d_m = lowest_e_z_m = None
     outside_m = truth.h_min_outside_pad_m[begin:]
-    if verdict.h_min_outside_pad_m is not None:
+    if h_m is not None:
         at = begin + int(np.argmin(np.where(np.isnan(outside_m), np.inf, outside_m)))
         lowest_d_m, lowest_e_z_m = float(truth.d_m[at]), float(truth.e_m[at, 2])
     # a phase lasts until the next step
     lengths_s = np.diff(steps.t_s, append=steps.t_s[-1])
     landing_steps = slice(0, 0) if start_s is None else slice(int(np.searchsorted(steps.t_s, start_s)), None)
     return {
-        **{name: getattr(verdict, name) for name in _JUDGED},
+        "h_min_outside_pad_m": math.inf if h_m is None else h_m,
         "h_min_d_m": lowest_d_m,
         "h_min_e_z_m": lowest_e_z_m,
         "retries": landing.retries,
@@ -164,12 +153,6 @@ def _values(landing: Landing) -> dict[str, Any]:
         "target_age_max_s": _largest(steps.target_age_s[landing_steps]),
         "cells": (truth.d_m[begin:], truth.e_m[begin:, 2], truth.h_m[begin:]),
     }
-
-
-def _all(values: Iterable[bool | None]) -> bool | None:
-    """Whether all values are true; None if a value is unknown and no value is false."""
-    found = set(values)
-    return False if False in found else None if None in found else True
 
 
 def error_row(seed: int, reason: str) -> Row:

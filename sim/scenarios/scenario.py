@@ -27,7 +27,6 @@ from flightstack.common.strict_toml import (
     span,
     to_table,
 )
-from flightstack.common.text import labels
 from flightstack.core.parameters.filters import look_here
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
@@ -187,12 +186,11 @@ class Scenario:
         Gusts differ for each member. The first member has the seed of the run.
         """
         drawn_rad = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
-        shown = labels(list(self.namespaces().values()))
-        for number, (each, label) in enumerate(zip(self.members, shown, strict=True), 1):
+        for number, each in enumerate(self.members, 1):
             wind = each.wind
             if wind.direction_rad is None:
                 wind = replace(wind, direction_rad=drawn_rad)
-            name = ".".join(filter(None, (self.name, label)))
+            name = f"{self.name}.{member_name(number)}" if self.others else self.name
             yield replace(each, name=name, wind=wind), seed_of(seed, number)
 
     def one(self, seed: int, number: int | None) -> tuple[Scenario, int]:

@@ -100,7 +100,7 @@ class FleetMember:
 
     def __init__(self, fleet: Fleet, sigma_m: float) -> None:
         self.memory = FleetMemory(tuple(Heard() for _ in fleet.others))
-        self._fleet, self._sigma_m, self.is_alone = fleet, sigma_m, not fleet.others
+        self._fleet, self._sigma_m, self._is_alone = fleet, sigma_m, not fleet.others
         self._index = {n: k for k, n in enumerate(fleet.others)}
         self._program, self._given_m_s = FleetProgram() if fleet.others else None, 0.0
 
@@ -109,11 +109,15 @@ class FleetMember:
         """Return id and state of each other member."""
         return list(zip(self._index, self.memory.slots, strict=True))
 
+    @property
+    def _messages(self) -> list[MemberStatus]:
+        return [slot.message for slot in self.memory.slots if slot.message is not None]
+
     def observe(
         self, inputs: Inputs, phase: Phase, target: TargetState | None, now_s: float
     ) -> tuple[list[str], Permissions]:
         """Store the received messages; return event texts and the permissions of this tick."""
-        if self.is_alone:
+        if self._is_alone:
             return [], ALONE
         return self.take(inputs.neighbours, now_s), self.permissions(phase, target, now_s, inputs.own)
 
@@ -149,13 +153,10 @@ class FleetMember:
     def _refusal(self, message: MemberStatus, now_s: float) -> str:
         if message.id not in self._index:
             return "it is no other member"
-        _, stamp_s, _, (x, y, z), (vx, vy, vz), (wx, wy, wz), sigma_m, bound_s, _, claim_s, pad, moves, _ = (
-            message
-        )
-        if not math.isfinite(x + y + z + vx + vy + vz + wx + wy + wz + stamp_s + sigma_m + bound_s):
+        _, stamp_s, _, p, v, wanted, sigma_m, bound_s, _, claim_s, pad, moves, _ = message
+        if not all(map(math.isfinite, (*p, *v, *wanted, stamp_s, sigma_m, bound_s))):
             return "a number is not finite"
-        (x, y, z), (vx, vy, vz) = pad or ZERO, moves or ZERO
-        if math.isinf(claim_s) or not math.isfinite(x + y + z + vx + vy + vz):
+        if math.isinf(claim_s) or not all(map(math.isfinite, (*(pad or ZERO), *(moves or ZERO)))):
             return "its claim or its pad is not finite"
         if bound_s < 0.0 or sigma_m < 0.0:
             return "a bound is negative"
@@ -168,8 +169,10 @@ class FleetMember:
         fleet = self._fleet
         if since_s > FLIGHTS_OF_OTHERS * fleet.wait_max_s:
             return True
-        messages = [slot.message for _, slot in self.slots if slot.message is not None]
-        return all(w.intent is Intent.DOWN or now_s - w.stamp_s > fleet.silent_flight_s for w in messages)
+        return all(
+            each.intent is Intent.DOWN or now_s - each.stamp_s > fleet.silent_flight_s
+            for each in self._messages
+        )
 
     def permissions(
         self, phase: Phase, target: TargetState | None, now_s: float, own: OwnState | None = None
@@ -179,18 +182,13 @@ class FleetMember:
         The call also updates claim, right of way and landing place; call it once in each tick.
         """
         pad = Pad(target.position_enu_m, target.velocity_enu_m_s) if target is not None else None
-        permissions = decide(self.memory, self.slots, phase, pad, now_s, self._fleet)
-        if phase is Phase.LEAVE and pad is not None and own is not None:
-            memory, messages = (
-                self.memory,
-                [slot.message for _, slot in self.slots if slot.message is not None],
-            )
-            memory.left = True
-            memory.place_enu_m = place_beside(
-                memory.place_enu_m, own.position_enu_m, pad, messages, self._fleet
-            )
-            permissions = permissions._replace(place_enu_m=memory.place_enu_m)
-        return permissions
+        memory, fleet = self.memory, self._fleet
+        permissions = decide(memory, self.slots, phase, pad, now_s, fleet)
+        if phase is not Phase.LEAVE or pad is None or own is None:
+            return permissions
+        memory.left = True
+        memory.place_enu_m = place_beside(memory.place_enu_m, own.position_enu_m, pad, self._messages, fleet)
+        return permissions._replace(place_enu_m=memory.place_enu_m)
 
     def remains_on_pad(self, permissions: Permissions, in_phase_s: float, why: str) -> list[str]:
         """Return an event text once if another vehicle waits for the pad on which this vehicle remains."""
@@ -262,7 +260,7 @@ class FleetMember:
 
     def texts(self, permissions: Permissions, in_phase_s: float, why: str, now_s: float) -> list[str]:
         """Return the event texts after the filter; ``why``: reason why the vehicle cannot take off again."""
-        if self.is_alone:
+        if self._is_alone:
             return []
         return self._crowded(now_s) + self.remains_on_pad(permissions, in_phase_s, why)
 
@@ -283,8 +281,10 @@ class FleetMember:
     def message(
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
-    ) -> MemberStatus:  # fmt: skip
-        """Return the message to the other members after this tick."""
+    ) -> MemberStatus | None:  # fmt: skip
+        """Return the message to the other members after this tick; None: there are no others."""
+        if self._is_alone:
+            return None
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
         fleet, mine, (x, y, z) = self._fleet, self.memory, own.position_enu_m
         intent = intent_of(memory, granted=mine.granted, flies=flies)

@@ -15,14 +15,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from flightstack.core.safety.position_loop import clip_to_box
-from flightstack.core.safety.projection import EMPTY, projected
 from flightstack.core.types import ZERO, Vec3
 
 TOLERANCE_M_S = 1e-9  # allowed violation of a constraint, m/s
@@ -186,29 +184,10 @@ def _impossible(
 
 def by_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
     """Return the minimiser of the program, or ``None`` if no point of the box meets all constraints."""
-    point = clip_to_box(nominal, lower, upper)
-    missed = [k for k, row in enumerate(rows) if row.missing_m_s(point) > 0.0]
-    if not missed:
-        return point, (0.0,) * len(rows)
-    for k in missed:
-        at, multiplier = projected(nominal, rows[k].g, rows[k].bound_m_s, lower, upper)
-        if multiplier == EMPTY:
-            return None
-        if all(row.missing_m_s(at) <= TOLERANCE_M_S for row in rows) and multiplier < np.inf:
-            return at, tuple(multiplier if n == k else 0.0 for n in range(len(rows)))
-    return _of_all_sets(nominal, rows, lower, upper)
-
-
-@cache
-def _sets(rows: int, size: int) -> Any:
-    """Return the sets of ``size`` constraints and sides of the box, without two sides of one axis."""
-    sides = [(rows + k, rows + 3 + k) for k in range(3)]
-    every = combinations(range(rows + 6), size)
-    return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
-
-
-def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    count, start = len(rows), np.array(nominal)
+    point, count, start = clip_to_box(nominal, lower, upper), len(rows), np.array(nominal)
+    if all(row.missing_m_s(point) <= 0.0 for row in rows):
+        return point, (0.0,) * count
+    opposite = [(count + k, count + 3 + k) for k in range(3)]  # two sides of one axis are never both active
     normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), np.array(_SIDES)])
     bounds = np.array([*(row.bound_m_s for row in rows), *lower, *(-side for side in upper)])
     lengths = np.linalg.norm(normals, axis=1)
@@ -216,7 +195,8 @@ def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -
     unit, limit = normals / lengths[:, None], bounds / lengths
     best, least = None, np.inf
     for size in (1, 2, 3):
-        chosen = _sets(count, size)
+        every = combinations(range(count + 6), size)
+        chosen = np.array([s for s in every if not any(low in s and high in s for low, high in opposite)])
         a = unit[chosen]
         gram = a @ a.transpose(0, 2, 1)
         with np.errstate(divide="ignore"):  # the determinant of a dependent set is zero

@@ -59,6 +59,16 @@ class Fleet:
         """Ids of the other members, in ascending order."""
         return tuple(sorted(set(self.members) - {self.id}))
 
+    @property
+    def flat(self) -> float:
+        """Ratio of the ellipsoid's horizontal semi-axis to its vertical one."""
+        return self.radius_xy_m / self.radius_z_m
+
+    @property
+    def growth_m_s(self) -> float:
+        """Growth rate of the ellipsoid around a neighbour whose message has the largest latency."""
+        return self.acceleration_max_m_s2 * self.latency_max_s
+
     def check(self, lag_s: float, period_s: float, clearance_m: float) -> None:
         """Reject members or limits that contradict each other, the velocity loop, the tick or the retreat."""
         members = f"fleet.members: found {list(self.members)}"

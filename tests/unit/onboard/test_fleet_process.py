@@ -16,7 +16,7 @@ from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, MemberStatus, Operator, Phase
 from flightstack.onboard import process
-from flightstack.onboard.fleet_wire import DRIFT, FleetWire, Offset, OtherClock
+from flightstack.onboard.fleet_wire import DRIFT_PPM, FleetWire, Offset, OtherClock
 from flightstack.onboard.process import Onboard
 from flightstack.onboard.runner import Runner
 from logs.schema import schemas
@@ -183,7 +183,7 @@ def test_the_bound_holds_for_all_delays_and_drifts(off_ns, drift, rounds):
     here, there, now = OtherClock(), OtherClock(), 0
 
     def there_ns(t_ns):
-        return t_ns - off_ns - round(drift * DRIFT * t_ns)
+        return t_ns - off_ns - round(drift * 1e-6 * DRIFT_PPM * t_ns)
 
     for go, back, pause in rounds:
         stamp = there_ns(now)
@@ -193,7 +193,9 @@ def test_the_bound_holds_for_all_delays_and_drifts(off_ns, drift, rounds):
         now += back + pause
         found = here.offset(now)
         if found is not None:
-            slack_ns = 2 + DRIFT * 2 * 300 * MS  # rounding, and clock drift during the age of an echo
+            slack_ns = (
+                3 + 1e-6 * DRIFT_PPM * 2 * 300 * MS
+            )  # rounding, and clock drift during the age of an echo
             assert abs(found.ns - (now - there_ns(now))) <= found.bound_ns + slack_ns
 
 

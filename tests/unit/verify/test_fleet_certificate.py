@@ -16,7 +16,7 @@ from flightstack.core.fleet.solution import Row, nearest
 from flightstack.core.types import ZERO
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
-from flightstack.verify.fleet import anywhere_m, crowd, one_short_m_s, team_checks, up_the_slope_m_s
+from flightstack.verify.fleet import anywhere_m, one_short_m_s, steepest, team_checks, up_the_slope_m_s
 from sim.scenarios import scenario
 from tests.examples import examples
 from tests.unit.verify.certificate_helpers import config
@@ -108,7 +108,7 @@ def test_two_that_lag_come_to_rest_outside_if_the_rate_is_proven_and_not_if_it_i
 
 CONFIG = with_fleet()
 X = extremes(CONFIG)
-CROWD = crowd(CONFIG, CONFIG.fleet, X.shape, X.target_climb_m_s)
+STEEPEST = steepest(CONFIG, X.shape)
 BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 
 
@@ -122,7 +122,7 @@ def neighbour_row(away, h_m, speed_m_s):
     """Return the constraint of a neighbour at -``away`` from the vehicle, which flies towards it."""
     _, g = barrier(away, 0.25, 0.75)
     length = math.hypot(*g)
-    return Row(g, speed_m_s * length + CROWD.growth_m_s - CONFIG.fleet.rate_1_s * h_m)
+    return Row(g, speed_m_s * length + CONFIG.fleet.growth_m_s - CONFIG.fleet.rate_1_s * h_m)
 
 
 ANGLE, UNIT = st.floats(-math.pi, math.pi), st.floats(0.0, 1.0)
@@ -139,13 +139,13 @@ def pad_of(share_of_speed, angle):
 @examples(400)
 @given(SLOPE, ANGLE, UNIT, ANGLE, CLIMB, st.lists(st.tuples(AWAY, UNIT), min_size=1, max_size=8))
 def test_any_number_of_neighbours_leaves_a_common_point_from_far_enough(slope, n, w, pad, climb, others):
-    from_m = anywhere_m(CONFIG, CONFIG.fleet, CROWD)
+    from_m = anywhere_m(CONFIG)
     rows = [neighbour_row(away, from_m, speed) for away, speed in others]
     lower = (*BOX[0][:2], climb)
     assert nearest(ZERO, [landing_row(slope, n, pad_of(w, pad)), *rows], lower, BOX[1]) is not None
 
 
-SHORT = one_short_m_s(CONFIG, CROWD, up_the_slope_m_s(CONFIG, CROWD), -math.pi / 2.0)
+SHORT = one_short_m_s(CONFIG, up_the_slope_m_s(CONFIG, STEEPEST, X.target_climb_m_s), -math.pi / 2.0)
 
 
 @examples(400)
@@ -157,9 +157,9 @@ def test_one_neighbour_leaves_a_common_point_from_where_it_is_said(slope, n, w, 
 
 
 def test_the_worst_neighbour_is_met_at_that_distance_and_not_nearer():
-    slope, (short_m_s, elevation) = CROWD.steepest, SHORT
+    slope, (short_m_s, elevation) = STEEPEST, SHORT
     # direction error of g, from the error of a position difference
-    away = (math.cos(elevation), 0.0, math.sin(elevation) / CROWD.flat)
+    away = (math.cos(elevation), 0.0, math.sin(elevation) / CONFIG.fleet.flat)
     landing = landing_row(slope, 0.0, (-CONFIG.touchdown.target_speed_max_m_s, 0.0))
     for nearer_m, found in ((0.01, False), (-0.01, True)):
         row = neighbour_row(away, short_m_s / CONFIG.fleet.rate_1_s - nearer_m, CONFIG.fleet.speed_max_m_s)

@@ -98,7 +98,7 @@ def test_a_broken_log_gives_what_is_before_the_break(fleet, tmp_path):
     assert (verdict.collisions, verdict.ellipsoid_violations, verdict.distance_min_m) == (None,) * 3
 
 
-LANDED = Verdict.unknown(Outcome.LANDED, "well", TRUTH)
+LANDED = Verdict(outcome=Outcome.LANDED, reason="well", judged_from=TRUTH)
 PAIR = FleetPairRow(0, 1, 2, 0.9, 1.0, 3.0, 0, 0, -1)
 NAMES = {1: "cf1", 2: "cf2"}
 

@@ -196,7 +196,7 @@ def run(*arguments):
 def test_the_verb_says_equal_or_names_what_is_not(recorded, tmp_path):
     for arguments in ([recorded], [recorded, "--check"]):
         done = run(*arguments)
-        assert (done.exit_code, done.output.splitlines()[-1]) == (0, "equal"), done.output
+        assert (done.exit_code, done.output.splitlines()[-1]) == (0, "cf1: equal"), done.output
     changed = rewritten(recorded, tmp_path / "changed.mcap", change=at(STEP, lambda d: flipped(d, -1, 7)))
     done = run(changed, "--check")
     assert done.exit_code == 1

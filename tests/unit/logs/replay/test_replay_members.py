@@ -75,4 +75,4 @@ def test_one_member_that_differs_is_told_and_one_that_proves_nothing_makes_all_u
     assert code == 2
     assert "cf1: " in err
     assert "cf2: equal" in out
-    assert out.splitlines()[-1] == "unusable: 3 members"
+    assert out.splitlines()[-1] == "cf3: different"
