@@ -152,7 +152,7 @@ class FleetMember:
 
     def _refusal(self, message: MemberStatus, now_s: float) -> str:
         if message.id not in self._index:
-            return "it is no other member"
+            return "it is not in fleet.members"
         _, stamp_s, _, p, v, wanted, sigma_m, bound_s, _, claim_s, pad, moves, _ = message
         if not all(map(math.isfinite, (*p, *v, *wanted, stamp_s, sigma_m, bound_s))):
             return "a number is not finite"
@@ -195,7 +195,7 @@ class FleetMember:
         if not permissions.pad_wanted or self.memory.stays or in_phase_s < STAYS_S:
             return []
         self.memory.stays = True
-        return [f"it stays on the pad: {why or 'an input is lost'}; {permissions.text}"]
+        return [f"the vehicle remains on the pad: {why or 'an input is lost'}; {permissions.text}"]
 
     def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
         """Return the constraints of the neighbours within reach on this vehicle; none in TOUCHDOWN."""
@@ -269,13 +269,11 @@ class FleetMember:
         memory, given_m_s, self._given_m_s = self.memory, self._given_m_s, 0.0
         if given_m_s > REPORTED_M_S:
             before, memory.crowded, memory.crowded_s = memory.crowded, True, now_s
-            text = (
-                f"no velocity keeps clear of all other vehicles: their rows give way by {given_m_s:.2f} m/s"
-            )
+            text = f"no velocity meets the rows of all neighbours: they are relaxed by {given_m_s:.2f} m/s"
             return [] if before else [text]
         if memory.crowded and now_s - memory.crowded_s > STEADY_S:
             memory.crowded = False
-            return ["the rows of the other vehicles hold again"]
+            return ["the rows of the neighbours are no longer relaxed"]
         return []
 
     def message(

@@ -74,11 +74,11 @@ def decide(
             memory.waits_since_s = memory.committed_s = math.inf
             for _, slot in slots:
                 slot.yields = False
-        text, cut_off = _names("not heard", missing), bool(missing) and _cut_off(slots, now_s, fleet)
+        text, cut_off = _names("no message from", missing), bool(missing) and _cut_off(slots, now_s, fleet)
         if phase is Phase.LANDED and pad is not None and fleet.frees_pad and not memory.left:
             waiting = [n for n, slot in slots if _waits_for(slot.message, pad, now_s, fleet)]
             return Permissions(
-                not missing, False, False, False, _names("waits", waiting) or text, bool(waiting)
+                not missing, False, False, False, _names("pad requested by", waiting) or text, bool(waiting)
             )
         return Permissions(not missing, False, False, False, text, cut_off=cut_off)
     if not math.isfinite(memory.claim_s):

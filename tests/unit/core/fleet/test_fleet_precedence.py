@@ -123,8 +123,8 @@ def test_pads_that_drive_towards_each_other_come_near_within_the_time():
 @pytest.mark.parametrize(
     ("keys", "why"),
     [
-        ({"id": 4}, "no other member"),
-        ({"id": 3}, "no other member"),
+        ({"id": 4}, "not in fleet.members"),
+        ({"id": 3}, "not in fleet.members"),
         ({"position_enu_m": (math.nan, 0.0, 0.0)}, "not finite"),
         ({"wanted_enu_m_s": (0.0, math.inf, 0.0)}, "not finite"),
         ({"stamp_s": math.inf}, "not finite"),

@@ -47,15 +47,15 @@ def test_the_pad_is_wanted_by_who_claims_it_now(fleet, phase, told, wanted):
     way = member(fleet, **told).permissions(phase, HERE, 1.0)
     assert way.pad_wanted is wanted
     if wanted:
-        assert way.text == "waits member 7"
+        assert way.text == "pad requested by member 7"
 
 
 def test_that_it_stays_though_others_wait_is_told_once():
-    found, wanted = member(**WAITS), Permissions(pad_wanted=True, text="waits member 7")
+    found, wanted = member(**WAITS), Permissions(pad_wanted=True, text="pad requested by member 7")
     assert found.remains_on_pad(wanted, STAYS_S - 0.1, "") == []
     assert found.remains_on_pad(Permissions(), STAYS_S + 0.1, "") == []
     assert found.remains_on_pad(wanted, STAYS_S + 0.1, "4.1 V") == [
-        "it stays on the pad: 4.1 V; waits member 7"
+        "the vehicle remains on the pad: 4.1 V; pad requested by member 7"
     ]
     assert found.remains_on_pad(wanted, STAYS_S + 9.0, "4.1 V") == []
 
