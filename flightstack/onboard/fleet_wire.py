@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 import secrets
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -99,19 +100,6 @@ def _growth_ns(now_ns: int) -> int:
     return now_ns * DRIFT_PPM // 1_000_000
 
 
-class _Counts:
-    """Counters of rejected messages; a text is stored whenever a counter has doubled."""
-
-    def __init__(self) -> None:
-        self._counts: dict[str, int] = {}
-        self.texts: list[str] = []
-
-    def add(self, what: str, detail: str = "") -> None:
-        count = self._counts[what] = self._counts.get(what, 0) + 1
-        if count & (count - 1) == 0:
-            self.texts.append(f"fleet: {what}{f' ({detail})' if detail else ''}: {count} messages rejected")
-
-
 class _Member:
     """Connection to the process of another member."""
 
@@ -139,7 +127,8 @@ class FleetWire:
         self._opened_s = time.monotonic()
         self._process = secrets.randbits(64)
         self._members = {n: _Member(fleet) for n in fleet.others}
-        self._counts = _Counts()
+        self._rejected: Counter[str] = Counter()  # number of rejected messages by reason
+        self._texts: list[str] = []  # texts for the operator since the last call of ``texts``
         self._epoch_ns = 0
         self._now_s: Callable[[], float] = lambda: 0.0
         if fleet.others:
@@ -190,18 +179,18 @@ class FleetWire:
         if message is None:
             return None
         now_ns = self._epoch_ns + round(message.stamp_s * 1e9)
-        echoes = []
-        for n, member in self._members.items():
-            ahead_ns = member.clock.ahead_ns(now_ns)
-            if member.process is not None and ahead_ns is not None:
-                echoes.append(Echo(n, member.process, ahead_ns))
+        echoes = [
+            Echo(n, member.process, ahead_ns)
+            for n, member in self._members.items()
+            if member.process is not None and (ahead_ns := member.clock.ahead_ns(now_ns)) is not None
+        ]
         payload = status_row(message, self._epoch_ns, self._process, echoes).pack()
         self._publisher.put(payload)
         return payload
 
     def texts(self) -> list[str]:
         """Return the texts for the operator since the last call."""
-        texts, self._counts.texts = self._counts.texts, []
+        texts, self._texts = self._texts, []
         return texts
 
     def close(self) -> None:
@@ -210,22 +199,29 @@ class FleetWire:
             self._subscriber.undeclare()
             self._publisher.undeclare()
 
+    def _reject(self, reason: str, detail: str = "") -> None:
+        """Count a rejected message; store a text whenever the count of its reason has doubled."""
+        self._rejected[reason] += 1
+        if (count := self._rejected[reason]) & (count - 1) == 0:
+            more = f" ({detail})" if detail else ""
+            self._texts.append(f"fleet: {reason}{more}: {count} messages rejected")
+
     def _rows(self) -> list[MemberStatusRow]:
         rows = []
         for sample in zenoh_link.drain(self._subscriber):
             payload = sample.payload.to_bytes()
             if len(payload) > BYTES_MAX:
-                self._counts.add("malformed", f"{len(payload)} bytes, allowed are {BYTES_MAX}")
+                self._reject("malformed", f"{len(payload)} bytes, allowed are {BYTES_MAX}")
                 continue
             try:
                 rows.append(MemberStatusRow.unpack(payload))
             except ValueError as error:
-                self._counts.add("malformed", str(error))
+                self._reject("malformed", str(error))
         return rows
 
     def _hear_namesake(self) -> None:
         what = f"another process has the vehicle id {self._fleet.id} of this one"
-        self._counts.add(what)
+        self._reject(what)
         self.doubled = f"fleet: {what}: end it, or give one of them another id"
 
     def _is_of_member(self, row: MemberStatusRow, now_ns: int) -> bool:
@@ -236,16 +232,16 @@ class FleetWire:
             return False
         member = self._members.get(row.id)
         if member is None:
-            self._counts.add(f"vehicle {row.id} is no member")
+            self._reject(f"vehicle {row.id} is no member")
             return False
         if member.process == row.process:
             return True
         silent_s = (now_ns - member.heard_ns) * 1e-9
         if member.process is not None and silent_s <= self._fleet.silent_flight_s:
-            self._counts.add(f"two processes have the vehicle id {row.id}")
+            self._reject(f"two processes have the vehicle id {row.id}")
             return False
         if member.process is not None:
-            self._counts.texts.append(f"fleet: vehicle {row.id} has a new process after {silent_s:.1f} s")
+            self._texts.append(f"fleet: vehicle {row.id} has a new process after {silent_s:.1f} s")
         member = self._members[row.id] = _Member(self._fleet)
         member.process = row.process
         return True
@@ -256,7 +252,7 @@ class FleetWire:
         # PROOF_S is short: a queue cannot look like a changed clock, because the offset's bound covers delays
         reading = member.stamps.accept(row.stamp_ns / 1e9, now_ns / 1e9, PROOF_S)
         if reading is Reading.AHEAD or reading is Reading.UNUSABLE:
-            self._counts.add(f"the clock of vehicle {row.id}, or of this one, has jumped")
+            self._reject(f"the clock of vehicle {row.id}, or of this one, has jumped")
         if not reading.good:
             return None
         if reading is Reading.STEPPED:
@@ -264,7 +260,7 @@ class FleetWire:
         member.heard_ns = now_ns
         echoes = [ns for n, process, ns in row.echoes if (n, process) == (fleet.id, self._process)]
         if not member.clock.heard(row.stamp_ns, now_ns, echoes[0] if echoes else None):
-            self._counts.add(f"the clock of vehicle {row.id}, or of this one, has jumped")
+            self._reject(f"the clock of vehicle {row.id}, or of this one, has jumped")
             return None
         self._note_one_way(member, row.id, now_ns, heard=bool(echoes))
         offset = member.clock.offset(now_ns)
@@ -272,7 +268,7 @@ class FleetWire:
             return None
         bound_s = offset.bound_ns * 1e-9
         if bound_s > fleet.latency_max_s:
-            self._counts.add(
+            self._reject(
                 f"the clock of vehicle {row.id} is not known accurately",
                 f"to {bound_s:.3f} s, fleet.latency_max_s is {fleet.latency_max_s:g}",
             )
@@ -286,7 +282,7 @@ class FleetWire:
         try:
             return received_status(row, stamp_s, now_s, member.claim_s, bound_s)
         except ValueError as error:
-            self._counts.add("malformed", str(error))
+            self._reject("malformed", str(error))
             return None
 
     def _note_one_way(self, member: _Member, n: int, now_ns: int, *, heard: bool) -> None:
@@ -298,7 +294,7 @@ class FleetWire:
             member.one_way_ns = now_ns
         if not member.said_one_way and (now_ns - member.one_way_ns) * 1e-9 > ONE_WAY_S:
             member.said_one_way = True
-            self._counts.texts.append(
+            self._texts.append(
                 f"fleet: vehicle {n} receives no messages of this one: are they connected directly or "
                 "by a router, and is this one's id among its members?"
             )

@@ -186,7 +186,7 @@ class LockstepStatuses(FleetWire):
 
         if not self._gone and (not wait_until(come, stopped, WORLD_SILENT_S, pause_s=2e-5) or stopped()):
             self._gone = True
-            self._counts.texts.append("fleet: no messages arrived with this tick: continuing without")
+            self._texts.append("fleet: no messages arrived with this tick: continuing without")
 
     def statuses(self) -> tuple[MemberStatus, ...]:
         tick = self._tick
