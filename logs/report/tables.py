@@ -28,11 +28,8 @@ YES_NO = {True: "yes", False: "no", None: "not known"}
 
 
 def headline(verdict: FleetVerdict) -> tuple[str, str]:
-    members = list(verdict.members.values())
     text, style = HEADLINES[verdict.outcome]
-    if verdict.outcome is Outcome.LANDED and len(members) > 1:
-        text = "All landed"
-    if all(each.judged_from == ESTIMATE for each in members):
+    if verdict.judged_from == ESTIMATE:
         text = f"{text}, by its own estimate"
     also = ["a barrier violation"] if verdict.violation else []
     also += ["an ellipsoid violation"] if verdict.ellipsoid_violations else []
@@ -129,11 +126,12 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
 
 def key_numbers(verdict: FleetVerdict, sides: Sequence[Side]) -> list[tuple[str, str, str]]:
     """Return name, value and unit of the key numbers: of each the worst value of the flights."""
-    found = []
-    for name, unit, digits, factor, value, _ in _NUMBERS:
-        known = [each for each in map(value, sides) if each is not None]
-        worst = (min if name == _LOWEST else max)(known, default=None)
-        found += [(name, number(worst, digits, factor), unit)] * (name in _KEYS)
+    worst = sides[0]._replace(verdict=verdict)
+    found = [
+        (name, number(value(worst), digits, factor), unit)
+        for name, unit, digits, factor, value, _ in _NUMBERS
+        if name in _KEYS
+    ]
     if len(sides) > 1:
         landed = f"{verdict.outcomes.count(Outcome.LANDED)} of {len(sides)}"
         nearest = ("smallest distance of two vehicles", number(verdict.distance_min_m, 2), "m")
@@ -157,30 +155,14 @@ def result_table(verdict: FleetVerdict, sides: Sequence[Side], pages: Mapping[st
         rows.append((name, *(number(each, digits, factor) for each in found), unit, meaning))
     names = [part("link", pages[s.name].name, s.name) if s.name in pages else "value" for s in sides]
     text = part("table", ("result", *names, "unit", "meaning"), rows, numbers=range(1, len(sides) + 1))
-    return text + (_pairs_result(verdict) if len(sides) > 1 else "") + part("definitions")
+    return text + part("definitions")
 
 
 _DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # en dash without a line break before or after it
 
 
-def _pairs_result(verdict: FleetVerdict) -> str:
-    v = verdict
-    rows = [
-        ("pairs that collided", _count(v.collisions), "", "their shapes overlapped"),
-        ("ellipsoid violations", _count(v.ellipsoid_violations), "",
-         "times that two came inside, both in flight"),
-        ("smallest distance in the ellipsoid's measure", number(v.ellipsoid_min, 2), "1",
-         "both in flight; below 1: inside"),
-        ("smallest distance", number(v.distance_min_m, 3), "m", "of two centres of mass, at any time"),
-    ]  # fmt: skip
-    return part("table", ("fleet", "value", "unit", "meaning"), rows, numbers=(1,))
-
-
-def _count(value: int | None) -> str:
-    return "not known" if value is None else str(value)
-
-
 def pairs_table(fleet: Fleet) -> str:
+    """Return the smallest distances of each pair while both flew, and its collision."""
     rows = []
     for (one, other), pair in sorted(fleet.pairs.items()):
         names = f"{fleet.ids.get(one, one)}{_DASH}{fleet.ids.get(other, other)}"

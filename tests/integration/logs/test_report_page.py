@@ -16,7 +16,7 @@ from tests.synthetic_flight import landing, write_log
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
 
 FIGURES = 11
-FLEET_FIGURES = 3
+FLEET_FIGURES = 2
 SIZE_MAX = 6e6  # maximum size of the page with its plotting library, bytes
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 BROWSER_LIMIT_S = 180
@@ -117,7 +117,7 @@ def test_the_page_of_a_fleet_is_drawn_without_a_complaint(tmp_path, browse, flow
     seen = Page(dom)
     assert seen.body["data-figures"] == seen.body["data-figures-drawn"] == str(FLEET_FIGURES)
     assert seen.tags["canvas"] >= 1  # 3-D figure of the paths in the room
-    for words in ("All landed", "cf1–cf3", "cf3 right of way", "time since the log began [s]"):
+    for words in ("all 3 landed", "cf1–cf3", "cf3 right of way", "time since the log began [s]"):
         assert words in seen.text.replace("\N{WORD JOINER}", "")
     # the main page links to the page of each member
     assert {each.name for member, each in pages.items() if member} <= set(seen.sources)
