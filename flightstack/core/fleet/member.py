@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import MappingProxyType
 from typing import NamedTuple
 
 from flightstack.core.fleet.pair import (
@@ -46,20 +45,6 @@ REPORTED_M_S = 0.005  # smallest slack that is reported, m/s
 STEADY_S = 1.0  # time without relaxed constraints after which the end of the relaxation is reported, s
 HELD_BACK_M_S = 0.3  # largest horizontal speed of this vehicle in the reachable set of a silent one, m/s
 STAYS_S = 5.0  # time after a landing until a text reports a vehicle that still blocks a pad, s
-_INTENTS = MappingProxyType(
-    {
-        Phase.WAIT: Intent.WAITING,
-        Phase.TAKEOFF: Intent.WAITING,
-        Phase.APPROACH: Intent.WAITING,  # changes to LANDING when the right of way is granted
-        Phase.LAND: Intent.COMMITTED,
-        Phase.TOUCHDOWN: Intent.COMMITTED,
-        Phase.LANDED: Intent.DOWN,
-        Phase.HOLD: Intent.CLEARING,
-        Phase.CLIMB: Intent.CLEARING,
-        Phase.ABORT: Intent.DOWN,  # changes from CLEARING to DOWN when the vehicle has flown clear
-        Phase.LEAVE: Intent.CLEARING,  # STANDING before the take-off, and DOWN in the landing
-    }
-)
 
 
 class Rows(NamedTuple):
@@ -77,17 +62,18 @@ NO_ROWS = Rows((), (), ())
 
 def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
     """Return the intent that a vehicle in this phase announces to the other members."""
-    if memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and not memory.clear:
-        return Intent.CLEARING
-    if memory.phase is Phase.LEAVE and memory.clear:
+    phase, flies_clear = memory.phase, memory.abort_way is AbortWay.FLY_CLEAR and not memory.clear
+    if phase in (Phase.LAND, Phase.TOUCHDOWN):
+        return Intent.COMMITTED
+    if phase is Phase.LANDED or (phase is Phase.LEAVE and memory.clear):
         return Intent.DOWN
-    if memory.phase in (Phase.WAIT, Phase.LEAVE) and not flies:
+    if phase is Phase.ABORT:
+        return Intent.CLEARING if flies_clear else Intent.DOWN
+    if (phase in (Phase.WAIT, Phase.LEAVE) and not flies) or (phase is Phase.TAKEOFF and not memory.climbed):
         return Intent.STANDING
-    if memory.phase is Phase.TAKEOFF and not memory.climbed:
-        return Intent.STANDING
-    if memory.phase is Phase.APPROACH and granted:
-        return Intent.LANDING
-    return _INTENTS[memory.phase]
+    if phase in (Phase.HOLD, Phase.CLIMB, Phase.LEAVE):
+        return Intent.CLEARING
+    return Intent.LANDING if phase is Phase.APPROACH and granted else Intent.WAITING
 
 
 class FleetMember:

@@ -68,19 +68,18 @@ def decide(
 ) -> Permissions:  # fmt: skip
     """Update claim and right of way for one tick, and return the permissions."""
     missing = [n for n, slot in slots if not _present(slot.message, now_s, fleet)]
+    cut_off = bool(missing) and _cut_off(slots, now_s, fleet)
+    if phase not in CLAIMING:
+        memory.claim_s, memory.granted = math.nan, False
+        memory.waits_since_s = memory.committed_s = math.inf
+        for _, slot in slots:
+            slot.yields = False
     if phase not in CLAIMING or pad is None:
-        if phase not in CLAIMING:
-            memory.claim_s, memory.granted = math.nan, False
-            memory.waits_since_s = memory.committed_s = math.inf
-            for _, slot in slots:
-                slot.yields = False
-        text, cut_off = _names("no message from", missing), bool(missing) and _cut_off(slots, now_s, fleet)
+        waiting = []
         if phase is Phase.LANDED and pad is not None and fleet.frees_pad and not memory.left:
             waiting = [n for n, slot in slots if _waits_for(slot.message, pad, now_s, fleet)]
-            return Permissions(
-                not missing, False, False, False, _names("pad requested by", waiting) or text, bool(waiting)
-            )
-        return Permissions(not missing, False, False, False, text, cut_off=cut_off)
+        text = _names("pad requested by", waiting) or _names("no message from", missing)
+        return Permissions(not missing, False, False, False, text, bool(waiting), cut_off=cut_off)
     if not math.isfinite(memory.claim_s):
         memory.claim_s, memory.waits_since_s = now_s, now_s
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
@@ -97,7 +96,7 @@ def decide(
         announced_s >= fleet.age_max_s + fleet.latency_max_s,
         now_s - memory.waits_since_s > fleet.wait_max_s,
         _names("no right of way because of", blockers),
-        cut_off=bool(missing) and _cut_off(slots, now_s, fleet),
+        cut_off=cut_off,
     )
 
 
