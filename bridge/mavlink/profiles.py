@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from operator import attrgetter
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -19,20 +18,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.profile import FORCE, PX4_CODES, Code, FlightMode
 from flightstack.core.types import Landed, Mode, Request, VehicleStatus
-
-
-class TakeoffAltitude(Enum):
-    """Meaning of param7 of MAV_CMD_NAV_TAKEOFF."""
-
-    AMSL = "above sea level"
-    ABOVE_HOME = "above home, plus the vehicle's height above home"
-
-
-class Encoding(Enum):
-    """Encoding of an integer parameter in the float field of PARAM_VALUE."""
-
-    BYTEWISE = "bytes of the integer"  # capability MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-    C_CAST = "converted to a float"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +42,17 @@ class Profile:
     autopilot: int  # MAV_AUTOPILOT in the heartbeat
     modes: Mapping[int, Mode]  # mode by custom_mode of the heartbeat; other values mean OTHER
     sequences: Mapping[Request, tuple[Step, ...]]
-    takeoff_altitude: TakeoffAltitude
+    # whether param7 of NAV_TAKEOFF is a height above home, plus the vehicle's height above home; if not,
+    # it is above sea level
+    takeoff_above_home: bool
     # Whether set-points may be sent during the vehicle's take-off. If not, a set-point ends the take-off, and
     # the external mode is a take-off until the first set-point.
     stream_in_takeoff: bool
     prestream_s: float  # time of continuous set-points before the mode change, s
     unset: float  # value for a command parameter without a given value
-    encoding: Encoding
+    # whether an integer parameter is the bytes of PARAM_VALUE's float field (capability
+    # PARAM_ENCODE_BYTEWISE); if not, it is converted to a float
+    bytewise: bool
     needs_origin: bool  # whether the position requires SET_GPS_GLOBAL_ORIGIN without satellites
     prepare: tuple[Step, ...] = ()  # steps on the ground before the first request
     asked_hz: Mapping[int, float] = field(default_factory=dict)  # extra rates by message id
@@ -152,12 +141,12 @@ PX4 = Profile(
         Request.LAND: (_LAND,),
         Request.MOTORS_OFF: (_KILL,),
     },
-    takeoff_altitude=TakeoffAltitude.AMSL,
+    takeoff_above_home=False,
     stream_in_takeoff=True,
     # PX4's next health check needs a set-point younger than COM_OF_LOSS_T = 1.0 s
     prestream_s=0.3,
     unset=math.nan,
-    encoding=Encoding.BYTEWISE,
+    bytewise=True,
     needs_origin=False,
     prepare=(_HOLD,),
 )
@@ -209,11 +198,11 @@ ARDUPILOT = Profile(
         Request.LAND: (_LAND,),
         Request.MOTORS_OFF: (_KILL,),
     },
-    takeoff_altitude=TakeoffAltitude.ABOVE_HOME,
+    takeoff_above_home=True,
     stream_in_takeoff=False,  # a velocity set-point silently ends the take-off (mode_guided.cpp)
     prestream_s=0.0,
     unset=0.0,
-    encoding=Encoding.C_CAST,
+    bytewise=False,
     needs_origin=True,
     # The pre-arm bit depends on the mode, so the mode is set first. ArduPilot acknowledges but drops a mode
     # change in the first seconds after boot, so the step repeats during the whole wait.

@@ -100,12 +100,8 @@ def save_state(path: Path, state: SigningState) -> None:
     """Write a state atomically, readable only by its owner. Raises OSError: it cannot be written."""
     new = path.with_name(f"{path.name}.{os.getpid()}")
     new.touch(0o600)
-    try:
-        new.write_bytes(msgspec.json.encode(state))
-        new.replace(path)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
+    new.write_bytes(msgspec.json.encode(state))
+    new.replace(path)
 
 
 EPOCH_NS = 1_420_070_400_000_000_000  # 2015-01-01T00:00:00Z, time zero of signing

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.profiles import Profile, Step, TakeoffAltitude
+from bridge.mavlink.profiles import Profile, Step
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Request, VehicleStatus
 
@@ -277,7 +277,7 @@ class CommandSequencer:
     @property
     def _counts_from_sea_level(self) -> bool:
         own = any(step.command == _NAV_TAKEOFF for step in self._profile.sequences[Request.TAKEOFF])
-        return own and self._profile.takeoff_altitude is TakeoffAltitude.AMSL
+        return own and not self._profile.takeoff_above_home
 
     def _lacking(self, step: Step) -> int | None:
         """Return the id of the message that the take-off height still requires, or None."""

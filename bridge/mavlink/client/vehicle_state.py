@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.frames import enu_from_ned, yaw_enu_from_ned
 from bridge.mavlink.client.senders import SILENT_S
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.profiles import Profile, TakeoffAltitude, refusal
+from bridge.mavlink.profiles import Profile, refusal
 from flightstack.core.sender_clock import Reading, SenderClock
 from flightstack.core.types import Landed, Mode, OwnState, Power, VehicleStatus
 
@@ -104,7 +104,7 @@ class VehicleState:
 
     @property
     def heeded(self) -> frozenset[int]:
-        counts_from_home = self.profile is None or self.profile.takeoff_altitude is TakeoffAltitude.ABOVE_HOME
+        counts_from_home = self.profile is None or self.profile.takeoff_above_home
         return frozenset(self._handlers) - (set() if counts_from_home else {_GLOBAL_POSITION})
 
     def took(self, own: OwnState) -> None:

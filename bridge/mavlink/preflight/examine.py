@@ -17,7 +17,7 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import table as rules
 from bridge.mavlink.preflight.table import Asked, Choice, Finding, Level, Needs, Release
-from bridge.mavlink.profiles import OWN_SITL, Encoding, Profile, found, marked, refusal
+from bridge.mavlink.profiles import OWN_SITL, Profile, found, marked, refusal
 
 _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s
 _HEARTBEAT_S = 1.0
@@ -54,12 +54,12 @@ class ParameterReader:
     """
 
     def __init__(
-        self, names: Iterable[str], target_system: int, target_component: int, encoding: Encoding
+        self, names: Iterable[str], target_system: int, target_component: int, *, bytewise: bool
     ) -> None:
         self.values: dict[str, float] = {}  # received values by name
         self.missing: dict[str, str] = {}  # reasons why parameters are missing, by name
         self._asked = dict.fromkeys(names, (0, -math.inf))  # tries and time of the last one, by open name
-        self._target, self._encoding = (target_system, target_component), encoding
+        self._target, self._bytewise = (target_system, target_component), bytewise
         self._tries_max = _READ_TRIES
 
     @property
@@ -100,7 +100,7 @@ class ParameterReader:
         return requests
 
     def _decoded(self, wire: float, type_: int) -> float | None:
-        if self._encoding is Encoding.C_CAST:
+        if not self._bytewise:
             return wire
         struct_ = _BYTES.get(type_)
         return float(struct_.unpack(_FLOAT.pack(wire))[0]) if struct_ is not None else None
@@ -182,7 +182,7 @@ class Examination:
                     choice = Choice(table.releases[-1], None, None)
                 asked = table.asked(profile.name, choice.release or "")
             names = (each.name.name for each in asked)
-            reader = self._reader = ParameterReader(names, *self.target, profile.encoding)
+            reader = self._reader = ParameterReader(names, *self.target, bytewise=profile.bytewise)
             self._exchange(
                 lambda: reader.done and not self._senders.suspects,
                 self._until_s,

@@ -182,14 +182,9 @@ class Finding:
     means: str  # name of the setting, the same for all releases
 
     @property
-    def shown(self) -> str:
-        if self.value is None:
-            return "missing"
-        return f"{self.value:g} {self.unit}".rstrip()
-
-    @property
     def text(self) -> str:
-        line = f"{self.name} is {self.shown}"
+        value = "missing" if self.value is None else f"{self.value:g} {self.unit}".rstrip()
+        line = f"{self.name} is {value}"
         return line if self.level is Level.OK else f"{line}: {self.why}; set it to {self.wanted}"
 
 

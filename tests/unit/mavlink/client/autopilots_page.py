@@ -35,7 +35,9 @@ def _steps(profile, request):
 
 def _takeoff_height(profile):
     own = any(step.command == dialect.MAV_CMD_NAV_TAKEOFF for step in profile.sequences[Request.TAKEOFF])
-    return profile.takeoff_altitude.value if own else "not sent: the vehicle climbs by set-points"
+    above_home = "above home, plus the vehicle's height above home"
+    height = above_home if profile.takeoff_above_home else "above sea level"
+    return height if own else "not sent: the vehicle climbs by set-points"
 
 
 def _modes(profile, mode):
@@ -87,7 +89,10 @@ def profiles():
         ("kill", lambda p: _steps(p, Request.MOTORS_OFF)),
         ("unused command parameters", lambda p: f"{p.unset:g}"),
         ("request of message rates", _streams),
-        ("encoding of integer parameters", lambda p: p.encoding.value),
+        (
+            "encoding of integer parameters",
+            lambda p: "bytes of the integer" if p.bytewise else "converted to a float",
+        ),
         (
             "origin sent by the stack",
             lambda p: "when `vehicle.origin_wgs84` is set" if p.needs_origin else "no",

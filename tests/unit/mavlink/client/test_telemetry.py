@@ -12,7 +12,7 @@ from bridge.mavlink.client.texts import EVENT, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.messages import MESSAGES
 from bridge.mavlink.preflight.examine import ParameterReader
-from bridge.mavlink.profiles import PX4, Encoding
+from bridge.mavlink.profiles import PX4
 from flightstack.core.types import Landed, Mode, VehicleStatus
 from tests import tables
 from tests.px4_place import px4_or_skip
@@ -100,8 +100,8 @@ def test_status_is_put_together_from_three_messages(state):
 REAL, INT32, INT8 = dialect.MAV_PARAM_TYPE_REAL32, dialect.MAV_PARAM_TYPE_INT32, dialect.MAV_PARAM_TYPE_INT8
 
 
-def reader(*names, encoding=Encoding.BYTEWISE):
-    return ParameterReader(names, 1, 1, encoding)
+def reader(*names, bytewise=True):
+    return ParameterReader(names, 1, 1, bytewise=bytewise)
 
 
 def value(name, wire, type_=REAL):
@@ -152,19 +152,19 @@ def test_an_error_is_missing_at_once(error, word):
 
 
 @pytest.mark.parametrize(
-    ("encoding", "wire", "type_", "expected"),
+    ("bytewise", "wire", "type_", "expected"),
     [
-        (Encoding.BYTEWISE, bits(4), INT32, 4.0),
-        (Encoding.BYTEWISE, bits(-7), INT32, -7.0),
-        (Encoding.BYTEWISE, struct.unpack("<f", b"\xfe\0\0\0")[0], INT8, -2.0),
-        (Encoding.BYTEWISE, 0.5, REAL, 0.5),
-        (Encoding.C_CAST, 4.0, INT32, 4.0),
-        (Encoding.C_CAST, -2.0, INT8, -2.0),
-        (Encoding.C_CAST, 0.5, REAL, 0.5),
+        (True, bits(4), INT32, 4.0),
+        (True, bits(-7), INT32, -7.0),
+        (True, struct.unpack("<f", b"\xfe\0\0\0")[0], INT8, -2.0),
+        (True, 0.5, REAL, 0.5),
+        (False, 4.0, INT32, 4.0),
+        (False, -2.0, INT8, -2.0),
+        (False, 0.5, REAL, 0.5),
     ],
 )
-def test_integers_are_decoded_as_the_autopilot_sends_them(encoding, wire, type_, expected):
-    r = reader("P", encoding=encoding)
+def test_integers_are_decoded_as_the_autopilot_sends_them(bytewise, wire, type_, expected):
+    r = reader("P", bytewise=bytewise)
     r.step(0.0)
     r.take(value("P", wire, type_))
     assert r.values == {"P": expected}
