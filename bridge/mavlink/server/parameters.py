@@ -86,22 +86,22 @@ class Parameters:
             raise ValueError(f"parameter {name}: found {value:g}, allowed is {parameter.allowed}")
         self._values[name] = value
 
-    def list_all(self) -> None:
-        """Start to send every value; a request during a list starts the list again."""
+    def list_all(self, _request: Any, _sender: Sender, _now_s: float) -> list[Message]:
+        """Start to send every value with the telemetry; a request during a list starts the list again."""
         self.left_to_list = list(self.table)
+        return []
 
     def listing(self) -> list[Message]:
         """Return PARAM_VALUE of the next parameters of the requested list; empty: no list is requested."""
         names, self.left_to_list = self.left_to_list[:_LIST_AT_ONCE], self.left_to_list[_LIST_AT_ONCE:]
         return [self._message(name) for name in names]
 
-    def read(self, request: Any, sender: Sender) -> Message:
+    def read(self, request: Any, sender: Sender, _now_s: float) -> list[Message]:
         """Return the value that PARAM_REQUEST_READ requests by index or, with index -1, by name."""
-        name = request.param_id
-        if request.param_index < 0:
-            return self._message(name) if name in self.table else _error(name, _UNKNOWN, sender)
-        found = next(islice(self.table, request.param_index, None), None)
-        return self._message(found) if found else _error(name, _UNKNOWN, sender, request.param_index)
+        name, index = request.param_id, request.param_index
+        found = name if index < 0 else next(islice(self.table, index, None), "")
+        known = found in self.table
+        return [self._message(found) if known else _error(name, _UNKNOWN, sender, max(index, -1))]
 
     def write(
         self, request: Any, sender: Sender, forbidden: str | None, *, armed: bool

@@ -83,8 +83,8 @@ class Server(ABC, Generic[V]):
             dialect.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
             dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
             dialect.MAVLINK_MSG_ID_HEARTBEAT: lambda *_: [],
-            dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: self._on_parameter_list,
-            dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._on_parameter_read,
+            dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: parameters.list_all,
+            dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: parameters.read,
             dialect.MAVLINK_MSG_ID_PARAM_SET: self._on_parameter_set,
             **dict.fromkeys(_REFUSED_SETPOINTS, self._refuse_setpoint),
             **_REPLIES,
@@ -233,13 +233,6 @@ class Server(ABC, Generic[V]):
         if boot_ns is None:
             return []
         return [dialect.MAVLink_timesync_message(max(1, boot_ns), message.ts1)]  # 0 would mark a request
-
-    def _on_parameter_list(self, _message: Any, _sender: Sender, _now_s: float) -> list[Message]:
-        self.parameters.list_all()  # the values are sent with the telemetry of the next ticks
-        return []
-
-    def _on_parameter_read(self, message: Any, sender: Sender, _now_s: float) -> list[Message]:
-        return [self.parameters.read(message, sender)]
 
     def _on_parameter_set(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
         forbidden = self.vehicle.forbids(sender, Right.OWNER, now_s)
