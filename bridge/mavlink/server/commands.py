@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.commander import Right, Sender
-from bridge.mavlink.server.profile import FORCE, FlightMode, mode_of, why_no_mode
+from bridge.mavlink.server.profile import FORCE, FlightMode, mode_of
 from bridge.mavlink.server.telemetry import Builder, Snapshot, Streams, V
 
 ACCEPTED: int = dialect.MAV_RESULT_ACCEPTED
@@ -203,7 +203,8 @@ class Commands(Generic[V]):
             return Answer(DENIED, "Mode refused: only custom modes")
         mode = mode_of(round(main), round(sub))
         if mode is None:
-            return Answer(DENIED, why_no_mode(round(main), round(sub)))
+            known = ", ".join(each.value for each in FlightMode)
+            return Answer(DENIED, f"Mode {round(main)}/{round(sub)} refused: only {known}")
         return answer(self._vehicle.set_mode(mode, command.now_s))
 
     def _prearm_checks(self, command: Command) -> Answer:

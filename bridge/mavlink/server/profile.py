@@ -60,10 +60,6 @@ def mode_of(main: int, sub: int) -> FlightMode | None:
     return _BY_CODE.get((main, 0 if main == PX4_CODES[FlightMode.OFFBOARD].main else sub))
 
 
-def why_no_mode(main: int, sub: int) -> str:
-    return f"Mode {main}/{sub} refused: only {', '.join(mode.value for mode in FlightMode)}"
-
-
 CAPABILITIES = (
     _M.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
     | _M.MAV_PROTOCOL_CAPABILITY_COMMAND_INT

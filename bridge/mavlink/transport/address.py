@@ -71,13 +71,6 @@ def is_local(address: Peer) -> bool:
     return IPv4Address(address[0]).is_loopback
 
 
-def local_host_for(address: Peer) -> str:
-    """Return the local address on the route to ``address``, so that the socket uses one interface only."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.connect(address)  # UDP selects a route without sending
-        return str(probe.getsockname()[0])
-
-
 def check_policy(
     url: str, address: Peer, always: tuple[Peer, ...], *, signed: bool, allow_unsigned: bool
 ) -> str | None:

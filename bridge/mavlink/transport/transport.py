@@ -16,15 +16,10 @@ import socket
 import time
 from collections import Counter, deque
 from collections.abc import Sequence
-from typing import NamedTuple
 
-from bridge.mavlink.transport.address import Peer, local_host_for
+from bridge.mavlink.transport.address import Peer
 
-
-class Chunk(NamedTuple):
-    data: bytes
-    peer: Peer
-
+Chunk = tuple[bytes, Peer]  # data and their sender
 
 _PASSED = ("received", "sent", "bytes_in", "bytes_out", "stale_answered")
 
@@ -54,8 +49,8 @@ class DatagramTransport:
             if listens:
                 self._socket.bind(address)
             else:
-                self._socket.bind((local_host_for(address), 0))
-                self._socket.connect(address)  # the kernel then drops frames of other senders
+                # the kernel chooses the local address on the route, and drops frames of other senders
+                self._socket.connect(address)
         except OSError as error:
             self._socket.close()
             hint = "is another process listening there?" if listens else "is there a route to it?"
@@ -73,12 +68,12 @@ class DatagramTransport:
         except BlockingIOError:
             return None
         except OSError:  # the port of a peer, or the local port, was closed
-            return Chunk(b"", ("", 0))
+            return b"", ("", 0)
         self._counters["bytes_in"] += len(datagram)
         if len(datagram) > _RECEIVED_MAX:
             self._counters["oversize"] += 1
-            return Chunk(b"", peer)
-        return Chunk(datagram, peer)
+            return b"", peer
+        return datagram, peer
 
     def send(self, frames: Sequence[bytes], peer: Peer) -> None:
         """Send frames in order in one datagram (in several above 1400 bytes)."""
@@ -170,7 +165,7 @@ class ByteStream:
         if data is None:
             return None
         self._counters["bytes_in"] += len(data)
-        return Chunk(data, self._peer)
+        return data, self._peer
 
     def send(self, frames: Sequence[bytes], _peer: Peer) -> None:
         """Send or buffer frames; without a connection or room they are dropped."""
