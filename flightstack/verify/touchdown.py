@@ -8,7 +8,7 @@ the descent's gain, tau the vehicle's lag, and rho the relative error of the set
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -93,10 +93,7 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
     y = config.robust.commit_radius_m + x.position_error_m
     state = np.array([y, config.robust.commit_speed_m_s + error + gain * y, 1.0])
     steps = math.ceil(min(descent_time_s(config, x), config.touchdown.timeout_s) / STEP_S)
-    path = np.empty((steps + 1, 3))
-    for number in range(steps + 1):
-        path[number] = state
-        state = step @ state
+    path = np.array(list(accumulate(range(steps), lambda now, _: step @ now, initial=state)))
     speed, bend = np.abs(path @ rates[0]).max(), np.abs(path @ (rates @ rates)[0]).max()
     between_m = 0.5 * STEP_S * (speed + STEP_S * bend)
     last = int(path[:, 0].argmax())

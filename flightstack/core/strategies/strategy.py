@@ -141,30 +141,14 @@ class Filter:
         """
         return at.enforced(nominal)
 
-    def result(self, nominal: Vec3, at: At) -> FilterResult:
-        """Return the result of ``filter``; REJECTED, with a recorded reason, if it is no valid velocity."""
-        numbers, problem = None, ""
-        try:
-            found = self.filter(np.array(nominal), at)
-        except Exception as error:
-            problem = f"raised {type(error).__name__}: {error}"
-        else:
-            numbers = three_finite(found)
-        if numbers is None:
-            problem = problem or f"returned {one_line(repr(found)):.60}; {NEEDED}"
-            name = file_of(f"{type(self).__module__}:{type(self).__name__}")
-            self.memory.refusal = f"{name} {problem}"
-            return FilterResult(ZERO, math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
-        x, y, z = np.clip(numbers, at.lower_m_s, at.upper_m_s).tolist()
-        gx, gy, gz = at.gradient.tolist()
-        slack_m_s = gx * x + gy * y + gz * z - at.bound_m_s
-        return FilterResult((x, y, z), slack_m_s, (x, y, z) != nominal, FilterStatus.OWN, 0.0, 0, 0.0)
-
     def filtered(
         self, at: Relative, h_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, lower: Vec3,
         upper: Vec3,
     ) -> FilterResult:  # fmt: skip
-        """Filter a velocity with the user's method ``filter``, which is called once per tick."""
+        """Filter a velocity with the user's method ``filter``, which is called once per tick.
+
+        Return REJECTED, with a recorded reason, if the result is no valid velocity.
+        """
         given, self.own_result = self.own_result, None
         if given is not None:
             result, self.memory.refusal = given
@@ -179,7 +163,21 @@ class Filter:
             self.rate_1_s, lowest, highest,
             lambda found: self.permitted_m_s(checked_velocity(found, "at.permitted"), nominal, at),
         )  # fmt: skip
-        return self.result(nominal, seen)
+        numbers, problem = None, ""
+        try:
+            found = self.filter(np.array(nominal), seen)
+            numbers = three_finite(found)
+        except Exception as error:
+            problem = f"raised {type(error).__name__}: {error}"
+        if numbers is None:
+            name = file_of(f"{type(self).__module__}:{type(self).__name__}")
+            problem = problem or f"returned {one_line(repr(found)):.60}; {NEEDED}"
+            self.memory.refusal = f"{name} {problem}"
+            return FilterResult(ZERO, math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
+        x, y, z = np.clip(numbers, lowest, highest).tolist()
+        gx, gy, gz = gradient
+        slack_m_s = gx * x + gy * y + gz * z - seen.bound_m_s
+        return FilterResult((x, y, z), slack_m_s, (x, y, z) != nominal, FilterStatus.OWN, 0.0, 0, 0.0)
 
     def barrier(self, at: Relative) -> ActiveBarrier:
         """Return the barrier that is enforced in this tick; default: the paper's."""

@@ -7,6 +7,7 @@ continues with the answer, which is stored in ``Filter.exchange``.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import takewhile
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple
 
@@ -135,11 +136,8 @@ def compiled_as(cls: type) -> type | None:
 
     Return None if the class overrides more, or may read estimators, whose state exists only in compiled code.
     """
-    own: list[type] = []
-    for base in cls.__mro__:
-        if base.__module__.partition(".")[0] == "flightstack":
-            break
-        own.append(base)
+    own = [*takewhile(lambda each: not each.__module__.startswith("flightstack."), cls.__mro__)]
+    base = cls.__mro__[len(own)]
     for name, value in ((name, value) for each in own for name, value in vars(each).items()):
         if hasattr(base, name) and name not in _PLAIN and not name.startswith("__static"):
             return None

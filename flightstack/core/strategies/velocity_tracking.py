@@ -19,9 +19,8 @@ the velocity at the rate l, and the loop reaches a* at the rate m:
 
 The disturbance is limited, because no model is perfect.
 
-With a dead time T the model responds to the set-point sent T ago; the current set-point takes effect after T.
-Until that time earlier set-points move the vehicle; the model predicts this change (a Smith predictor). The
-lag compensation uses the predicted velocity as v.
+With a dead time, v is predicted to the time at which the set-point takes effect (a Smith predictor; see
+docs/how_it_works/robust_filter.md, *Dead time*).
 """
 
 from __future__ import annotations
