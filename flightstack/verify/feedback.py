@@ -25,7 +25,6 @@ F64 = npt.NDArray[np.float64]
 TICKS_LATE = 1.5  # delay of a set-point, ticks: on average half a tick, plus one tick after its inputs
 SHARE = 0.5  # ratio of the required decay rate on an interval of the lag spread to the rate at its centre
 PIECE_MIN = 1e-6  # smallest width of an interval of lag factors; if it fails, the loop is unstable
-PIECES_MAX = 10_000
 BANDWIDTH = 2.5  # largest ratio of feedback rate to velocity loop rate; the model omits motors and attitude
 OBSERVER = 0.5  # smallest ratio of observer rate to velocity loop rate, so that a disturbance is found soon
 # largest acceleration by velocity_loop.error_max_m_s, m/s^2, for which the linear model holds
@@ -79,27 +78,19 @@ def linear(config: FlightConfig, faster: float, damped: float | None = None) -> 
     return np.array([v, a, flown, (2.0 * p - late_p) * 2.0 / late_s, held, *learned, smoothed])
 
 
-def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float, float]:
+def decay_1_s(config: FlightConfig, low: float, high: float) -> tuple[float, float]:
     """Return the proven decay rate of all loops between two factors, 1/s, and the slowest loop's factor."""
-    least, where = math.inf, 1.0
-    pieces = [(slower, faster)]
-    for _ in range(PIECES_MAX):
-        if not pieces:
-            return least, where
-        low, high = pieces.pop()
-        middle = 0.5 * (low + high)
-        centre = linear(config, middle)
-        fastest = -float(np.linalg.eigvals(centre).real.max())
-        if fastest <= 0.0:
-            return fastest, middle
-        if _decays(config, centre, SHARE * fastest, low, high):
-            if SHARE * fastest < least:
-                least, where = SHARE * fastest, middle
-        elif high - low < PIECE_MIN:
-            return 0.0, middle
-        else:
-            pieces += [(low, middle), (middle, high)]
-    return 0.0, where
+    middle = 0.5 * (low + high)
+    centre = linear(config, middle)
+    fastest = -float(np.linalg.eigvals(centre).real.max())
+    if fastest <= 0.0:
+        return fastest, middle
+    if _decays(config, centre, SHARE * fastest, low, high):
+        return SHARE * fastest, middle
+    if high - low < PIECE_MIN:
+        return 0.0, middle
+    upper = decay_1_s(config, middle, high)
+    return upper if upper[0] <= 0.0 else min(upper, decay_1_s(config, low, middle))
 
 
 def _decays(config: FlightConfig, centre: F64, rate_1_s: float, low: float, high: float) -> bool:
@@ -257,21 +248,22 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
         if not np.isfinite(factor).all():
             return None  # the loop is unstable: its state exceeds the range of floats
         left = np.abs(factor)
-        if doubling < DOUBLINGS[0] or not float(np.abs(np.linalg.eigvals(left)).max()) < 0.5:
-            continue
+        if doubling >= DOUBLINGS[0] and float(np.abs(np.linalg.eigvals(left)).max()) < 0.5:
+            break
+    else:
+        return None
 
-        def integral(columns: F64, last: F64, powers: F64 = powers) -> F64:
-            states = powers @ columns
-            found = np.abs(outputs @ states)
-            ends = 0.5 * (np.abs(outputs @ last) - found[0])
-            curved = STEP_S**3 / 12.0 * (bend @ np.abs(states).sum(axis=0))
-            total: F64 = STEP_S * (found.sum(axis=0) + ends) + curved
-            return total
+    def integral(columns: F64, last: F64) -> F64:
+        states = powers @ columns
+        found = np.abs(outputs @ states)
+        ends = 0.5 * (np.abs(outputs @ last) - found[0])
+        curved = STEP_S**3 / 12.0 * (bend @ np.abs(states).sum(axis=0))
+        total: F64 = STEP_S * (found.sum(axis=0) + ends) + curved
+        return total
 
-        rest = np.linalg.inv(np.eye(len(loop)) - left) @ np.abs(factor @ inputs)
-        gains: F64 = integral(inputs, factor @ inputs) + integral(np.eye(len(loop)), factor) @ rest
-        return gains
-    return None
+    rest = np.linalg.inv(np.eye(len(loop)) - left) @ np.abs(factor @ inputs)
+    gains: F64 = integral(inputs, factor @ inputs) + integral(np.eye(len(loop)), factor) @ rest
+    return gains
 
 
 def matrix_exp(matrix: F64) -> F64:
