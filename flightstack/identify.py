@@ -199,10 +199,8 @@ def motion(time_s: Floats, position_m: Floats) -> Motion:
     """Return the largest speeds and acceleration from parabolas in windows of ``MOTION_S``.
 
     ``time_s``: (n,) increasing; ``position_m``: (n, 3).
-    Raises ValueError: there are too few samples.
+    Raises ValueError: the rate of the samples is too low.
     """
-    if len(time_s) < SAMPLES_MIN:
-        raise ValueError(f"found {len(time_s)} samples, at least {SAMPLES_MIN} are needed")
     rows: list[tuple[float, float, float]] = []
     for centre in np.arange(time_s[0] + MOTION_S / 2, time_s[-1] - MOTION_S / 2, MOTION_S / 6):
         window = np.abs(time_s - centre) <= MOTION_S / 2

@@ -56,7 +56,9 @@ def gather(flights: list[Flight]) -> Found:
                 spread = max(spread, abs(alone.lag_s / loop.lag_s - 1.0))
     own = _try("own noise", missing, lambda: max(_own_noise_m(s) for s in steps))
     links = _try("target", missing, lambda: [link(*row) for row in _target(flights)])
-    moved = _try("target motion", missing, lambda: [motion(t, p) for t, _, p, _ in _target(flights)])
+    moved = links and _try(
+        "target motion", missing, lambda: [motion(t, p) for t, _, p, _ in _target(flights)]
+    )
     error = _try("tracking error", missing, lambda: _tracking_error_m_s(steps))
     return Found(
         horizontal, vertical, spread, error, own,

@@ -81,14 +81,10 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
     """
     gain, decay_1_s = config.robust.gain_over_pad_1_s, 1.0 / max(lag_s, STEP_S)
     error = x.velocity_error_m_s + gain * x.position_error_m
-    # the states are y, z and the constant 1
-    rates = np.array(
-        [
-            [-gain, 1.0, error],
-            [rho * gain * gain, rho * gain - decay_1_s, rho * (x.target_acceleration_m_s2 + gain * error)],
-            [0.0, 0.0, 0.0],
-        ]
-    )
+    rates = np.zeros((3, 3))  # of y, z and the constant 1
+    rates[0] = -gain, 1.0, error
+    pushed = x.target_acceleration_m_s2 + gain * error
+    rates[1] = rho * gain * gain, rho * gain - decay_1_s, rho * pushed
     step = matrix_exp(STEP_S * rates)
     y = config.robust.commit_radius_m + x.position_error_m
     state = np.array([y, config.robust.commit_speed_m_s + error + gain * y, 1.0])
