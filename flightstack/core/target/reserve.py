@@ -105,9 +105,8 @@ class ReserveEstimate:
         if reported.standing:
             memory.effort, memory.tired = math.nan, False
         effort = reported.flying if flies else reported.resting
-        if math.isnan(effort):
-            self.reserve = math.nan
-        else:
+        self.reserve = math.nan
+        if not math.isnan(effort):
             if math.isnan(memory.effort):
                 memory.effort, memory.rise_m_s = effort, rise_m_s
             memory.effort += self.share * (effort - memory.effort)
@@ -115,15 +114,13 @@ class ReserveEstimate:
             # mean acceleration in the averaging time, divided by gravity
             gained = (rise_m_s - memory.rise_m_s) / self.lasting_m_s
             self.reserve = left(memory.effort / max(LEAST_LIFT, 1.0 + gained), reported.sags, reported.most)
-        if math.isnan(self.reserve):
-            self.charge = Charge.TIRED if memory.tired else Charge.UNKNOWN
-        else:
-            if reported.standing:
-                memory.tired = reported.low
-            elif in_air:
-                memory.tired = memory.tired or self.reserve < self.least
-            self.charge = Charge.TIRED if memory.tired else Charge.FIT
-        reserve = self.least if math.isnan(self.reserve) else self.reserve
+        known = not math.isnan(self.reserve)
+        if known and reported.standing:
+            memory.tired = reported.low
+        elif known and in_air:
+            memory.tired = memory.tired or self.reserve < self.least
+        self.charge = Charge.TIRED if memory.tired else Charge.FIT if known else Charge.UNKNOWN
+        reserve = self.reserve if known else self.least
         self.acceleration_max_m_s2 = allowed(self.most_m_s2, reserve, self._part)
 
     @property
