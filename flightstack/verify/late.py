@@ -78,12 +78,18 @@ def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: fl
     return -math.log(float(np.abs(np.linalg.eigvals(own)).max())) * config.loop.rate_hz
 
 
-def drift_m(config: FlightConfig, x: Extremes, time_s: float, slower: float, response: float) -> float:
-    """Return the largest distance from the pad's centre within a time after the final descent starts.
+def drift_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
+    """Return the largest distance from the pad's centre of all vehicles, and the lag over the declared lag.
 
-    The distance is the free motion from the largest distance and speed at the start, plus the bounds of the
-    target's acceleration and the velocity command's error times their sums of absolute impulse responses.
+    The distance, within a time after the final descent starts, is the free motion from the largest distance
+    and speed at the start, plus the bounds of the target's acceleration and the velocity command's error
+    times their sums of absolute impulse responses.
     """
+    slower = [1.0 + share * config.envelope.lag_spread for share in SLOWER]
+    return max((_drift_m(config, x, time_s, lag, each), lag) for lag in slower for each in RESPONSES)
+
+
+def _drift_m(config: FlightConfig, x: Extremes, time_s: float, slower: float, response: float) -> float:
     robust, period_s = config.robust, 1.0 / config.loop.rate_hz
     gain, slip = robust.gain_over_pad_1_s, robust.commit_speed_m_s + x.velocity_error_m_s
     step = tick_matrix(config, gain, slower, response)
@@ -139,10 +145,3 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
               f"{response:.3g} times the velocity commanded, {needed:g} are needed",
               remedy.format(gains[gain]), PROOF),
     ]  # fmt: skip
-
-
-def drift_of_spread_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
-    """Return the largest ``drift_m`` of all vehicles, and that vehicle's lag over the declared lag."""
-    spread = config.envelope.lag_spread
-    slower = [1.0 + share * spread for share in SLOWER]
-    return max((drift_m(config, x, time_s, lag, each), lag) for lag in slower for each in RESPONSES)

@@ -190,7 +190,7 @@ def farthest_m(config: FlightConfig, x: Extremes) -> tuple[float, str]:
         return farthest, f", a velocity loop {vehicle:.3g} times as fast"
     if config.velocity_loop.dead_time_s > 0.0:
         time_s = min(descent_time_s(config, x), config.touchdown.timeout_s)
-        farthest, lags = late.drift_of_spread_m(config, x, time_s)
+        farthest, lags = late.drift_m(config, x, time_s)
         return farthest, f", with {lags:.3g} times the lag"
     farthest, when_s = drift_m(config, x)
     return farthest, f" after {when_s:.2f} s"

@@ -64,13 +64,11 @@ def _settings() -> Any:
     osqp = compiled_solver()
     settings = osqp.OSQPSettings()
     osqp.osqp_set_default_settings(settings)
-    settings.verbose = 0
     settings.eps_abs = settings.eps_rel = EPS
     settings.rho, settings.alpha = RHO, RELAXATION
-    settings.adaptive_rho = 0
+    settings.max_iter, settings.check_termination = ITERATIONS_MAX, 1
+    settings.verbose = settings.adaptive_rho = 0
     settings.scaling = 0  # scaling would carry rounding errors of earlier ticks into this one
-    settings.max_iter = ITERATIONS_MAX
-    settings.check_termination = 1
     return settings
 
 
@@ -125,10 +123,8 @@ class Osqp:
         _, solution, info, _ = (ctypes.c_int64 * 4).from_address(self.solver)  # OSQPSolver: pointers
         self.status, self.iterations = info + _STATUS_AT, info + _ITERATIONS_AT
         self.solution = ctypes.c_int64.from_address(solution).value
-        functions = [
-            getattr(library, f"osqp_{name}")
-            for name in ("update_data_vec", "update_data_mat", "warm_start", "solve")
-        ]
+        names = ("update_data_vec", "update_data_mat", "warm_start", "solve")
+        functions = [getattr(library, f"osqp_{name}") for name in names]
         self.update_vectors, self.update_matrix, self.warm_start, self.run = (
             ctypes.cast(function, pointer).value or 0 for function in functions
         )

@@ -48,12 +48,10 @@ class Plausibility:
     _checks: Checks
 
     def __init__(self, config: FlightConfig) -> None:
-        self.memory = PlausibilityMemory()
-        self._checks = config.checks
-        vx, vy, _ = config.limits.velocity_max_m_s
-        self.tracking_lag_max_m = config.checks.follow_lag_max_s * max(vx, vy)
-        period_s = 1.0 / config.loop.rate_hz
-        self.period_s, self.kept = period_s, math.exp(-period_s / config.checks.follow_memory_s)
+        checks, (vx, vy, _) = config.checks, config.limits.velocity_max_m_s
+        self.memory, self._checks, self.period_s = PlausibilityMemory(), checks, 1.0 / config.loop.rate_hz
+        self.tracking_lag_max_m = checks.follow_lag_max_s * max(vx, vy)
+        self.kept = math.exp(-self.period_s / checks.follow_memory_s)
 
     @property
     def drift_m(self) -> float:

@@ -85,12 +85,9 @@ class TargetTrack:
     def moves_m_s(self) -> Vec3:
         """Velocity of the target from its positions, m/s: reported velocity plus drift of the positions."""
         memory, memory_s = self.memory, self._checks.target_drift_memory_s
-        assert memory.last is not None
+        velocity, drift, smooth = self.newest.velocity_enu_m_s, memory.drift_m, memory.drift_smooth_m
         x, y, z = (
-            v + (d - s) / SMOOTHING_S + s / memory_s
-            for v, d, s in zip(
-                memory.last.velocity_enu_m_s, memory.drift_m, memory.drift_smooth_m, strict=True
-            )
+            v + (d - s) / SMOOTHING_S + s / memory_s for v, d, s in zip(velocity, drift, smooth, strict=True)
         )
         return x, y, z
 
