@@ -128,14 +128,10 @@ def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
     ticks = np.arange(count, dtype=np.float64)
     late = np.interp(ticks - dead_time / period_s, ticks, passed.command_m_s, left=0.0)
     left = passed.velocity_m_s - gain * signal.lfilter(numerator.ravel(), denominator, late)
-    kicks = np.eye(2, count)  # responses to these: to initial speed and acceleration
-    past = np.column_stack(
-        [
-            signal.lfilter(numerator.ravel(), denominator, np.ones(count)),  # response to earlier commands
-            *(signal.lfilter([1.0], denominator, kick) for kick in kicks),
-        ]
-    )
-    past = np.apply_along_axis(_high_pass, 0, past, period_s)
+    responses = [signal.lfilter(numerator.ravel(), denominator, np.ones(count))]  # to earlier commands
+    # to initial speed and acceleration
+    responses += [signal.lfilter([1.0], denominator, kick) for kick in np.eye(2, count)]
+    past = np.apply_along_axis(_high_pass, 0, np.column_stack(responses), period_s)
     explained = past @ np.linalg.lstsq(past, left, rcond=None)[0]
     return np.asarray(left - explained, dtype=np.float64)
 
@@ -227,11 +223,6 @@ def link(stamp_s: Floats, arrival_s: Floats, position_m: Floats, velocity_m_s: F
     due = round((stamp_s[-1] - stamp_s[0]) / period_s) + 1
     late = arrival_s - stamp_s
     smallest = float(late.min())
-    return Link(
-        1.0 / period_s,
-        max(0.0, 1.0 - len(stamp_s) / due),
-        float(np.percentile(late, 95.0) - smallest),
-        smallest if 0.0 <= smallest < 0.5 else None,
-        position_noise,
-        velocity_noise,
-    )
+    loss, spread_s = max(0.0, 1.0 - len(stamp_s) / due), float(np.percentile(late, 95.0) - smallest)
+    delay_s = smallest if 0.0 <= smallest < 0.5 else None
+    return Link(1.0 / period_s, loss, spread_s, delay_s, position_noise, velocity_noise)
