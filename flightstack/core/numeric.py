@@ -1,8 +1,9 @@
 """Numeric functions of the core that may also be compiled; both forms agree to the last bit.
 
-A marked function takes and returns numbers and tuples of numbers. It calls only marked functions, ``exp``,
-``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. On these and on + - * /
-compiled code equals Python to the last bit; on ``math.hypot``, ``math.remainder`` and ``**`` it may differ.
+A marked function takes numbers, tuples of numbers and tables of the configuration; it returns numbers and
+tuples. It calls only marked functions, ``exp``, ``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and
+``wrapped`` of this module. On these and on + - * / compiled code equals Python to the last bit; on
+``math.hypot``, ``math.remainder`` and ``**`` it may differ.
 """
 
 from __future__ import annotations
