@@ -21,7 +21,7 @@ from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 from mcap.writer import Writer
 
 from flightstack.common.strict_toml import meant
-from flightstack.common.text import one_line, pip_install
+from flightstack.common.text import one_line
 from logs.reader.mcap_records import Records
 from logs.reader.reader import LogFile
 
@@ -172,16 +172,10 @@ def export_csv(table: Iterator[dict[str, Any]], out: Path) -> int:
 
 
 def export_parquet(table: Iterator[dict[str, Any]], out: Path) -> int:
-    """Write rows as Parquet, all at once; return their number.
+    """Write rows as Parquet, all at once; return their number."""
+    import pyarrow
+    from pyarrow import parquet
 
-    Raises ModuleNotFoundError: pyarrow is not installed; the text names the extra.
-    """
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ModuleNotFoundError as error:
-        text = f"Parquet needs pyarrow: {pip_install('export')}, or use --format csv"
-        raise ModuleNotFoundError(text, name=error.name) from error
     whole = pyarrow.Table.from_pylist(list(table))
     parquet.write_table(whole, out)
     return len(whole)

@@ -159,7 +159,6 @@ def _flight(log: LogFile, by_schema: Mapping[str, list[Message]]) -> Flight:
         barrier=_barrier(run, config),
         pad_radius_m=sizes_of(config, run).pad_radius_m,
         pad_carries=run.get("pad") != NO_PAD,
-        damage=tuple(damage),
         problems=(*damage, *problems),
     )
 

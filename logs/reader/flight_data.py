@@ -158,8 +158,7 @@ class Flight(Judged):
     path: Path  # log file
     origin_ns: int  # log time of ``t_s = 0``
     duration_s: float  # time from the first to the last step or true state, s
-    damage: tuple[str, ...] = ()  # texts of unreadable parts of the log; empty: none
-    # texts of all damage, and of a configuration in the log that this version cannot read
+    # texts of unreadable parts of the log, and of a configuration in it that this version cannot read
     problems: tuple[str, ...] = ()
     steps: Steps | None = None
     timing: Timing | None = None

@@ -100,17 +100,15 @@ class Deriver:
             twist = (_body_velocity(row), ZERO)
             odometry = (stamp_ns, self._base, (own, NO_COVARIANCE), (twist, NO_COVARIANCE))
             add(f"{space}/odom", ODOMETRY, odometry)
+            self._own_path.add(log_time_ns, row.own_position_enu_m)
         if row.target_valid:
             add(f"{space}/target/pose", POSE_STAMPED, (stamp_ns, target))
+            self._target_path.add(log_time_ns, row.target_position_enu_m)
         sent = (("velocity", row.command_enu_m_s),) if row.setpoint_sent else ()
         for name, velocity_m_s in (
             ("velocity_nominal", row.nominal_enu_m_s), ("velocity_filtered", row.filtered_enu_m_s), *sent,
         ):  # fmt: skip
             add(f"{space}/cmd/{name}", TWIST_STAMPED, (stamp_ns, (velocity_m_s, ZERO)))
-        if row.own_valid:
-            self._own_path.add(log_time_ns, row.own_position_enu_m)
-        if row.target_valid:
-            self._target_path.add(log_time_ns, row.target_position_enu_m)
         if self._due(MARKER_PERIOD_NS, log_time_ns):
             own_path = self._own_path.marker(0, markers.OWN_COLOR)
             target_path = self._target_path.marker(1, markers.TARGET_COLOR)

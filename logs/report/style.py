@@ -122,29 +122,28 @@ def fleet_axis(fleet: Fleet) -> Axis:
 
 def _add_phases(figure: go.Figure, axis: Axis, flight: Flight) -> None:
     """Shade the phases over the whole height of a figure, name them on top, mark faults by a strip."""
-    low, high = axis.first
-    shapes: list[dict[str, Any]] = []  # collected first, because plotly checks all shapes at each addition
-    names: list[dict[str, Any]] = []
-
-    def band(begin: float, end: float, bottom: float, color: str) -> None:
-        shapes.append({
-            "type": "rect", "xref": "x", "yref": "paper", "x0": begin, "x1": end, "y0": bottom, "y1": 1,
-            "fillcolor": color, "line": {"width": 0}, "layer": "below",
-        })  # fmt: skip
-
-    for phase, begin_s, end_s in flight.phase_spans():
-        begin, end = begin_s - axis.zero_s, end_s - axis.zero_s
-        band(begin, end, 0.0, phase_color(phase))
-        left, right = max(begin, low), min(end, high)
+    (low, high), zero_s, spans = axis.first, axis.zero_s, flight.phase_spans()
+    bands = [(begin_s, end_s, 0.0, phase_color(phase)) for phase, begin_s, end_s in spans]
+    bands += [(fault.begin_s, fault.end_s, _FAULT_STRIP, FAULT) for fault in fault_spans(flight)]
+    # all shapes are set at once, because plotly checks all of them at each addition
+    figure.layout.shapes += tuple(
+        go.layout.Shape(
+            type="rect", xref="x", yref="paper", x0=begin_s - zero_s, x1=end_s - zero_s, y0=bottom, y1=1,
+            fillcolor=color, line={"width": 0}, layer="below",
+        )
+        for begin_s, end_s, bottom, color in bands
+    )  # fmt: skip
+    names = []
+    for phase, begin_s, end_s in spans:
+        left, right = max(begin_s - zero_s, low), min(end_s - zero_s, high)
         if right - left >= LABEL_SHARE * (high - low):
-            names.append({
-                "x": (left + right) / 2, "y": 1.0, "xref": "x", "yref": "paper", "yanchor": "bottom",
-                "showarrow": False, "text": phase_name(phase), "font": {"size": 10, "color": "#616e7c"},
-            })  # fmt: skip
-    for fault in fault_spans(flight):
-        band(fault.begin_s - axis.zero_s, fault.end_s - axis.zero_s, _FAULT_STRIP, FAULT)
-    figure.layout.shapes += tuple(map(go.layout.Shape, shapes))
-    figure.layout.annotations += tuple(map(go.layout.Annotation, names))
+            names.append(
+                go.layout.Annotation(
+                    x=(left + right) / 2, y=1.0, xref="x", yref="paper", yanchor="bottom", showarrow=False,
+                    text=phase_name(phase), font={"size": 10, "color": "#616e7c"},
+                )
+            )  # fmt: skip
+    figure.layout.annotations += tuple(names)
 
 
 def chart(

@@ -137,7 +137,7 @@ def rgba(color: markers.Color | str) -> tuple[int, int, int, int]:
 
 
 def save(log: Path, out: Path) -> str:
-    """Write a log as a recording; return the damage of the log, as text."""
+    """Write a log as a recording; return the problems of the log, as text."""
     fleet = load_fleet(log)
     flights = fleet.flights.values()
     first, members = next(iter(flights)), list(fleet.flights) if len(flights) > 1 else []
@@ -151,7 +151,7 @@ def save(log: Path, out: Path) -> str:
     events(Canvas(stream, fleet.origin_ns), fleet.origin_ns, fleet.events)
     stream.flush()
     stream.disconnect()
-    return "; ".join(first.damage)
+    return "; ".join(first.problems)
 
 
 def open_viewer(recording: Path, *, web: bool) -> int:

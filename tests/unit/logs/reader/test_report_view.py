@@ -141,7 +141,7 @@ def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
 def test_a_broken_log_is_shown_up_to_its_break(tmp_path):
     killed = record(tmp_path / "killed.mcap", close=False)
     flight = load_flight(killed)
-    assert flight.damage
+    assert flight.problems
     assert len(flight.steps.t_s) > 200
     done = CliRunner().invoke(main, ["view", str(killed), "--save", str(tmp_path / "killed.rrd")])
     assert done.exit_code == 1
