@@ -10,38 +10,28 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from flightstack.api.campaign import Campaign as Campaign
-    from flightstack.api.campaign import Sweep as Sweep
-    from flightstack.api.campaign import campaign as campaign
-    from flightstack.api.campaign import sweep as sweep
-    from flightstack.api.env import LandingEnv as LandingEnv
-    from flightstack.api.env import make_env as make_env
-    from flightstack.api.frames import frame as frame
-    from flightstack.api.landing import Landing as Landing
-    from flightstack.api.landing import land as land
-    from flightstack.api.landing import read_log as read_log
-    from flightstack.api.landing import scenario as scenario
-    from flightstack.core.strategies.robust import RobustFilter as RobustFilter
-    from flightstack.core.strategies.strategy import Filter as Filter
-    from flightstack.core.strategies.user_filter import At as At
+    from flightstack.api.campaign import Campaign, Sweep, campaign, sweep
+    from flightstack.api.env import LandingEnv, make_env
+    from flightstack.api.frames import frame
+    from flightstack.api.landing import Landing, land, read_log, scenario
+    from flightstack.core.strategies.robust import RobustFilter
+    from flightstack.core.strategies.strategy import Filter
+    from flightstack.core.strategies.user_filter import At
 
-_HOME = {
-    "At": "flightstack.core.strategies.user_filter",
-    "Campaign": "flightstack.api.campaign",
-    "Filter": "flightstack.core.strategies.strategy",
-    "Landing": "flightstack.api.landing",
-    "LandingEnv": "flightstack.api.env",
-    "RobustFilter": "flightstack.core.strategies.robust",
-    "Sweep": "flightstack.api.campaign",
-    "campaign": "flightstack.api.campaign",
-    "frame": "flightstack.api.frames",
-    "land": "flightstack.api.landing",
-    "make_env": "flightstack.api.env",
-    "read_log": "flightstack.api.landing",
-    "scenario": "flightstack.api.landing",
-    "sweep": "flightstack.api.campaign",
+__all__ = [
+    "At", "Campaign", "Filter", "Landing", "LandingEnv", "RobustFilter", "Sweep", "campaign", "frame",
+    "land", "make_env", "read_log", "scenario", "sweep",
+]  # fmt: skip
+_NAMES = {
+    "flightstack.api.campaign": ("Campaign", "Sweep", "campaign", "sweep"),
+    "flightstack.api.env": ("LandingEnv", "make_env"),
+    "flightstack.api.frames": ("frame",),
+    "flightstack.api.landing": ("Landing", "land", "read_log", "scenario"),
+    "flightstack.core.strategies.robust": ("RobustFilter",),
+    "flightstack.core.strategies.strategy": ("Filter",),
+    "flightstack.core.strategies.user_filter": ("At",),
 }
-__all__ = sorted(_HOME)
+_HOME = {name: module for module, names in _NAMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

@@ -10,11 +10,10 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from enum import Enum, IntEnum
+from enum import IntEnum
 from typing import Any
 
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Group
 from rich.panel import Panel
 from rich.table import Column, Table
 from rich.text import Text
@@ -26,7 +25,9 @@ from logs.schema.rows import ControllerStepRow, HealthRow, LoopTimingRow
 
 STALE_S = 1.0  # age above which data is stale, s; the slowest key is published every 0.2 s
 _TIMINGS = 20  # number of stored loop timings (one second), for the mean period
-_NOT_HEALTH = ("stamp_ns", "tick", "finished")  # fields that the step already contains
+_ENUMS: Mapping[str, type[IntEnum]] = {
+    "phase": Phase, "filter_status": FilterStatus, "mode": Mode, "landed": Landed,
+}  # fmt: skip
 _RING = 8  # maximum number of samples stored between two polls
 REFRESH_HZ = 8.0
 _STYLE: Mapping[int, str] = {
@@ -44,14 +45,6 @@ _STYLE: Mapping[int, str] = {
 _LOUD = "bold white on red"
 
 
-class News(Enum):
-    """State of the data: never received, fresh or stale."""
-
-    NEVER = "no data yet"
-    FRESH = "fresh"
-    STALE = "stale"
-
-
 class Watch:
     """Subscriber to the live keys of one onboard process; the caller polls it, the flight ignores it."""
 
@@ -63,59 +56,58 @@ class Watch:
         clock: Callable[[], float] = time.monotonic,
         role: zenoh_link.Role = zenoh_link.Role.PEER,
     ) -> None:
-        """Subscribe to the keys on which the onboard process publishes a flight.
-
-        ``session``: the caller closes it; ``namespace``: first part of the keys; ``clock``: monotonic time,
-        s; ``role``: role of the session. Raises ValueError: the namespace is not valid in a key.
-        """
+        """Subscribe over a session of this role, which the caller closes; ``clock``: monotonic time, s."""
         self._session, self._clock, self._role = session, clock, role
-        self._subscribers = {
-            name: zenoh_link.ring_subscriber(session, f"{namespace}/{name}", _RING)
+        self._steps, self._timings, self._healths = (
+            zenoh_link.ring_subscriber(session, f"{namespace}/{name}", _RING)
             for name in ("controller/step", "loop/timing", "health")
-        }
+        )
         self.step: ControllerStepRow | None = None  # newest controller step; ``None`` before the first
         self.health: HealthRow | None = None  # newest health message; None before the first
         self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)  # loop timing of the last second
         self.new_steps: list[ControllerStepRow] = []  # steps of the last poll
         self.new_timings: list[LoopTimingRow] = []  # loop timing of the last poll
         self.refused = 0  # number of samples with a type that is wrong for their key
-        self._began_s = clock()
-        self._step_s = self._health_s = math.nan
+        self._step_s, self._health_s = clock(), -math.inf  # arrival times; that of a step: first the start
 
     def poll(self) -> None:
         """Read the samples that have arrived."""
-        self.new_steps, self.new_timings = [], []
-        for payload in self._payloads("controller/step"):
-            step = self._decode(ControllerStepRow.unpack, payload)
-            if step is not None and (self.step is None or step.tick != self.step.tick):
-                self.step, self._step_s = step, self._clock()
-                self.new_steps.append(step)
-        for payload in self._payloads("loop/timing"):
-            timing = self._decode(LoopTimingRow.unpack, payload)
-            if timing is not None:
-                self.timings.append(timing)
-                self.new_timings.append(timing)
-        for payload in self._payloads("health"):
-            health = self._decode(HealthRow.unpack, payload)
-            if health is not None and (self.health is None or health.tick != self.health.tick):
-                self.health, self._health_s = health, self._clock()
+        self.new_steps = self._new(self._steps, ControllerStepRow.unpack, self.step)
+        self.new_timings = self._new(self._timings, LoopTimingRow.unpack, None)
+        self.timings.extend(self.new_timings)
+        if self.new_steps:
+            self.step, self._step_s = self.new_steps[-1], self._clock()
+        if healths := self._new(self._healths, HealthRow.unpack, self.health):
+            self.health, self._health_s = healths[-1], self._clock()
+
+    def _new(self, subscriber: zenoh_link.Subscriber, unpack: Callable[[bytes], Any], last: Any) -> list[Any]:
+        """Return the rows that have arrived, without those that repeat the tick of the row before them."""
+        rows = []
+        for sample in zenoh_link.drain(subscriber):
+            try:
+                row = unpack(sample.payload.to_bytes())
+            except ValueError:  # the publisher is foreign or has another version: count and report this
+                self.refused += 1
+                continue
+            if last is None or row.tick != last.tick:
+                rows.append(row)
+            last = row
+        return rows
 
     @property
     def age_s(self) -> float:
         """Time since the last new step, or since the subscription, s."""
-        return self._clock() - (self._began_s if math.isnan(self._step_s) else self._step_s)
+        return self._clock() - self._step_s
 
     @property
-    def news(self) -> News:
-        """State of the newest step: fresh, stale or never received."""
-        if self.step is None:
-            return News.NEVER
-        return News.FRESH if self.age_s <= STALE_S else News.STALE
+    def fresh(self) -> bool:
+        """Whether a new step arrived within the last ``STALE_S``."""
+        return self.step is not None and self.age_s <= STALE_S
 
     @property
     def health_fresh(self) -> bool:
-        """Whether the newest health message arrived within the last ``STALE_S``."""
-        return self._clock() - self._health_s <= STALE_S  # also False for a NaN
+        """Whether a new health message arrived within the last ``STALE_S``."""
+        return self._clock() - self._health_s <= STALE_S
 
     @property
     def connections(self) -> int:
@@ -127,55 +119,30 @@ class Watch:
         """Whether this session is a peer of a router, which then does not forward data of its other peers."""
         return self._role is zenoh_link.Role.PEER and zenoh_link.knows_router(self._session)
 
-    @property
-    def over(self) -> bool:
-        """Whether the onboard process reported that the flight is over."""
-        return self.step is not None and self.step.finished
-
-    def _payloads(self, name: str) -> list[bytes]:
-        return [sample.payload.to_bytes() for sample in zenoh_link.drain(self._subscribers[name])]
-
-    def _decode(self, unpack: Callable[[bytes], Any], payload: bytes) -> Any:
-        try:
-            return unpack(payload)
-        except ValueError:  # the publisher is foreign or has another version: count and report this
-            self.refused += 1
-            return None
-
 
 def snapshot(watch: Watch) -> dict[str, Any]:
-    """Return the newest values for scripts; None: unknown value; ``fresh``: whether the values are recent."""
-    step, health = watch.step, watch.health
+    """Return the fields of the newest step and health for scripts; ``fresh``: whether they are recent."""
     values: dict[str, Any] = {
-        "fresh": watch.news is News.FRESH,
-        "news": watch.news.value,
+        "fresh": watch.fresh,
         "age_s": round(watch.age_s, 3),
         "connections": watch.connections,
         "refused": watch.refused,
     }
-    if step is not None:
-        values |= {
-            "tick": step.tick,
-            "stamp_ns": step.stamp_ns,
-            "phase": name_of(Phase, step.phase),
-            "h_m": _number(step.h_m),
-            "e_m": _vector(_relative_m(step)),
-            "nominal_enu_m_s": _vector(step.nominal_enu_m_s),
-            "filtered_enu_m_s": _vector(step.filtered_enu_m_s),
-            "setpoint_enu_m_s": _vector(step.command_enu_m_s) if step.setpoint_sent else None,
-            "barrier_active": step.barrier_active,
-            "filter_status": name_of(FilterStatus, step.filter_status),
-            "finished": step.finished,
-        }
-    if health is not None:
-        plain = {
-            name: _number(value) if isinstance(value, float) else value
-            for name, value in health._asdict().items()
-            if name not in _NOT_HEALTH
-        }
-        names = {"mode": name_of(Mode, health.mode), "landed": name_of(Landed, health.landed)}
-        values["health"] = {"fresh": watch.health_fresh, **plain, **names}
+    if watch.step is not None:
+        values |= {name: _plain(name, value) for name, value in watch.step._asdict().items()}
+    if watch.health is not None:
+        health = {name: _plain(name, value) for name, value in watch.health._asdict().items()}
+        values["health"] = {"fresh": watch.health_fresh, **health}
     return values
+
+
+def _plain(name: str, value: Any) -> Any:
+    """Return a field of a row for JSON: enumerations by name, ``None`` for NaN and infinity."""
+    if isinstance(value, tuple | list):
+        return [_plain("", each) for each in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return name_of(_ENUMS[name], value) if name in _ENUMS else value
 
 
 def name_of(kind: type[IntEnum], number: int) -> str:
@@ -183,41 +150,9 @@ def name_of(kind: type[IntEnum], number: int) -> str:
     return kind(number).name if number in kind._value2member_map_ else str(number)
 
 
-def _relative_m(step: ControllerStepRow) -> list[float]:
-    """Return the position of the vehicle relative to the landing spot, ENU, m."""
-    return [p - q for p, q in zip(step.own_position_enu_m, step.target_position_enu_m, strict=True)]
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _vector(values: Sequence[float]) -> list[float] | None:
-    return list(values) if all(map(math.isfinite, values)) else None
-
-
-class LiveView:
-    """Terminal view of one or several vehicles; no flight depends on it."""
-
-    def __init__(self, watches: Mapping[str, Watch], title: str, console: Console, whom: str = "") -> None:
-        self._watches, self._title, self._whom = watches, title, whom
-        view = draw(watches, title, whom)
-        self.live = Live(view, console=console, refresh_per_second=REFRESH_HZ, transient=False)
-
-    def draw(self) -> None:
-        """Draw the newest samples."""
-        self.live.update(draw(self._watches, self._title, self._whom))
-
-    def poll(self) -> None:
-        """Read the new samples and draw them."""
-        for watch in self._watches.values():
-            watch.poll()
-        self.draw()
-
-
 def draw(watches: Mapping[str, Watch], title: str, whom: str = "") -> Panel:
     """Return a table with a column of newest values for each vehicle, below warnings about old data."""
-    old = {namespace: watch for namespace, watch in watches.items() if watch.news is not News.FRESH}
+    old = {namespace: watch for namespace, watch in watches.items() if not watch.fresh}
     lines = [Text.assemble(f"{namespace} ", _no_news(watch, whom)) for namespace, watch in old.items()]
     columns = [_column(watch) for watch in watches.values()]
     table = Table("", *(Column(Text(namespace)) for namespace in watches), box=None, padding=(0, 2))
@@ -230,8 +165,8 @@ def draw(watches: Mapping[str, Watch], title: str, whom: str = "") -> Panel:
 def _no_news(watch: Watch, whom: str) -> Text:
     """Return why no recent data are shown; the text is highlighted unless the flight is over."""
     refused = f"   {watch.refused} samples not readable" if watch.refused else ""
-    if watch.over:
-        phase = name_of(Phase, watch.step.phase) if watch.step is not None else ""
+    if watch.step is not None and watch.step.finished:
+        phase = name_of(Phase, watch.step.phase)
         return Text(f"the flight is over: {phase}, {watch.age_s:.0f} s ago{refused}", style="bold")
     if watch.connections == 0:
         why = f"no reply from {whom}: not running, or access denied" if whom else "no connection"
@@ -247,7 +182,7 @@ def _column(watch: Watch) -> dict[str, Text]:
     """Return the values of a vehicle by name; old values are dim, values outside their limits red."""
     rows: dict[str, tuple[str, str]] = {}
     if (step := watch.step) is not None:
-        x, y, z = _relative_m(step)
+        x, y, z = (p - q for p, q in zip(step.own_position_enu_m, step.target_position_enu_m, strict=True))
         status = name_of(FilterStatus, step.filter_status).lower().replace("_", " ")
         rows |= {
             "tick": (f"{step.tick}, {watch.refused} samples not readable", ""),
@@ -260,7 +195,7 @@ def _column(watch: Watch) -> dict[str, Text]:
             "flown, ENU": _velocity(step.own_velocity_enu_m_s),
             "filter": (f"{status}, barrier {'acts' if step.barrier_active else 'idle'}", ""),
         }
-    fresh = dict.fromkeys(rows, watch.news is News.FRESH)
+    fresh = dict.fromkeys(rows, watch.fresh)
     if (health := watch.health) is not None:
         armed, share = "ARMED" if health.armed else "disarmed", _value(100.0 * health.battery_share, ".0f")
         landed = name_of(Landed, health.landed).lower().replace("_", " ")
@@ -278,7 +213,7 @@ def _column(watch: Watch) -> dict[str, Text]:
         last, mean_ms = watch.timings[-1], 1e3 * sum(periods) / len(periods)
         dropped = f", {last.feed_dropped} log records dropped" if last.feed_dropped else ""
         loop = f"{mean_ms:.2f} ms, tick {1e6 * last.exec_s:.0f} us, {last.overruns} overruns{dropped}"
-        rows["loop"], fresh["loop"] = (loop, ""), watch.news is News.FRESH
+        rows["loop"], fresh["loop"] = (loop, ""), watch.fresh
     return {
         name: Text(text, style=style if fresh.get(name, watch.health_fresh) else "dim")
         for name, (text, style) in rows.items()

@@ -6,7 +6,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
@@ -32,7 +32,6 @@ from sim.vehicle.declared import judged_apart, not_proven
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-_HIDDEN = ("cells",)  # columns of campaign rows that tables omit
 _RATES = ("landed", "violations")
 
 
@@ -53,7 +52,7 @@ class Campaign:
     @cached_property
     def table(self) -> Any:
         """DataFrame with a row for each seed, see ``frame``; lengths in m, times in s."""
-        return frame(_columns(self.rows))
+        return frame(list(map(_values, self.rows)))
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -89,29 +88,30 @@ class Sweep:
     keys: tuple[str, ...]
     points: tuple[tuple[tuple[Any, ...], Campaign], ...]
 
+    def _named(self) -> list[tuple[dict[str, Any], Campaign]]:
+        """Return the value of each key at each point, with the landings there."""
+        return [(dict(zip(self.keys, values, strict=True)), flown) for values, flown in self.points]
+
     @cached_property
     def table(self) -> Any:
         """DataFrame with a row for each point and seed: swept keys, then columns of ``Campaign.table``."""
-        lines = [(values, row) for values, campaign in self.points for row in campaign.rows]
-        swept = {key: [values[k] for values, _ in lines] for k, key in enumerate(self.keys)}
-        return frame(swept | _columns([row for _, row in lines]))
+        return frame([at | _values(row) for at, flown in self._named() for row in flown.rows])
 
     def rates(self) -> list[dict[str, Any]]:
         """Return keys, number of runs, fraction of landings and fraction of violations of each point."""
         return [
-            dict(zip(self.keys, values, strict=True))
+            at
             | {
-                "runs": len(campaign),
-                "landed": sum(row.landed for row in campaign.rows) / len(campaign),
-                "violations": sum(row.violation is not False for row in campaign.rows) / len(campaign),
+                "runs": len(flown),
+                "landed": sum(row.landed for row in flown.rows) / len(flown),
+                "violations": sum(row.violation is not False for row in flown.rows) / len(flown),
             }
-            for values, campaign in self.points
+            for at, flown in self._named()
         ]
 
     def __repr__(self) -> str:
         lines = (
-            f"  {', '.join(f'{k} {v}' for k, v in zip(self.keys, values, strict=True))}: {campaign!r}"
-            for values, campaign in self.points
+            f"  {', '.join(f'{k} {v}' for k, v in at.items())}: {flown!r}" for at, flown in self._named()
         )
         return "\n".join(("Sweep(", *lines, ")"))
 
@@ -193,9 +193,9 @@ def sweep(
     return Sweep(tuple(grid), tuple(zip(points, _flown(made, seeds, workers), strict=True)))
 
 
-def _columns(rows: Sequence[Row]) -> dict[str, list[Any]]:
-    """Return the columns of a table of landings, by name."""
-    return {f.name: [getattr(row, f.name) for row in rows] for f in fields(Row) if f.name not in _HIDDEN}
+def _values(row: Row) -> dict[str, Any]:
+    """Return the columns of a landing in a table, which has no map of h."""
+    return {name: value for name, value in asdict(row).items() if name != "cells"}
 
 
 def _checked(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:

@@ -23,7 +23,7 @@ from flightstack.core.snapshot import Relative
 from flightstack.core.types import ZERO, Vec3
 from logs.reader.flight_data import Truth
 from logs.verdict.truth import judge_truth
-from logs.verdict.types import VIOLATION_LIMIT_M, Outcome, Verdict
+from logs.verdict.types import VIOLATION_LIMIT_M, Outcome
 from sim.runners.landing import Companion, Flights, warm_up
 from sim.scenarios.scenario import Scenario
 
@@ -36,9 +36,6 @@ OTHER_END_REWARD = -5.0
 _SPEED_FAR_M = 1e3  # bound of each observed position and velocity, m and m/s
 
 ENV_ID = "flightstack/Landing-v0"
-
-
-_FILTERS = {None: "paper", "paper": "paper", "robust": "robust"}  # filter of the stack, by argument
 
 
 class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  # gymnasium is an extra
@@ -76,10 +73,10 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         self, scenario: str | Path | Scenario = "lab", filter: str | None = None,
         changes: Changes | None = None, render_mode: None = None,
     ) -> None:  # fmt: skip
-        if filter not in _FILTERS:
+        if filter not in (None, "paper", "robust"):
             raise ConfigError(f"filter: found {filter!r}, allowed: None, 'paper', 'robust'")
         self.render_mode = render_mode
-        self.scenario = single(scenario, changes, _FILTERS[filter])
+        self.scenario = single(scenario, changes, filter or "paper")
         self._enforces = filter is not None  # whether the barrier is enforced; False: only the limits
         most = np.array(self.scenario.onboard.limits.velocity_max_m_s)
         self.action_space = spaces.Box(-most, most, dtype=np.float64)
@@ -145,7 +142,14 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         verdict = judge_truth(flown, flown.truth)
         late = verdict.outcome is Outcome.TIMEOUT or TIME_OVER in verdict.reason
         reward = 0.0 if late else END_REWARD.get(verdict.outcome, OTHER_END_REWARD)
-        return self._seen, STEP_REWARD + reward, not late, late, _info(verdict)
+        info = {
+            "verdict": verdict,
+            "outcome": verdict.outcome.value,
+            "violation": verdict.violation,
+            "h_min_outside_pad_m": verdict.h_min_outside_pad_m,
+            "is_success": verdict.outcome is Outcome.LANDED,
+        }
+        return self._seen, STEP_REWARD + reward, not late, late, info
 
     def builtin_action(self) -> np.ndarray:
         """Return the nominal velocity that the stack itself would choose in this tick, m/s ENU, (3,).
@@ -190,30 +194,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         return self._seen
 
 
-def make_env(
-    name: str | Path | Scenario = "lab", filter: str | None = None, changes: Changes | None = None
-) -> LandingEnv:
-    """Return the environment of a scenario; arguments and spaces are those of ``LandingEnv``.
-
-    Args:
-        name: name, file or object of a scenario of one vehicle.
-        filter: ``None`` for no filter; ``"paper"`` or ``"robust"``.
-        changes: keys of the scenario to change, see ``scenario``.
-
-    Raises:
-        ConfigError: a scenario, key or filter is wrong.
-    """
-    return LandingEnv(name, filter, changes)
-
-
-def _info(verdict: Verdict) -> dict[str, Any]:
-    return {
-        "verdict": verdict,
-        "outcome": verdict.outcome.value,
-        "violation": verdict.violation,
-        "h_min_outside_pad_m": verdict.h_min_outside_pad_m,
-        "is_success": verdict.outcome is Outcome.LANDED,
-    }
+make_env = LandingEnv
 
 
 if ENV_ID not in gymnasium.registry:  # not yet registered if Gymnasium was imported after flightstack

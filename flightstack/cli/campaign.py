@@ -80,7 +80,7 @@ def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options:
     from logs.report.page import ReportError
     from sim.campaign.rows import failed_rows
     from sim.campaign.run import PAGE, ROWS, write_page
-    from sim.campaign.summary import apart
+    from sim.campaign.summary import apart, lines
 
     if flown.missing:
         click.echo(
@@ -100,7 +100,11 @@ def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options:
     if options.as_json:
         click.echo(json.dumps(flown.summary))
     else:
-        console.print(_table(wanted, flown.summary))
+        title = f"{wanted.scenario.name}, filter {wanted.filter_name}"
+        table = Table("result", Column("value", justify="right"), "unit", title=title, title_justify="left")
+        for row in lines(flown.summary):
+            table.add_row(*row)
+        console.print(table)
         for line in apart(flown.summary):
             console.print(line, soft_wrap=True, markup=False)
         for one in flown.summary["worst"]:
@@ -112,16 +116,6 @@ def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options:
         click.echo(f"flightstack: {problem}", err=True)
         return WRONG_INPUT
     return INCOMPLETE if flown.missing else COMPLETE
-
-
-def _table(wanted: Plan, found: dict[str, Any]) -> Table:
-    from sim.campaign.summary import lines
-
-    title = f"{wanted.scenario.name}, filter {wanted.filter_name}"
-    table = Table("result", Column("value", justify="right"), "unit", title=title, title_justify="left")
-    for name, value, unit in lines(found):
-        table.add_row(name, value, unit)
-    return table
 
 
 @click.command()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -51,30 +51,34 @@ def check(
     Exit status: 0 all claims proven, 1 at least one not proven, 2 wrong input.
     """
     parts = _parts(config, filter)
+    results = [(part, result) for part in parts for result in part.checks]
+    unproven = [f"{result.name}{part.of}" for part, result in results if not result.proven]
+    flies = all(result.proven for _, result in results if result.need.value == "flight")
     if as_json:
-        click.echo(json.dumps(_as_json(config, parts)))
-    else:
-        console = Terminal()
-        for part in parts:
-            console.print(f"{config}{part.of}, filter {part.filter}", soft_wrap=True)
-            for result in part.checks:
-                if every or not result.proven:
-                    _show(console, result)
-            for text in part.ignored:
-                click.echo(text)
-        click.echo(_summary(parts) + ("" if every else "; --all shows each claim"))
-    sys.exit(PROVEN if all(each.proven for part in parts for each in part.checks) else NOT_PROVEN)
-
-
-def _summary(parts: Sequence[Part]) -> str:
-    """Return the last line of the output: all claims are proven, or the names of the unproven ones."""
-    every = [(part.of, result) for part in parts for result in part.checks]
-    found = [f"{result.name}{of}" for of, result in every if not result.proven]
-    if not found:
-        return f"proven: all {len(every)} claims"
-    flies = all(result.proven for _, result in every if result.need.value == "flight")
-    verdict = "not proven" if flies else "not proven, must not fly"
-    return f"{verdict}: {len(found)} of {len(every)} claims: {'; '.join(found)}"
+        rows = [{**part.members, "checks": list(map(_row, part.checks))} for part in parts]
+        about = {
+            "config": config,
+            "filter": parts[0].filter,
+            "proven": not unproven,
+            "ignored": [text for part in parts for text in part.ignored],
+            "flies": flies,
+        }
+        click.echo(json.dumps({**about, **(rows[0] if len(rows) == 1 else {"parts": rows})}))
+        sys.exit(NOT_PROVEN if unproven else PROVEN)
+    console = Terminal()
+    for part in parts:
+        console.print(f"{config}{part.of}, filter {part.filter}", soft_wrap=True)
+        for result in part.checks:
+            if every or not result.proven:
+                _show(console, result)
+        for text in part.ignored:
+            click.echo(text)
+    verdict = f"proven: all {len(results)} claims"
+    if unproven:
+        must_not = "" if flies else ", must not fly"
+        verdict = f"not proven{must_not}: {len(unproven)} of {len(results)} claims: {'; '.join(unproven)}"
+    click.echo(verdict + ("" if every else "; --all shows each claim"))
+    sys.exit(NOT_PROVEN if unproven else PROVEN)
 
 
 class Part(NamedTuple):
@@ -82,9 +86,9 @@ class Part(NamedTuple):
 
     filter: str
     checks: Sequence[Check]
-    members: tuple[str, ...] = ()  # names of the scenario's vehicles with this configuration
-    of: str = ""  # names of the vehicles, for a title
-    ignored: Sequence[str] = ()  # keys that the filter does not read
+    members: Mapping[str, Sequence[str]]  # names of its vehicles for the JSON object; empty for a single one
+    of: str  # names of its vehicles for a title
+    ignored: Sequence[str]  # keys that the filter does not read
 
 
 def _parts(name_or_file: str, name: str | None) -> list[Part]:
@@ -94,7 +98,7 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
     config = _configuration(name_or_file)
     if config is not None:
         config = replace(config, filter=name or config.filter)
-        return [Part(config.filter, checks(config), ignored=ignored(config))]
+        return [Part(config.filter, checks(config), {}, "", ignored(config))]
     from sim.robot import TargetModel
     from sim.scenarios.scenario import load as load_scenario
     from sim.scenarios.tables import PathKind
@@ -105,27 +109,28 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
         TargetModel(each.target, 0).run(round(each.duration_max_s / STEP_S), STEP_S, True)
     if name is not None:
         scenario = scenario.with_filter(name)
-    shown, parts = list(scenario.namespaces().values()), []
-    for config, numbers in _alike([each.onboard for each in scenario.members]):
-        found = [*checks(config), *_worst(check for n in numbers for check in declared(scenario.members[n]))]
-        parts.append(_part(config, found, [shown[n] for n in numbers]))
+    shown, parts = list(scenario.namespaces().values()), list[Part]()
+
+    def add(config: FlightConfig, found: list[Check], members: list[str], more: str = "") -> None:
+        of, keys = f" ({', '.join(members)}{more})", () if more else ignored(config)
+        parts.append(Part(config.filter, found, {"members": members}, of, keys))
+
+    # vehicles whose configurations differ only in the id are one part
+    alike: dict[str, list[int]] = {}
+    for n, each in enumerate(scenario.members):
+        table = to_table(each.onboard)
+        table.get("fleet", {}).pop("id", None)
+        alike.setdefault(repr(table), []).append(n)
+    for numbers in alike.values():
+        config = scenario.members[numbers[0]].onboard
+        worst: dict[str, Check] = {}  # by name, the result with the smallest distance to its limit
+        for result in (each for n in numbers for each in declared(scenario.members[n])):
+            if result.name not in worst or result.room < worst[result.name].room:
+                worst[result.name] = result
+        add(config, [*checks(config), *worst.values()], [shown[n] for n in numbers])
     if found := crowd(scenario):
-        parts.append(_part(scenario.onboard, found, shown, " together"))
+        add(scenario.onboard, found, shown, " together")
     return parts if len(parts) > 1 else [parts[0]._replace(of="")]
-
-
-def _part(config: FlightConfig, found: list[Check], members: list[str], more: str = "") -> Part:
-    of = f" ({', '.join(members)}{more})"
-    return Part(config.filter, found, tuple(members), of, () if more else ignored(config))
-
-
-def _worst(found: Iterable[Check]) -> list[Check]:
-    """Return each check once: of results with one name, the one with the smallest distance to its limit."""
-    worst: dict[str, Check] = {}
-    for each in found:
-        if each.name not in worst or each.room < worst[each.name].room:
-            worst[each.name] = each
-    return list(worst.values())
 
 
 def _configuration(name_or_file: str) -> FlightConfig | None:
@@ -146,35 +151,6 @@ def _configuration(name_or_file: str) -> FlightConfig | None:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _alike(configs: Sequence[FlightConfig]) -> list[tuple[FlightConfig, list[int]]]:
-    """Return configurations that differ in more than the id, each with the indices of its vehicles."""
-    alike: dict[str, tuple[FlightConfig, list[int]]] = {}
-    for n, config in enumerate(configs):
-        table = to_table(config)
-        table.get("fleet", {}).pop("id", None)
-        alike.setdefault(repr(table), (config, []))[1].append(n)
-    return list(alike.values())
-
-
-def _as_json(name: str, parts: Sequence[Part]) -> dict[str, object]:
-    every = [result for part in parts for result in part.checks]
-    found: dict[str, object] = {
-        "config": name,
-        "filter": parts[0].filter,
-        "proven": all(result.proven for result in every),
-        "ignored": [text for part in parts for text in part.ignored],
-        "flies": all(result.proven for result in every if result.need.value == "flight"),
-    }
-    rows: list[dict[str, object]] = [
-        {
-            **({"members": part.members} if part.members else {}),
-            "checks": [_row(result) for result in part.checks],
-        }
-        for part in parts
-    ]
-    return {**found, **(rows[0] if len(rows) == 1 else {"parts": rows})}
-
-
 def _row(result: Check) -> dict[str, object]:
     return {
         **asdict(result),
@@ -187,7 +163,9 @@ def _row(result: Check) -> dict[str, object]:
 
 def _show(console: Terminal, result: Check) -> None:
     """Print a claim with its worst point, and the remedy if it is not proven."""
-    word, colour = _WORDS[result.proven, result.need.value]
+    word, colour = ("must not fly", "red") if result.need.value == "flight" else ("not proven", "yellow")
+    if result.proven:
+        word, colour = "proven", "green"
     console.print(Text.assemble((word, colour), f": {result.name}: {result.claim}"), soft_wrap=True)
     room = f"{abs(result.room):.3g} {result.unit}".rstrip()
     distance = f"; {'distance to limit' if result.proven else 'short by'} {room}"
@@ -195,11 +173,3 @@ def _show(console: Terminal, result: Check) -> None:
     console.print(f"  worst point: {worst}", soft_wrap=True)
     if not result.proven:
         console.print(f"  remedy: {result.remedy}", soft_wrap=True)
-
-
-_WORDS = {
-    (True, "flight"): ("proven", "green"),
-    (True, "proof"): ("proven", "green"),
-    (False, "flight"): ("must not fly", "red"),
-    (False, "proof"): ("not proven", "yellow"),
-}

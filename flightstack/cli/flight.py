@@ -173,9 +173,11 @@ def watch(options: WatchOptions) -> None:
 
     The command only receives data. Exit status: 0 normal end, 1 no recent data with --once, 2 wrong input.
     """
+    from rich.live import Live
+
     from bridge.zenoh import zenoh_link
     from flightstack.common.terminal import Terminal
-    from flightstack.watch import REFRESH_HZ, LiveView, Watch, snapshot
+    from flightstack.watch import REFRESH_HZ, Watch, draw, snapshot
 
     if options.view is not None and (options.once or options.as_json):
         raise click.UsageError("--view draws until it is ended; --once and --json print: give one of them")
@@ -188,7 +190,15 @@ def watch(options: WatchOptions) -> None:
         name, endpoint = options.namespace, ", ".join(dialled)
         flight = Watch(session, name, role=role)
         if options.once:
-            sys.exit(_once(options, flight, endpoint, stop))
+            until_s = time.monotonic() + options.timeout_s
+            for _ in _polls(flight, stop, LOOK_S):
+                if (flight.fresh and flight.health is not None) or time.monotonic() >= until_s:
+                    break
+            if options.as_json:
+                click.echo(json.dumps(snapshot(flight)))
+            else:
+                Terminal().print(draw({name: flight}, name, endpoint))
+            sys.exit(FRESH if flight.fresh else NOTHING)
         elif recording is not None:
             for _ in _polls(flight, stop, DRAW_S):
                 if recording.closed:
@@ -199,10 +209,9 @@ def watch(options: WatchOptions) -> None:
             for _ in _polls(flight, stop, PRINT_S):
                 click.echo(json.dumps(snapshot(flight)))
         else:
-            view = LiveView({name: flight}, f"{name} at {endpoint}", Terminal(), endpoint)
-            with view.live:
+            with Live(console=Terminal(), auto_refresh=False) as view:
                 for _ in _polls(flight, stop, 1.0 / REFRESH_HZ):
-                    view.draw()
+                    view.update(draw({name: flight}, f"{name} at {endpoint}", endpoint), refresh=True)
     finally:
         session.close()
         if recording is not None:
@@ -215,21 +224,6 @@ def _polls(flight: Watch, stop: Stop, period_s: float) -> Iterator[None]:
         time.sleep(period_s)
         flight.poll()
         yield
-
-
-def _once(options: WatchOptions, flight: Watch, endpoint: str, stop: Stop) -> int:
-    from flightstack.common.terminal import Terminal
-    from flightstack.watch import News, draw, snapshot
-
-    until_s = time.monotonic() + options.timeout_s
-    for _ in _polls(flight, stop, LOOK_S):
-        if (flight.news is News.FRESH and flight.health is not None) or time.monotonic() >= until_s:
-            break
-    if options.as_json:
-        click.echo(json.dumps(snapshot(flight)))
-    else:
-        Terminal().print(draw({options.namespace: flight}, options.namespace, endpoint))
-    return FRESH if flight.news is News.FRESH else NOTHING
 
 
 def _recording(options: WatchOptions, where: str) -> LiveRecording:

@@ -6,8 +6,9 @@ import shutil
 import signal
 import sys
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import click
 
@@ -20,18 +21,37 @@ from flightstack.config import options as shared
 def config(name: Annotated[str | None, Option("[NAME]")] = None) -> None:
     """List the packaged configurations of the onboard process, or print the one with the given NAME."""
     from flightstack import config as known
+
+    # the first line of a file is a comment with its purpose
+    _show(known, name, lambda each: _text(known.path_of(each)).partition("\n")[0].removeprefix("#").strip())
+
+
+@click.command()
+@arguments
+def scenarios(name: Annotated[str | None, Option("[NAME]")] = None) -> None:
+    """List the scenarios of the simulator, or print the one with the given NAME."""
+    from sim.scenarios import scenario
+
+    _show(scenario, name, lambda each: scenario.load(each).description)
+
+
+def _show(files: Any, name: str | None, purpose: Callable[[str], str]) -> None:
+    """Print the file of this name; without a name, list all with their purposes."""
+    if name is not None:
+        click.echo(_text(files.path_of(name)), nl=False)
+        return
+    listed = {known: purpose(known) for known in files.names()}
+    wide = max(map(len, listed)) + 2
+    columns = max(shutil.get_terminal_size().columns, wide + 40)
+    for known, text in listed.items():
+        lines = textwrap.wrap(text, columns - wide)
+        click.echo("\n".join([f"{known:{wide}}{lines[0]}", *(" " * wide + line for line in lines[1:])]))
+
+
+def _text(path: Path) -> str:
     from flightstack.common.strict_toml import decoded
 
-    if name is not None:
-        click.echo(decoded(known.path_of(name).read_bytes()), nl=False)
-        return
-    for each in known.names():
-        click.echo(f"{each:18} {_first_line(decoded(known.path_of(each).read_bytes()))}")
-
-
-def _first_line(text: str) -> str:
-    """Return the first comment line of a configuration, which states its purpose."""
-    return text.partition("\n")[0].removeprefix("#").strip()
+    return decoded(path.read_bytes())
 
 
 @click.command()
@@ -59,24 +79,6 @@ def new(
         file.unlink(missing_ok=True)
         raise ConfigError(f"{file}: cannot be written: {error.strerror}") from None
     click.echo(f"{file}: fly it with `flightstack sitl --scenario {file} --lockstep`")
-
-
-@click.command()
-@arguments
-def scenarios(name: Annotated[str | None, Option("[NAME]")] = None) -> None:
-    """List the scenarios of the simulator, or print the one with the given NAME."""
-    from flightstack.common.strict_toml import decoded
-    from sim.scenarios import scenario
-
-    if name is not None:
-        click.echo(decoded(scenario.path_of(name).read_bytes()), nl=False)
-        return
-    listed = {known: scenario.load(known).description for known in scenario.names()}
-    wide = max(map(len, listed)) + 2
-    columns = max(shutil.get_terminal_size().columns, wide + 40)
-    for known, description in listed.items():
-        lines = textwrap.wrap(description, columns - wide)
-        click.echo("\n".join([f"{known:{wide}}{lines[0]}", *(" " * wide + line for line in lines[1:])]))
 
 
 @click.command()

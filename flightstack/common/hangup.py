@@ -15,7 +15,6 @@ import select
 import signal
 import sys
 from collections.abc import Callable, Mapping
-from functools import partial
 from types import FrameType
 from typing import Any
 
@@ -35,10 +34,7 @@ _came: list[CalledOffError] = []
 
 
 def start() -> None:
-    """Let signals raise ``CalledOffError`` until the process has its own handlers. Main thread only.
-
-    A signal is also stored for ``begun``, because some callbacks drop exceptions.
-    """
+    """Let signals raise ``CalledOffError`` until the process has its own handlers. Main thread only."""
     _came.clear()
     for number in (*ASK, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN or number in ASK:
@@ -102,12 +98,7 @@ def handle(handlers: Mapping[signal.Signals, Callable[[], object]]) -> None:
     """Install a function for each signal; an ignored SIGHUP (``nohup``) remains ignored. Main thread only."""
     for number, handler in handlers.items():
         if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, partial(_call, handler))
-
-
-def _call(handler: Callable[[], object], number: int, frame: FrameType | None) -> None:
-    del number, frame
-    handler()
+            signal.signal(number, lambda *_, run=handler: run())
 
 
 # permanent errors: the reader has ended; other errors (ENOSPC) may be temporary
@@ -120,20 +111,22 @@ class Stream(io.FileIO):
     """Standard stream that never raises an exception."""
 
     waits = True  # whether to wait for a slow reader; False in flight
-    lost: OSError | None = None  # error of the first lost output; None: no output was lost
+    lost: OSError | None = None  # error of lost standard output; None: no output was lost
 
     def write(self, data: Any) -> int:
         """Write or drop bytes; return their number."""
-        size = memoryview(data).nbytes
+        size, number = memoryview(data).nbytes, self.fileno()
         part = data if Stream.waits else memoryview(data).cast("B")[:_PART]
         try:
-            if not Stream.waits and not select.select((), (self.fileno(),), (), 0.0)[1]:
+            if not Stream.waits and not select.select((), (number,), (), 0.0)[1]:
                 return size
             written = super().write(part)
         except OSError as error:
-            self.lost = error
-            if error.errno in _GONE:
-                _to_nothing(self.fileno())
+            if number == _NUMBERS["stdout"]:
+                Stream.lost = error
+            if error.errno in _GONE:  # libraries and children can then write to the null device
+                with contextlib.suppress(OSError), open(os.devnull, "wb") as nothing:  # noqa: PTH123
+                    os.dup2(nothing.fileno(), number)
             return size
         return size if written is None else written  # None: the stream is non-blocking and full
 
@@ -143,6 +136,7 @@ def guard() -> bool:
 
     Streams that a test has replaced remain. Return whether standard output was that of the process.
     """
+    Stream.lost = None  # a forked process has the value of its parent
     for number in range(3):
         try:
             os.fstat(number)
@@ -173,19 +167,13 @@ def never_wait() -> None:
 
 def problem() -> str | None:
     """Return why standard output is incomplete; None: it is complete, or the reader ended."""
-    raw = _raw(sys.stdout)
-    if not isinstance(raw, Stream):
-        return None
     sys.stdout.flush()
-    if raw.lost is None or raw.lost.errno in _GONE:
-        return None
-    return raw.lost.strerror
+    return Stream.lost.strerror if Stream.lost is not None and not reader_gone() else None
 
 
 def reader_gone() -> bool:
     """Whether the reader of standard output has ended."""
-    raw = _raw(sys.stdout)
-    return isinstance(raw, Stream) and raw.lost is not None and raw.lost.errno in _GONE
+    return Stream.lost is not None and Stream.lost.errno in _GONE
 
 
 def _raw(stream: object) -> object:
@@ -199,11 +187,3 @@ def _number(stream: io.TextIOBase) -> int | None:
         return stream.fileno()
     except (OSError, ValueError):  # the stream has no descriptor, or is closed
         return None
-
-
-def _to_nothing(number: int) -> None:
-    """Redirect a descriptor to the null device, so that libraries and children can write without an error."""
-    with contextlib.suppress(OSError):
-        nothing = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nothing, number)
-        os.close(nothing)

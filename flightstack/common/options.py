@@ -138,9 +138,10 @@ def _clicked(each: Declared) -> Callable[..., Any]:
         return click.argument(
             name, type=_type(each), nargs=-1 if many else 1, required=required, metavar=option.name
         )
-    settings: dict[str, Any] = {"help": option.help, "metavar": option.metavar, "required": required}
-    if option.variable is not None:
-        settings |= {"envvar": option.variable, "show_envvar": True}
+    settings: dict[str, Any] = {
+        "help": option.help, "metavar": option.metavar, "required": required, "envvar": option.variable,
+        "callback": option.read and _callback(option.read),
+    }  # fmt: skip
     if option.bare is not None:
         settings |= {"is_flag": False, "flag_value": option.bare}
     if kind is bool:
@@ -149,9 +150,7 @@ def _clicked(each: Declared) -> Callable[..., Any]:
         settings |= {"type": _type(each), "multiple": many, "nargs": number}
     if not required and not many:
         settings["default"] = default
-    if option.read is not None:
-        settings["callback"] = _callback(option.read)
-    return click.option(option.name, name, show_default=True, **settings)
+    return click.option(option.name, name, show_default=True, show_envvar=True, **settings)
 
 
 def _type(each: Declared) -> Any:
@@ -159,11 +158,8 @@ def _type(each: Declared) -> Any:
     if option.read is not None:
         return str
     if each.type is Path:
-        kind = _File if option.path == "file" and option.exists else click.Path
-        return kind(
-            exists=option.exists, file_okay=option.path != "folder", dir_okay=option.path != "file",
-            path_type=Path,
-        )  # fmt: skip
+        file, folder = option.path != "folder", option.path != "file"
+        return click.Path(exists=option.exists, file_okay=file, dir_okay=folder, path_type=Path)
     if each.type is float:
         return _Number(low, high)
     if each.type is int:
@@ -182,16 +178,6 @@ class _Number(click.FloatRange):
 
     def _describe_range(self) -> str:
         return super()._describe_range() if self.min is not None or self.max is not None else ""
-
-
-class _File(click.Path):
-    """Path of an ordinary file; devices and pipes, which may never end, are rejected."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        found: Any = super().convert(value, param, ctx)
-        if not found.is_file():
-            self.fail(f"{found} is a pipe, socket or device; an ordinary file is needed", param, ctx)
-        return found
 
 
 def _callback(read: Callable[[Any], Any]) -> Callable[..., Any]:

@@ -24,12 +24,11 @@ from flightstack.common.processes import LaunchError, forget_handlers, may_fork
 
 T = TypeVar("T")
 R = TypeVar("R")
-STARTS_MAX = 3  # number of attempts to start the processes
 START_S = 1800.0  # time-out of a start, including compilation on a slow computer, s
 
 
 class WorkersError(LaunchError):
-    """Workers end repeatedly before they do anything."""
+    """A worker ended before it did anything."""
 
 
 class _LostError(Exception):
@@ -41,10 +40,7 @@ class _LostError(Exception):
 
 
 class Processes(ProcessPoolExecutor):
-    """Processes that end with the context, without waiting for their work.
-
-    ``start``: called with ``arguments`` in each process before its work.
-    """
+    """Processes that call ``start`` before their work, and end with the context without waiting for it."""
 
     def __init__(self, number: int, start: Callable[..., object], arguments: tuple[Any, ...]) -> None:
         self._forks = may_fork()
@@ -93,10 +89,7 @@ def results(
     executor: Executor, work: Callable[[T], R], waiting: deque[T], ahead: Callable[[], int],
     limit_s: float | None = None,
 ) -> Iterator[tuple[T, Future[R]]]:  # fmt: skip
-    """Yield each item of ``waiting`` with its finished future, in any order.
-
-    ``ahead``: number of items that the executor has at a time; ``limit_s``: time-out without a result.
-    """
+    """Yield each item with its finished future, in any order; the executor has ``ahead`` items at a time."""
     running: dict[Future[R], T] = {}
     try:
         while waiting or running:
@@ -121,8 +114,8 @@ def in_processes(
     """Yield the results of ``work`` as they arrive, in any order, from ``number`` processes.
 
     If a worker dies or hangs, each item in work may be the cause. They are given out again, one at a time;
-    ``failed`` makes the result of an item that ends its worker a second time. ``start``, ``arguments``: see
-    ``Processes``; ``limit_s``: longest time of an item. Raises WorkersError: no worker starts.
+    ``failed`` makes the result of an item that ends its worker a second time, or takes longer than
+    ``limit_s``. Raises WorkersError: no worker starts.
     """
     waiting, suspects = deque(items), deque[T]()
     try:
@@ -134,31 +127,20 @@ def in_processes(
     while waiting or suspects:
         alone = bool(suspects)
         most = 1 if alone else min(number, len(waiting))
-        try:
-            with _started(most, start, arguments) as pool:
+        with Processes(most, start, arguments) as pool:
+            try:
+                pool.submit(os.getpid).result(START_S)
+            except (BrokenProcessPool, TimeoutError):
+                raise WorkersError(
+                    "a worker ended before it was ready; is the machine out of memory? Try fewer --workers"
+                ) from None
+            try:
                 for _, future in results(
                     pool, work, suspects if alone else waiting, partial(int, most), limit_s
                 ):
                     yield future.result()
-        except _LostError as lost:
-            if alone:
-                yield from (failed(item, f"{lost} twice") for item in lost.items)
-            else:
-                suspects.extend(lost.items)
-
-
-@contextlib.contextmanager
-def _started(number: int, start: Callable[..., object], arguments: tuple[Any, ...]) -> Iterator[Processes]:
-    """Yield processes of which one is ready."""
-    for _ in range(STARTS_MAX):
-        with Processes(number, start, arguments) as pool:
-            try:
-                pool.submit(os.getpid).result(START_S)
-            except (BrokenProcessPool, TimeoutError):
-                continue
-            yield pool
-            return
-    raise WorkersError(
-        f"{STARTS_MAX} workers in a row ended before they were ready; is the machine out of memory? Try "
-        "fewer --workers"
-    )
+            except _LostError as lost:
+                if alone:
+                    yield from (failed(item, f"{lost} twice") for item in lost.items)
+                else:
+                    suspects.extend(lost.items)

@@ -9,7 +9,6 @@ import gc
 import os
 import random
 import select
-import selectors
 import signal
 import socket
 import subprocess
@@ -29,11 +28,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PR_SET_NAME = 15
 _NAME_BYTES = 15  # maximum length of a thread name that Linux stores, bytes
 _LAST_STREAM = 2  # file descriptor of standard error
-# Limits for the start of a child, s: wall time in which it does not compute, and processor time. A slow
-# computer needs minutes to load and compile.
-START_TIME_MAX_S, START_WORK_MAX_S = 120.0, 1800.0
-_WORKING_S = 0.2  # processor time above which a process counts as computing, s
-_STAT_TIMES = slice(11, 13)  # fields after the name in /proc/PID/stat (proc(5)): user and system time, ticks
+START_MAX_S = 900.0  # maximum time for a child's start, s; a slow computer loads and compiles for minutes
 CLI = "flightstack.cli.main"  # module of the command-line program
 _WRONG_INPUT = 2  # exit status of every command after wrong input
 # A function between fork and exec could wait without end for locks of the parent's threads (Zenoh).
@@ -59,29 +54,19 @@ class LaunchError(RuntimeError):
 
 
 def socket_folder() -> Path:
-    """Return a new private folder with a path short enough for sockets; one in ``TMPDIR`` may be too long."""
-    reasons = []
-    for place in (None, os.environ.get("XDG_RUNTIME_DIR", "/tmp"), "/tmp", "/var/tmp"):
-        try:
-            folder = Path(tempfile.mkdtemp(prefix="flightstack-", dir=place))
-        except OSError as error:
-            reasons.append(f"{place or 'TMPDIR'}: {error.strerror}")
-            continue
-        if len(os.fsencode(folder / "recorder")) <= _SOCKET_PATH_MAX:
-            return folder
+    """Return a new private folder for sockets: in ``TMPDIR``, or in /tmp if their paths would be too long."""
+    folder = Path(tempfile.mkdtemp(prefix="flightstack-"))
+    if len(os.fsencode(folder / "recorder")) > _SOCKET_PATH_MAX:
         folder.rmdir()
-        reasons.append(f"{folder.parent}: longer than the path of a socket, {_SOCKET_PATH_MAX} bytes")
-    raise LaunchError(f"no folder for sockets ({'; '.join(reasons)}); set TMPDIR to a short one")
+        folder = Path(tempfile.mkdtemp(prefix="flightstack-", dir="/tmp"))
+    return folder
 
 
 class Child:
     """One process of the run; its standard error is written to the file ``name``.txt in ``folder``.
 
-    A command is forked from this process and need not load its modules again (``Forked``); if a fork is not
-    possible, the command is started as a program.
-
-    ``program``: command before the arguments, None for ``flightstack``; ``works_in``, ``environment``:
-    working folder and variables of a program, None for those of this process.
+    Without ``program``, it runs a command of ``flightstack``. The command is forked from this process and
+    need not load its modules again; if a fork is not possible, it is started as a program.
     """
 
     end_signal = signal.SIGTERM  # signal to a program when this process ends
@@ -123,33 +108,28 @@ class Child:
 
     def wait_ready(self) -> str:
         """Wait for the line ``ready ...``; return its remainder. Raises LaunchError: no such line in time."""
-        until, worked_s = time.monotonic() + START_TIME_MAX_S, 0.0
+        until = time.monotonic() + START_MAX_S
         try:
-            while time.monotonic() < until and worked_s < START_WORK_MAX_S:
-                lines = self.lines(0.1)
+            waits = True
+            while waits:
+                waits, lines = self.alive() and time.monotonic() < until, self.lines(0.1)
                 for number, line in enumerate(lines):
                     if line.startswith("ready"):
                         self._read = lines[number + 1 :]
                         return line.removeprefix("ready").strip()
-                if self.process.poll() is not None:
-                    break
-                if (now_s := _processor_s(self.pid)) >= worked_s + _WORKING_S:
-                    until, worked_s = time.monotonic() + START_TIME_MAX_S, now_s
         except BaseException:  # also after a signal: no other code would end this child
             self.end()
             raise
-        hung, code = self.process.poll() is None, self.end()
-        why = f"not ready after {worked_s:.0f} s of processor time, and {START_TIME_MAX_S:g} s without any"
-        raise LaunchError(f"{self.name} did not start: {why if hung else self.errors()}", code)
+        hung, code = self.alive(), self.end()
+        why = f"not ready within {START_MAX_S:g} s" if hung else self.errors()
+        raise LaunchError(f"{self.name} did not start: {why}", code)
 
     def lines(self, timeout_s: float) -> list[str]:
         """Return the complete lines of output that arrive within a time."""
         assert self.process.stdout is not None
         read, self._read = self._read, []
-        with selectors.DefaultSelector() as selector:
-            selector.register(self.process.stdout, selectors.EVENT_READ)
-            if selector.select(0.0 if read else timeout_s):
-                self._text += self.process.stdout.read() or b""
+        if select.select([self.process.stdout], (), (), 0.0 if read else timeout_s)[0]:
+            self._text += self.process.stdout.read() or b""
         *whole, self._text = self._text.split(b"\n")
         return read + [line.decode(errors="replace") for line in whole]
 
@@ -172,15 +152,6 @@ class Child:
 def _path() -> list[str]:
     """Return the option without which Python would import from the working folder first, unless this does."""
     return [] if sys.path[0] in ("", str(Path.cwd())) else ["-P"]
-
-
-def _processor_s(pid: int) -> float:
-    """Return the processor time of a process, s; 0 if it is not available."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        return sum(map(int, stat[_STAT_TIMES])) / os.sysconf("SC_CLK_TCK")
-    except (OSError, ValueError):
-        return 0.0
 
 
 def ended(process: subprocess.Popen[Any] | Forked, within_s: float = END_TIME_MAX_S) -> int:
@@ -212,27 +183,19 @@ class Port:
     _TRIES = 200
 
     def __init__(self) -> None:
-        chance = random.SystemRandom()
-        for _ in range(self._TRIES):
-            self.number = chance.choice(self._RANGE)
-            self._reservation = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        for number in random.SystemRandom().sample(self._RANGE, self._TRIES):
+            reservation = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             try:
-                self._reservation.bind(("127.0.0.1", self.number))
-                with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-                    probe.bind(("127.0.0.1", self.number))
+                reservation.bind(("127.0.0.1", number))
+                with socket.socket() as probe:
+                    probe.bind(("127.0.0.1", number))
             except OSError:
-                self._reservation.close()
+                reservation.close()
                 continue
+            self.number, self.close = number, reservation.close
+            self.endpoint = f"tcp/127.0.0.1:{number}"  # the port as a Zenoh endpoint
             return
         raise LaunchError(f"no free port of loopback found in {self._TRIES} tries from {self._RANGE}")
-
-    @property
-    def endpoint(self) -> str:
-        """Return the port as a Zenoh endpoint."""
-        return f"tcp/127.0.0.1:{self.number}"
-
-    def close(self) -> None:
-        self._reservation.close()
 
 
 def may_fork() -> bool:
@@ -257,10 +220,7 @@ def hand_on_niceness(pid: int) -> None:
 class Forked(ForkProcess):
     """Forked process with those methods of ``subprocess.Popen`` that this package uses.
 
-    The process has its own session, signal handlers, standard streams and files.
-
-    ``name``: name that the system shows; ``run``: function of the process, which ends like a Python program,
-    with SystemExit or an exception; ``errors``: file for its standard error.
+    It has its own session, signal handlers, standard streams and files, and ends like a Python program.
     """
 
     def __init__(self, name: str, run: Callable[[], object], errors: IO[bytes]) -> None:
@@ -318,24 +278,10 @@ def leave_parent(output: int, errors: int) -> None:
     os.setsid()
     hand_on_niceness(os.getpid())
     forget_handlers()
-    _own_streams(output, errors)
-
-
-def forget_handlers() -> None:
-    """Set the signal handling of a new Python process; signals that the parent ignores remain ignored."""
-    signal.set_wakeup_fd(-1)
-    for number in signal.valid_signals():
-        if callable(signal.getsignal(number)):
-            signal.signal(number, signal.SIG_DFL)
-    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _own_streams(output: int, errors: int) -> None:
-    """Give the child an empty standard input and these outputs, and close all other files of its parent."""
-    nothing = os.open(os.devnull, os.O_RDONLY)
+    streams = os.open(os.devnull, os.O_RDONLY), output, errors
     # if the parent had no standard streams, these descriptors may have their numbers
-    for place, number in enumerate([_above(each) for each in (nothing, output, errors)]):
+    above = [fcntl.fcntl(number, fcntl.F_DUPFD, _LAST_STREAM + 1) for number in streams]
+    for place, number in enumerate(above):
         os.dup2(number, place)
     for number in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
         if number > _LAST_STREAM:
@@ -346,6 +292,11 @@ def _own_streams(output: int, errors: int) -> None:
     sys.stderr = os.fdopen(2, "w", buffering=1, errors="backslashreplace", closefd=False)
 
 
-def _above(number: int) -> int:
-    """Duplicate a descriptor to a number above 2, the last standard stream; return this number."""
-    return fcntl.fcntl(number, fcntl.F_DUPFD, _LAST_STREAM + 1)
+def forget_handlers() -> None:
+    """Set the signal handling of a new Python process; signals that the parent ignores remain ignored."""
+    signal.set_wakeup_fd(-1)
+    for number in signal.valid_signals():
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -166,7 +166,7 @@ _MARKS = (
 
 
 def from_table(cls: type[T], table: object, where: str = "", keys: Sequence[str] = ()) -> T:
-    """Build the dataclass ``cls`` from a TOML table, with checks of every key, type and range.
+    """Build a dataclass from a TOML table, with checks of every key, type and range.
 
     ``keys``: allowed keys of the file, for the text of an error; empty: the fields of ``cls``.
     """
@@ -258,10 +258,7 @@ def stem(key: str) -> tuple[str, str]:
 
 
 def to_table(value: Any) -> Any:
-    """Convert a dataclass of ``from_table`` to plain TOML data.
-
-    Fields that are ``None`` are omitted, and those whose default is a dataclass, as long as they have it.
-    """
+    """Convert a dataclass to plain TOML data, without ``None`` and without tables that are the default."""
     if is_dataclass(value):
         items = ((f.name, f.default, getattr(value, f.name)) for f in fields(value))
         return {
@@ -282,19 +279,17 @@ def dumps(value: Any) -> str:
 
 
 def _lines(table: dict[str, Any], prefix: str = "") -> Iterator[str]:
-    below = {key: _tables(value) for key, value in table.items()}
+    arrays = {
+        key: value
+        for key, value in table.items()
+        if value and isinstance(value, list) and all(isinstance(item, dict) for item in value)
+    }
     for key, value in table.items():
-        if not below[key] and not isinstance(value, dict):
+        if key not in arrays and not isinstance(value, dict):
             yield f"{key} = {json.dumps(value, ensure_ascii=False)}"  # a JSON text is also valid in TOML
     for key, value in table.items():
         name = f"{prefix}.{key}" if prefix else key
         if isinstance(value, dict):
             yield from ("", f"[{name}]", *_lines(value, name))
-        for item in below[key]:
+        for item in arrays.get(key, []):
             yield from ("", f"[[{name}]]", *_lines(item, name))
-
-
-def _tables(value: Any) -> list[dict[str, Any]]:
-    """Return the tables of an array of tables; an empty list for any other value."""
-    is_array = isinstance(value, list) and all(isinstance(item, dict) for item in value)
-    return value if is_array else []

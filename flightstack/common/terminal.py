@@ -55,11 +55,8 @@ class Bar:
         self._progress.stop()
 
     def done(self, *kinds: str) -> None:
-        """Count one result, under each of these kinds.
-
-        Raises CalledOffError: a signal arrived earlier, and a library suppressed its exception.
-        """
-        hangup.begun()
+        """Count one result, under each of these kinds."""
+        hangup.begun()  # a library may have suppressed the exception of a signal
         self._counts.update(kinds)
         counts = "  ".join(f"{number} {name}" for name, number in sorted(self._counts.items()))
         self._progress.update(self._task, advance=1, counts=counts)

@@ -24,8 +24,8 @@ def pip_install(extras: str) -> str:
 # extra that installs a module, by module
 _EXTRAS = {
     "mujoco": "sim", "numba": "sim", "llvmlite": "sim", "plotly": "report", "jinja2": "report",
-    "markupsafe": "report", "pyarrow": "export", "gymnasium": "env", "greenlet": "env", "rerun": "view",
-    "cflib": "crazyflie",
+    "markupsafe": "report", "pyarrow": "export", "gymnasium": "env", "greenlet": "env",
+    "rerun": "view", "cflib": "crazyflie",
 }  # fmt: skip
 
 

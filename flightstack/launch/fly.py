@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from rich.console import Console
-
 from bridge.zenoh.zenoh_link import Role, dialled
 from flightstack.common.options import shared
 from flightstack.common.strict_toml import ConfigError, dumps
+from flightstack.common.terminal import Terminal
 from flightstack.config import load
 from flightstack.config.options import OnboardOptions
 from flightstack.launch.launcher import Followed, Launcher
@@ -16,11 +15,8 @@ from flightstack.onboard.recording import Described, describe, log_in, new_folde
 from logs.schema import Names, member_name
 
 
-def run(options: FlyOptions, console: Console) -> Flown:
-    """Fly until the onboard process has ended; the recorder starts first and ends last.
-
-    Raises ConfigError: wrong input; LaunchError: a process did not start.
-    """
+def run(options: FlyOptions, console: Terminal) -> Flown:
+    """Fly until the onboard process has ended; the recorder starts first and ends last."""
     config, name, live = load(options.config_file), options.config_file.stem, not options.as_json
     namespace = options.namespace or member_name(config.fleet.id)
     folder = options.out or new_folder(f"fly-{name}")

@@ -11,26 +11,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
+from rich.live import Live
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import begun, handle
 from flightstack.common.options import argv
 from flightstack.common.pacing import COMPANION_SILENT_S
-from flightstack.common.processes import (
-    CLOSE_TIME_MAX_S,
-    END_TIME_MAX_S,
-    Child,
-    Port,
-    socket_folder,
-)
+from flightstack.common.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child, Port, socket_folder
+from flightstack.common.terminal import Terminal
 from flightstack.common.text import failed_code
 from flightstack.config.options import WatchOptions
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
 from flightstack.onboard.recording import end_recorder, start_recorder
-from flightstack.watch import REFRESH_HZ, LiveView, Watch
+from flightstack.watch import REFRESH_HZ, Watch, draw
+
+if TYPE_CHECKING:
+    pass
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
 # maximum wall time from the end of the onboard process to the end of the autopilot's landing, s
@@ -55,7 +54,7 @@ def _verb(child: Child) -> str:
     return child.name.partition("-")[0]
 
 
-class Launcher:
+class Launcher(contextlib.ExitStack):
     """Context manager that owns the child processes and ends all of them on exit.
 
     ``tells``: whether the output of the onboard process is printed; ``real``: whether the vehicle is real:
@@ -63,21 +62,22 @@ class Launcher:
     and the run ends with that process.
     """
 
-    def __init__(self, folder: Path, console: Console, *, tells: bool, real: bool = False) -> None:
+    def __init__(self, folder: Path, console: Terminal, *, tells: bool, real: bool = False) -> None:
+        super().__init__()
         self.folder, self.console = folder, console  # folder for the output of the children
         # running processes of this flight, in the order in which they were started
         self.children: list[Child] = []
         self.interrupted = False  # whether the operator requested the end of the run
         self._tells, self._real = tells, real
-        # reserved ports, released after all children have ended
-        self.reserved = contextlib.ExitStack()
         self._recorder: Child | None = None
-        self._sockets = socket_folder()
-        self.socket = self._sockets / "recorder"  # socket of the recorder
-
-    def __enter__(self) -> Launcher:
-        self._previous = {number: signal.getsignal(number) for number in _SIGNALS}
-        return self
+        sockets = socket_folder()
+        self.socket = sockets / "recorder"  # socket of the recorder
+        # the exit runs these calls in reverse order; a second signal must not interrupt ``end_all``
+        self.callback(shutil.rmtree, sockets, ignore_errors=True)
+        for number in _SIGNALS:
+            self.callback(signal.signal, number, signal.getsignal(number))
+        self.callback(self.end_all)
+        self.callback(self._take_over)
 
     def _take_over(self) -> None:
         """Install the launcher's signal handlers; before this call, signals have their previous effect."""
@@ -85,16 +85,9 @@ class Launcher:
             ends = number is not signal.SIGQUIT and not self._real
             handle({number: self._interrupt if ends else partial(self._hand_on, number)})
 
-    def __exit__(self, *_: object) -> None:
-        self._take_over()  # a second signal must not interrupt the termination of the child processes
-        self.end_all()
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-        shutil.rmtree(self._sockets, ignore_errors=True)
-
     def endpoint(self) -> str:
         """Return a Zenoh endpoint on loopback, on a port that is reserved for this flight."""
-        return self.reserved.enter_context(contextlib.closing(Port())).endpoint
+        return self.enter_context(contextlib.closing(Port())).endpoint
 
     def start(self, verb: str, options: object, of: str = "") -> Child:
         """Start a ``flightstack`` command; ``of``: name of the vehicle, if each vehicle has a process."""
@@ -102,9 +95,9 @@ class Launcher:
         self.children.append(child)
         return child
 
-    def hint(self, line: str) -> None:
-        """Print a line for the operator that is not an event of the flight."""
-        self.console.print(line, style="dim", soft_wrap=True, markup=False)
+    def hint(self, line: str, style: str | None = "dim") -> None:
+        """Print a line for the operator, by default as one that is not an event of the flight."""
+        self.console.print(line, style=style, soft_wrap=True)
 
     def record(self, log: Path) -> None:
         """Start the recorder and wait until it listens at ``socket``."""
@@ -112,10 +105,7 @@ class Launcher:
         self.children.append(self._recorder)
 
     def view(self, where: str, endpoint: str, config: Path, namespace: str) -> None:
-        """Start the 3-D view and wait until it is ready. It only subscribes; the flight never waits for it.
-
-        ``where``: value of ``--view``; ``endpoint``, ``config``, ``namespace``: those of the onboard process.
-        """
+        """Start the 3-D view of an onboard process and wait until it is ready; ``where``: value of --view."""
         options = WatchOptions(view=where, connect=(endpoint,), config_file=config, namespace=namespace)
         self.hint(f"view: {self.start('watch', options).wait_ready()}")
 
@@ -125,7 +115,6 @@ class Launcher:
         for child in reversed(self.children):
             child.end(most_s.get(_verb(child), END_TIME_MAX_S))
         self.children.clear()
-        self.reserved.close()
 
     def fly(
         self, flights: Sequence[Followed], title: str | None, limit_s: float = math.inf,
@@ -133,8 +122,7 @@ class Launcher:
     ) -> tuple[str | None, float]:  # fmt: skip
         """Wait for the onboard processes, watch the flights, end all processes; return problem and wall time.
 
-        ``title``: title of the live view (None: no view); ``limit_s``: wall time after which the run is
-        stopped; ``teller``: process that reports arming and disarming.
+        ``title``: title of the live view (None: no view); ``teller``: see ``Flying``.
         """
         for flight in flights:  # all processes load at the same time
             flight.child.wait_ready()
@@ -143,6 +131,8 @@ class Launcher:
         for flight in flights:
             for endpoint in flight.endpoints:
                 self.hint(f"to watch: flightstack watch --connect {endpoint} --namespace {flight.namespace}")
+        self._take_over()
+        begun()
         started_s = time.monotonic()
         problem = self._watch(flights, title, limit_s, teller, lockstep=lockstep)
         wall_s = time.monotonic() - started_s
@@ -156,68 +146,60 @@ class Launcher:
         *, lockstep: bool,
     ) -> str | None:  # fmt: skip
         """Watch until the onboard processes have ended; return an error text, or None."""
-        self._take_over()
-        begun()
         others = [child for child in self.children if _verb(child) not in ("onboard", "watch")]
-        flying, until = list(flights), time.monotonic() + limit_s
-        view = session = None
-        problem: str | None = None
+        flying, until, problem = list(flights), time.monotonic() + limit_s, None
+        watches, view = dict[str, Watch](), None
         if title is not None:
             session = zenoh_link.open_session([], [flight.endpoints[0] for flight in flights])
+            self.callback(session.close)
             watches = {flight.namespace: Watch(session, flight.namespace) for flight in flights}
-            view = LiveView(watches, title, self.console)
-            view.live.start()
-        try:
-            while flying:
-                for flight in flying:
-                    self._say(flight, flight.child.lines(1.0 / REFRESH_HZ if flight is flying[0] else 0.0))
-                if view is not None:
-                    try:
-                        view.poll()
-                    except Exception as error:  # a failed view does not end the flight
-                        view.live.stop()
-                        view = None
-                        self._print(f"the live view has failed: {error!r}", style="red")
-                for flight in [each for each in flying if not each.child.alive()]:
-                    flying.remove(flight)
-                    problem = self._ended(flight, others_fly=bool(flying)) or problem
-                for child in [c for c in others if not c.alive()]:
-                    # without this process the onboard process ends safely: it holds, climbs or flies clear
-                    others.remove(child)
-                    if theirs := failed_code(child.errors()):
-                        return theirs  # the simulator of the vehicle has ended
-                    problem = f"{child.name} ended in flight: {child.errors()}"
-                    self._print(problem, style="red")
-                    if lockstep and _verb(child) == "world":  # no tick can follow, so waiting is in vain
-                        self._hand_on(signal.SIGTERM)
-                if self.interrupted:
-                    return "interrupted"
-                if time.monotonic() > until:
-                    return f"not over after {limit_s:.0f} s"
-        finally:
+            view = self.enter_context(Live(console=self.console, auto_refresh=False))
+        while flying:
+            for flight in flying:
+                self._say(flight, flight.child.lines(1.0 / REFRESH_HZ if flight is flying[0] else 0.0))
             if view is not None:
-                view.live.stop()
-            if session is not None:
-                session.close()
+                try:
+                    for watch in watches.values():
+                        watch.poll()
+                    view.update(draw(watches, title or ""), refresh=True)
+                except Exception as error:  # a failed view does not end the flight
+                    view.stop()
+                    view = None
+                    self.hint(f"the live view has failed: {error!r}", style="red")
+            for flight in [each for each in flying if not each.child.alive()]:
+                flying.remove(flight)
+                problem = self._ended(flight, others_fly=bool(flying)) or problem
+            for child in [c for c in others if not c.alive()]:
+                # without this process the onboard process ends safely: it holds, climbs or flies clear
+                others.remove(child)
+                if theirs := failed_code(child.errors()):
+                    return theirs  # the simulator of the vehicle has ended
+                problem = f"{child.name} ended in flight: {child.errors()}"
+                self.hint(problem, style="red")
+                if lockstep and _verb(child) == "world":  # no tick can follow, so waiting is in vain
+                    self._hand_on(signal.SIGTERM)
+            if self.interrupted:
+                return "interrupted"
+            if time.monotonic() > until:
+                return f"not over after {limit_s:.0f} s"
+        if view is not None:
+            view.stop()
         if any(flight.aborted for flight in flights):
             self._let_it_land(teller, until)
         return problem
 
     def _ended(self, flight: Followed, *, others_fly: bool) -> str | None:
-        """Handle the last output of an onboard process that has ended; return an error text if it failed.
-
-        ``others_fly``: whether the run continues; if not, its result has the same text.
-        """
+        """Handle the last output of an onboard process that has ended; return an error text if it failed."""
         child = flight.child
         self._say(flight, child.lines(0.0))
         if child.process.returncode in (0, 1):
             if others_fly and child.process.returncode and not self._tells:
-                self._print(f"{flight.namespace}  {flight.last_line}")
+                self.hint(f"{flight.namespace}  {flight.last_line}", None)
             return None
         problem = f"{child.name} ended in flight: {child.errors()}"
         flight.aborted = True
-        if others_fly:
-            self._print(problem, style="red")
+        if others_fly:  # else the result of the run has the same text
+            self.hint(problem, style="red")
         return problem
 
     def _interrupt(self) -> None:
@@ -235,10 +217,7 @@ class Launcher:
             change = parse(line)
             flight.aborted = flight.aborted or (change is not None and change.after is Phase.ABORT)
             if self._tells:
-                self._print(f"{flight.namespace}  {line}")
-
-    def _print(self, text: str, style: str | None = None) -> None:
-        self.console.print(text, style=style, highlight=False, markup=False)
+                self.hint(f"{flight.namespace}  {line}", None)
 
     def _let_it_land(self, teller: Child | None, until: float) -> None:
         """Wait until the autopilots have landed the vehicles after the onboard processes have ended.

@@ -95,10 +95,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
         return {**{name: str(value) for name, value in own.items() if value}, **super().described()}
 
     def check(self, vehicles: int) -> None:
-        """Reject options that cannot be combined with each other or with this number of vehicles.
-
-        Raises ConfigError: the text names the options and the reason.
-        """
+        """Raise ConfigError if options cannot be combined with each other or with this number of vehicles."""
         if len(self._programs) > 1:
             raise ConfigError(
                 f"only one of {', '.join(flies.value for flies in Flies if flies.value)} can be flown"

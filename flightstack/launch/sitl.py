@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-
-from rich.console import Console
+from typing import Any, NamedTuple
 
 from flightstack.common.options import shared
 from flightstack.common.strict_toml import ConfigError, dumps
+from flightstack.common.terminal import Terminal
 from flightstack.config import load as load_config
 from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.filters import short_name
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.launch.launcher import Followed, Launcher
 from flightstack.launch.result import Flown
 from flightstack.launch.run_options import RunOptions
-from flightstack.launch.vehicles import (
-    VEHICLES,
-    Flying,
-    around_the_start,
-    longest_s,
-    others_s,
-    plugged,
-    to_the_floor_m,
-)
+from flightstack.launch.vehicles import VEHICLES, Run, around_the_start, to_the_floor_m
 from flightstack.onboard import process  # noqa: F401  # forked onboard processes then need not load it
 from flightstack.onboard.recording import Described, describe, log_in, new_folder
 from flightstack.verify.certificate import refuse
@@ -71,140 +63,119 @@ def prepare(options: RunOptions) -> Scenario:
 def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
     """Return a scenario with the options applied. Raises ConfigError: it must not fly."""
     name = options.config_file or VEHICLES[options.flies].configuration(scenario, options.program)
-    if name is not None:
-        scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
+    if name is not None:  # the start point and fleet are the scenario's unless the configuration sets them
+        config, own = load_config(name), scenario.onboard
+        start_offset_m = config.takeoff.start_offset_m or own.takeoff.start_offset_m
+        takeoff = replace(config.takeoff, start_offset_m=start_offset_m)
+        fleet = config.fleet if config.fleet.others else own.fleet
+        scenario = replace(scenario, onboard=replace(config, takeoff=takeoff, fleet=fleet))
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)
     if options.duration_s is not None:
-        if options.duration_s <= 0.0:
-            raise ConfigError(
-                f"--duration: found {options.duration_s:g}, a positive number of seconds is needed"
-            )
         scenario = replace(scenario, duration_max_s=options.duration_s)
     refuse([scenario.onboard], name or options.scenario)
     return scenario
 
 
-def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
-    """Return a configuration with the scenario's start point and fleet, unless it sets them itself."""
-    start_offset_m = config.takeoff.start_offset_m or scenario.onboard.takeoff.start_offset_m
-    takeoff = replace(config.takeoff, start_offset_m=start_offset_m)
-    fleet = config.fleet if config.fleet.others else scenario.onboard.fleet
-    return replace(config, takeoff=takeoff, fleet=fleet)
+class _Vehicle(NamedTuple):
+    """A simulated vehicle of the run."""
 
-
-@dataclass(frozen=True)
-class _Vehicle:
-    """A simulated vehicle of the run: its names, scenario, seed and endpoints."""
-
-    number: int  # number in the scenario, from 1
-    name: str  # namespace of the vehicle
+    names: Names  # namespace, and number in the scenario, from 1
     scenario: Scenario
     seed: int
     endpoint: str  # Zenoh endpoint of the vehicle's onboard process
     config: Path  # configuration file of the vehicle's onboard process
 
 
-def run(options: RunOptions, console: Console) -> Flown:
-    """Fly a scenario with a process for each part."""
-    scenario = prepare(options)
-    name = short_name(scenario.onboard.filter)
-    folder = options.out or new_folder(f"{scenario.name}-seed{options.seed}-{name}")
+def run(options: RunOptions, console: Terminal) -> Flown:
+    """Fly a scenario with a process for each part; watch until all flights have ended."""
+    scenario, kind = prepare(options), VEHICLES[options.flies]
+    name = f"{scenario.name}-seed{options.seed}-{short_name(scenario.onboard.filter)}"
+    folder = options.out or new_folder(name)
     log = log_in(folder)
     (folder / SCENARIO).write_text(text(scenario), encoding="utf-8")
     with Launcher(folder, console, tells=not options.as_json) as launcher:
         if line := not_proven(scenario):
             launcher.hint(line)
-        return _Run(launcher, options, scenario).fly(log)
-
-
-class _Run:
-    """Processes of a run, which are started in the order of their connections."""
-
-    def __init__(self, launcher: Launcher, options: RunOptions, scenario: Scenario) -> None:
-        self._launcher, self._options, self._scenario = launcher, options, scenario
-        names = scenario.namespaces()
-        self._vehicles: list[_Vehicle] = []
-        for number, (member, seed) in enumerate(scenario.singles(options.seed), 1):
-            name, config = names[number], launcher.folder / f"onboard-{names[number]}.toml"
-            config.write_text(dumps(member.onboard), encoding="utf-8")
-            vehicle = _Vehicle(number, name, member, seed, launcher.endpoint(), config)
-            self._vehicles.append(vehicle)
-        self._robots_at = launcher.endpoint()  # Zenoh endpoint of the robots
-
-    def fly(self, log: Path) -> Flown:
-        """Start all processes, then watch until all flights have ended."""
-        launcher, options, scenario, vehicles = self._launcher, self._options, self._scenario, self._vehicles
+        vehicles = _vehicles(scenario, options.seed, launcher)
+        run = Run(launcher, options, scenario, launcher.endpoint())
         launcher.record(log)
         if options.view is not None:
             first = vehicles[0]
-            launcher.view(options.view, first.endpoint, first.config, first.name)
-        self._describe()
-        kind = VEHICLES[options.flies]
-        flying = kind.start(launcher, options, scenario, self._robots_at)
+            launcher.view(options.view, first.endpoint, first.config, first.names.member)
+        _describe(run, vehicles)
+        flying = kind.start(run)
         if not kind.with_robots:
-            own = plugged(
-                TargetOptions, launcher, options, **flying.clock,
-                duration_s=others_s(scenario), listen=(self._robots_at,), connect=(vehicles[0].endpoint,),
-            )  # fmt: skip
-            launcher.start("target", own).wait_ready()
-        flights = tuple(self._start(each, flying) for each in vehicles)
+            run.start(
+                "target", TargetOptions, **flying.clock, duration_s=run.others_s, listen=(run.robots_at,),
+                connect=(vehicles[0].endpoint,),
+            ).wait_ready()  # fmt: skip
+        flights = []
+        for n, vehicle in enumerate(vehicles):  # in real time, each one connects to all earlier ones
+            earlier = [] if options.lockstep else [each.endpoint for each in vehicles[:n]]
+            flights.append(_fly(run, vehicle, {**flying.clock, **flying.options[n]}, earlier))
         if options.members:
-            launcher.hint(f"robots: {self._robots_at}")
+            launcher.hint(f"robots: {run.robots_at}")
         speed = LOCKSTEP_SLOWEST / len(vehicles) if options.lockstep else min(1.0, options.speed)
         filters = ", ".join(sorted({each.scenario.onboard.filter for each in vehicles}))
-        title = f"{scenario.name}  seed {options.seed}  filter {filters}"
-        live = not options.as_json and launcher.console.is_terminal and not options.lockstep
+        live = not options.as_json and console.is_terminal and not options.lockstep
         problem, wall_s = launcher.fly(
-            flights, title if live else None, longest_s(scenario) / speed + GRACE_S, flying.teller,
-            lockstep=options.lockstep,
+            flights, f"{scenario.name}  seed {options.seed}  filter {filters}" if live else None,
+            run.longest_s / speed + GRACE_S, flying.teller, lockstep=options.lockstep,
         )  # fmt: skip
-        about = {"scenario": scenario.name, "seed": options.seed, "filter": filters}
-        return Flown(about, launcher.folder, log, wall_s, flights, problem)
+    about = {"scenario": scenario.name, "seed": options.seed, "filter": filters}
+    return Flown(about, folder, log, wall_s, flights, problem)
 
-    def _start(self, vehicle: _Vehicle, flying: Flying) -> Followed:
-        """Start the onboard process of a vehicle; in real time, each one connects to all earlier ones."""
-        options, n = self._options, vehicle.number - 1
-        earlier = () if options.lockstep else self._vehicles[:n]
-        own = {"system_id": vehicle.number, **flying.clock, **flying.options[n]}
-        if VEHICLES[options.flies].own_physics:
-            own["target_offset_m"] = to_the_floor_m(vehicle.scenario)
-        onboard = shared(
-            options, OnboardOptions, **own, target_key=f"{vehicle.name}/target/odom",
-            connect=(self._robots_at, *(each.endpoint for each in earlier)), namespace=vehicle.name,
-            listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
-            duration_s=vehicle.scenario.duration_max_s, recorder=self._launcher.socket,
-            unproven=True,  # a simulated vehicle may fly an unproven configuration
-        )  # fmt: skip
-        child = self._launcher.start("onboard", onboard, of=vehicle.name)
-        return Followed(child, vehicle.name, (vehicle.endpoint, *options.listen))
 
-    def _describe(self) -> None:
-        """Write scenario, configuration and options of the run to the log."""
-        options = self._options
-        pad = {"pad": NO_PAD} if VEHICLES[options.flies].own_physics else {}
-        flights = []
-        for each in self._vehicles:
-            member = each.scenario
-            run = {
-                **self._about(member, each.seed),
-                "judge_alpha_1_m": repr(member.judged_by.alpha_1_m),
-                "judge_beta_m": repr(member.judged_by.beta_m),
-                "outside_envelope": outside([member]),
-                "pad_radius_m": repr(member.target.pad_radius_m),
-                **pad,
-            }
-            flights.append(Described(member.onboard, run, Names(each.name, each.number)))
-        source = {SCENARIO.replace(".", "_source."): path_of(options.scenario).read_bytes()}
-        files = {SCENARIO: text(self._scenario).encode(), **source}
-        fleet = self._about(self._scenario, options.seed)
-        describe(self._launcher.socket, *flights, fleet=fleet, attachments=files)
+def _vehicles(scenario: Scenario, seed: int, launcher: Launcher) -> list[_Vehicle]:
+    """Return the vehicles of a scenario; their configuration files are written."""
+    vehicles = []
+    for (number, name), (member, own_seed) in zip(
+        scenario.namespaces().items(), scenario.singles(seed), strict=True
+    ):
+        config = launcher.folder / f"onboard-{name}.toml"
+        config.write_text(dumps(member.onboard), encoding="utf-8")
+        vehicles.append(_Vehicle(Names(name, number), member, own_seed, launcher.endpoint(), config))
+    return vehicles
 
-    def _about(self, scenario: Scenario, seed: int) -> dict[str, str]:
-        return {
-            "scenario": scenario.name,
-            "description": scenario.description,
-            "seed": str(seed),
-            "mode": "lockstep" if self._options.lockstep else "real-time",
-            **self._options.described(),
+
+def _fly(run: Run, vehicle: _Vehicle, own: Mapping[str, Any], connect: Sequence[str]) -> Followed:
+    """Start the onboard process of a vehicle; ``own``: options that the kind of vehicle needs."""
+    options, name = run.options, vehicle.names.member
+    if VEHICLES[options.flies].own_physics:
+        own = {**own, "target_offset_m": to_the_floor_m(vehicle.scenario)}
+    onboard = shared(
+        options, OnboardOptions, **{"system_id": vehicle.names.system_id, **own},
+        target_key=f"{name}/target/odom", connect=(run.robots_at, *connect), namespace=name,
+        listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
+        duration_s=vehicle.scenario.duration_max_s, recorder=run.launcher.socket,
+        unproven=True,  # a simulated vehicle may fly an unproven configuration
+    )  # fmt: skip
+    return Followed(run.launcher.start("onboard", onboard, of=name), name, onboard.listen)
+
+
+def _describe(run: Run, vehicles: Sequence[_Vehicle]) -> None:
+    """Write scenario, configuration and options of the run to the log."""
+    options = run.options
+
+    def about(scenario: Scenario, seed: int) -> dict[str, str]:
+        mode = "lockstep" if options.lockstep else "real-time"
+        names = {"scenario": scenario.name, "description": scenario.description}
+        return {**names, "seed": str(seed), "mode": mode, **options.described()}
+
+    flights = []
+    for each in vehicles:
+        member = each.scenario
+        judged = {
+            "judge_alpha_1_m": repr(member.judged_by.alpha_1_m),
+            "judge_beta_m": repr(member.judged_by.beta_m),
+            "outside_envelope": outside([member]),
+            "pad_radius_m": repr(member.target.pad_radius_m),
+            **({"pad": NO_PAD} if VEHICLES[options.flies].own_physics else {}),
         }
+        flights.append(Described(member.onboard, {**about(member, each.seed), **judged}, each.names))
+    source = {SCENARIO.replace(".", "_source."): path_of(options.scenario).read_bytes()}
+    describe(
+        run.launcher.socket, *flights, fleet=about(run.scenario, options.seed),
+        attachments={SCENARIO: text(run.scenario).encode(), **source},
+    )  # fmt: skip

@@ -36,6 +36,32 @@ SIMULATOR_PORT = 4560  # port to which PX4 of instance 0 connects
 _ARDUPILOT_TCP = 5760  # TCP port of SERIAL0 of instance 0; each further instance adds 10
 
 
+class Run(NamedTuple):
+    """A run of ``sitl``, whose processes are started in the order of their connections."""
+
+    launcher: Launcher
+    options: RunOptions
+    scenario: Scenario
+    robots_at: str  # Zenoh endpoint of the robots
+
+    def start(self, verb: str, cls: type[Any], **own: Any) -> Child:
+        """Start a simulator process with the run's options and its ``own`` ones."""
+        launcher, options = self.launcher, self.options
+        both = {"scenario": launcher.folder / SCENARIO, "recorder": launcher.socket, "zenoh_config": None}
+        return launcher.start(verb, shared(options, cls, **both, **own))
+
+    @property
+    def longest_s(self) -> float:
+        """Longest time of a flight, s: the scenario's duration plus the time for an abort."""
+        members = self.scenario.members
+        return max(each.duration_max_s + each.onboard.retreat.abort_time_max_s for each in members)
+
+    @property
+    def others_s(self) -> float:
+        """Run time of the simulator's processes, s; it is longer than that of onboard processes."""
+        return self.longest_s + 10.0
+
+
 @dataclass
 class Flying:
     """A vehicle that has been started."""
@@ -46,84 +72,74 @@ class Flying:
     clock: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _own(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
+def _own(run: Run) -> Flying:
     """Start the simulated vehicles with the simulator's autopilot, and the robots, in one process."""
-    compile_first(scenario)
-    elsewhere = options.members
-    child = launcher.start(
-        "world",
-        plugged(
-            WorldOptions, launcher, options, duration_s=others_s(scenario),
-            listen=(robots_at,), url="udpin:127.0.0.1:0", leave_out=tuple(elsewhere),
-        ),
+    compile_first(run.scenario)
+    elsewhere = run.options.members
+    child = run.start(
+        "world", WorldOptions, duration_s=run.others_s, listen=(run.robots_at,), url="udpin:127.0.0.1:0",
+        leave_out=tuple(elsewhere),
     )  # fmt: skip
     urls = iter(child.wait_ready().replace("udpin", "udpout").split())
     # the simulated vehicle sends the heartbeat of PX4
-    autopilot = OWN_SITL.name if options.autopilot == AUTO else options.autopilot
+    autopilot = OWN_SITL.name if run.options.autopilot == AUTO else run.options.autopilot
     given = [
         {"vehicle_url": elsewhere[number], "signing_key": None}
         if number in elsewhere
         else {"vehicle_url": next(urls), "autopilot": autopilot}
-        for number in range(1, len(scenario.members) + 1)
+        for number in range(1, len(run.scenario.members) + 1)
     ]
     return Flying(given, child)
 
 
-def _run_px4(
-    launcher: Launcher, options: RunOptions, number: int, model: Px4Model, wanted: Mapping[str, float]
-) -> Mapping[str, Any]:
-    """Start PX4 and wait until it can arm; return the options of the onboard process."""
-    program = Px4Program(
-        _program_of(options), launcher.folder / "px4", model, instance=number, parameters=wanted,
-        speed=options.speed,
-    )  # fmt: skip
-    launcher.children.append(program)
-    program.boot()
-    for name in program.absent:
-        text = f"PX4: this release has no {name}; the pre-flight check uses those that it has"
-        launcher.console.print(text, markup=False, soft_wrap=True)
-    url = f"udpin:127.0.0.1:{program.onboard_port}"
-    system_id = 1 + number  # PX4's script rcS sets MAV_SYS_ID to this value
-    return {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
-
-
-def _px4(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
+def _px4(run: Run) -> Flying:
     """Start the simulator, then PX4 on it."""
-    _program_of(options)  # a missing program is an error before anything starts
-    compile_first(scenario)
+    options = run.options
+    compile_first(run.scenario)
     number = free_instance() if options.instance is None else options.instance
-    clock: Mapping[str, Any] = {"clock": launcher.socket.with_name("clock")}
-    poses = scenario.vehicle.mocap if options.mocap else None
-    simulator = launcher.start(
-        "px4-sim",
-        plugged(
-            Px4SimOptions, launcher, options, duration_s=None, connect=(robots_at,), once=True,
-            tcp=f"127.0.0.1:{SIMULATOR_PORT + number}", **clock,
-        ),
+    clock: Mapping[str, Any] = {"clock": run.launcher.socket.with_name("clock")}
+    simulator = run.start(
+        "px4-sim", Px4SimOptions, duration_s=None, connect=(run.robots_at,), once=True,
+        tcp=f"127.0.0.1:{SIMULATOR_PORT + number}", **clock,
     )  # fmt: skip
     simulator.wait_ready()
     # these imports load the compiler (half a second); only this vehicle needs them
     from sim.plant import params
     from sim.px4.airframe import parameters
 
-    wanted = parameters(params.load(scenario.vehicle.airframe), poses)
-    given = _run_px4(launcher, options, number, Px4Model.NONE_IRIS, wanted)
+    vehicle = run.scenario.vehicle
+    wanted = parameters(params.load(vehicle.airframe), vehicle.mocap if options.mocap else None)
+    given = _run_px4(run, number, Px4Model.NONE_IRIS, wanted)
     return Flying([given], simulator, {**clock, "speed": 1.0})
 
 
-def _px4_sih(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
+def _px4_sih(run: Run) -> Flying:
     """Start PX4 and its simulation-in-hardware of a 1 kg quadrotor."""
-    del scenario, robots_at
     from sim.px4.airframe import SAFE_PARAMETERS
 
-    number = free_instance() if options.instance is None else options.instance
-    return Flying([_run_px4(launcher, options, number, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)])
+    number = free_instance() if run.options.instance is None else run.options.instance
+    return Flying([_run_px4(run, number, Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)])
 
 
-def _ardupilot(launcher: Launcher, options: RunOptions, scenario: Scenario, robots_at: str) -> Flying:
+def _run_px4(run: Run, number: int, model: Px4Model, wanted: Mapping[str, float]) -> Mapping[str, Any]:
+    """Start PX4 and wait until it can arm; return the options of the onboard process."""
+    launcher, binary = run.launcher, run.options.program
+    assert binary is not None
+    program = Px4Program(
+        binary, launcher.folder / "px4", model, instance=number, parameters=wanted, speed=run.options.speed
+    )
+    launcher.children.append(program)
+    program.boot()
+    for name in program.absent:
+        launcher.hint(f"PX4: this release has no {name}; the pre-flight check uses those that it has")
+    url = f"udpin:127.0.0.1:{program.onboard_port}"
+    system_id = 1 + number  # PX4's script rcS sets MAV_SYS_ID to this value
+    return {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
+
+
+def _ardupilot(run: Run) -> Flying:
     """Start ArduCopter's software in the loop; the onboard process waits for its heartbeat."""
-    del scenario, robots_at
-    number = options.instance or 0
+    launcher, number = run.launcher, run.options.instance or 0
     folder = launcher.folder / "ardupilot"
     folder.mkdir(exist_ok=True)
     defaults = folder / "defaults.parm"
@@ -131,9 +147,9 @@ def _ardupilot(launcher: Launcher, options: RunOptions, scenario: Scenario, robo
     home = (*ORIGIN_WGS84, _EAST_DEG)
     child = Child(
         "ardupilot",
-        ["--model", "quad", "--speedup", f"{options.speed:g}", "--home", ",".join(map(str, home)),
+        ["--model", "quad", "--speedup", f"{run.options.speed:g}", "--home", ",".join(map(str, home)),
          "--defaults", str(defaults), "-I", str(number)],
-        launcher.folder, program=[str(_program_of(options))], works_in=folder,
+        launcher.folder, program=[str(run.options.program)], works_in=folder,
     )  # fmt: skip
     launcher.children.append(child)
     url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
@@ -180,9 +196,9 @@ def _ardupilot_configuration(scenario: Scenario, program: Path | None) -> str:
 class Vehicle(NamedTuple):
     """A kind of vehicle that ``sitl`` can fly."""
 
-    # function that starts the vehicle and, if its URL depends on that, waits until it can fly; its last
-    # argument is the Zenoh endpoint of the robots; it raises LaunchError if the vehicle is not ready
-    start: Callable[[Launcher, RunOptions, Scenario, str], Flying]
+    # function that starts the vehicle and, if its URL depends on that, waits until it can fly; it raises
+    # LaunchError if the vehicle is not ready
+    start: Callable[[Run], Flying]
     # function from scenario and program to the configuration's name; None: the scenario's configuration
     configuration: Callable[[Scenario, Path | None], str | None] = lambda _scenario, _program: None
     with_robots: bool = False  # whether the vehicle's process also simulates the robots
@@ -197,22 +213,6 @@ VEHICLES: Mapping[Flies, Vehicle] = {
     Flies.PX4_SIH: Vehicle(_px4_sih, lambda *_: "px4-1kg", own_physics=True),
     Flies.ARDUPILOT: Vehicle(_ardupilot, _ardupilot_configuration, own_physics=True),
 }
-
-
-def plugged(cls: type[T], launcher: Launcher, options: RunOptions, **own: Any) -> T:
-    """Return the options of a simulator process: the run's options, and the process's ``own`` options."""
-    both = {"scenario": launcher.folder / SCENARIO, "recorder": launcher.socket, "zenoh_config": None}
-    return shared(options, cls, **both, **own)
-
-
-def longest_s(scenario: Scenario) -> float:
-    """Return the longest time of a flight, s: the scenario's duration plus the time for an abort."""
-    return max(each.duration_max_s + each.onboard.retreat.abort_time_max_s for each in scenario.members)
-
-
-def others_s(scenario: Scenario) -> float:
-    """Return the run time of the simulator's processes, s; it is longer than that of onboard processes."""
-    return longest_s(scenario) + 10.0
 
 
 def around_the_start(scenario: Scenario) -> Scenario:
@@ -233,9 +233,3 @@ def to_the_floor_m(scenario: Scenario) -> Vec3:
     """Return the target offset that puts the landing spot on the floor, m: no pad carries this vehicle."""
     down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
     return 0.0, 0.0, round(-down_m, 6)
-
-
-def _program_of(options: RunOptions) -> Path:
-    if options.program is None or not options.program.exists():
-        raise ConfigError(f"{options.flies.value}: no program at {options.program}")
-    return options.program

@@ -16,7 +16,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import state_text
 from logs.recorder.feed import Feed
-from logs.schema import Names
+from logs.schema import Names, schemas
 from logs.schema.controller_rows import (
     TickInputs,
     pack_controller_input,
@@ -27,18 +27,6 @@ from logs.schema.controller_rows import (
 from logs.schema.events import CONTROLLER, ONBOARD, pack_log
 from logs.schema.mavlink import MAVLINK_PEERS, PeerNames, pack_mavlink
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, HealthRow, LoopTimingRow
-from logs.schema.schemas import (
-    CONTROLLER_INPUT,
-    CONTROLLER_NEIGHBOURS,
-    CONTROLLER_POWER,
-    CONTROLLER_STATE,
-    CONTROLLER_STEP,
-    LOG,
-    LOOP_TIMING,
-    MAVLINK,
-    MEMBER_STATUS,
-    ODOMETRY,
-)
 
 STATUS_HZ = 20.0  # rate of the live topics
 HEALTH_HZ = 5.0  # rate of the live health
@@ -48,55 +36,46 @@ TIMESYNC_ID = 111  # low byte of the message id, at offset 7 of a MAVLink 2 fram
 
 
 class OnboardLog:
-    """Writer of each tick's log messages, and publisher of the live topics at lower rates.
-
-    ``session``: session of the live topics; ``names``: names of the records; ``config``: configuration of the
-    flight.
-    """
+    """Writer of each tick's log messages, and publisher of the live topics at lower rates."""
 
     def __init__(
-        self,
-        feed: Feed,
-        session: zenoh_link.Session,
-        names: Names,
-        config: FlightConfig,
-        *,
-        lockstep: bool,
+        self, feed: Feed, session: zenoh_link.Session, names: Names, config: FlightConfig, *, lockstep: bool
     ) -> None:
-        self._feed, self._names, self._lockstep, namespace = feed, names, lockstep, names.member
-        rate_hz = config.loop.rate_hz
+        """Open the channels; ``session``: session of the live topics; ``names``: names of the records."""
+        self._feed, self._names, self._lockstep = feed, names, lockstep
 
         def topic(name: str, schema: str) -> int:
-            return feed.channel(f"/{namespace}/{name}", schema)
+            return feed.channel(f"/{names.member}/{name}", schema)
 
         def live(name: str, kind: str) -> zenoh_link.Publisher:
             encoding = f"application/cdr;flightstack_msgs/msg/{kind}"
-            return zenoh_link.dropping_publisher(session, f"{namespace}/{name}", encoding)
+            return zenoh_link.dropping_publisher(session, f"{names.member}/{name}", encoding)
 
-        self._odom = topic("target/odom", ODOMETRY)
+        def every(rate_hz: float) -> int:
+            return max(1, round(config.loop.rate_hz / rate_hz))
+
+        self._odom = topic("target/odom", schemas.ODOMETRY)
         self._mavlink = {
-            Direction.IN: feed.channel(names.frames("mavlink_source"), MAVLINK),
-            Direction.OUT: feed.channel(names.frames("mavlink_sink"), MAVLINK),
+            Direction.IN: feed.channel(names.frames("mavlink_source"), schemas.MAVLINK),
+            Direction.OUT: feed.channel(names.frames("mavlink_sink"), schemas.MAVLINK),
         }
-        self._input = topic("controller/input", CONTROLLER_INPUT)
-        self._step = topic("controller/step", CONTROLLER_STEP)
-        self._power = topic("controller/power", CONTROLLER_POWER) if config.reserve is not None else None
-        self._neighbours = self._status = None
+        self._input = topic("controller/input", schemas.CONTROLLER_INPUT)
+        self._step = topic("controller/step", schemas.CONTROLLER_STEP)
+        self._power = self._neighbours = self._status = None
+        if config.reserve is not None:
+            self._power = topic("controller/power", schemas.CONTROLLER_POWER)
         if config.fleet.others:
-            self._neighbours = topic("controller/neighbours", CONTROLLER_NEIGHBOURS)
-            self._status = topic("fleet/status", MEMBER_STATUS)
-        self._state = topic("controller/state", CONTROLLER_STATE)
-        self._timing = topic("loop/timing", LOOP_TIMING)
-        self._rosout = feed.channel("/rosout", LOG)
+            self._neighbours = topic("controller/neighbours", schemas.CONTROLLER_NEIGHBOURS)
+            self._status = topic("fleet/status", schemas.MEMBER_STATUS)
+        self._state = topic("controller/state", schemas.CONTROLLER_STATE)
+        self._timing = topic("loop/timing", schemas.LOOP_TIMING)
+        self._rosout = feed.channel("/rosout", schemas.LOG)
         self._frames: list[tuple[Direction, bytes, str]] = []  # direction, frame, name of the peer
         self._peer_names = PeerNames(feed.metadata, names.record(MAVLINK_PEERS))
-        self._packed_step = b""  # packed step of the last tick
         self._asked = b""  # newest TIMESYNC request from the vehicle
         self._sequence = self._unix_ns = 0
         self._flush_every = 10 if lockstep else 1  # ticks between flushes: fewer wake-ups of the recorder
-        self._every = max(1, round(rate_hz / STATUS_HZ))
-        self._state_every = max(1, round(rate_hz / STATE_HZ))
-        self._health_every = max(1, round(rate_hz / HEALTH_HZ))
+        self._every, self._state_every, self._health_every = map(every, (STATUS_HZ, STATE_HZ, HEALTH_HZ))
         self._state_text = state_text(config)
         self._live_step = live("controller/step", "ControllerStep")
         self._live_timing = live("loop/timing", "LoopTiming")
@@ -142,11 +121,7 @@ class OnboardLog:
         self.frames()
 
     def step(self, tick: Tick, taken: Taken, out: Outputs, controller: Controller) -> ControllerStepRow:
-        """Write frames, inputs, events and outputs of a tick; return the outputs as a row.
-
-        ``taken``: inputs of the controller; ``out``: its outputs; ``controller``: its state after the tick is
-        written once a second.
-        """
+        """Write frames, inputs, events and outputs of a tick, and once a second its state; return a row."""
         unix_ns = self._unix_ns = tick.unix_ns
         self.frames()
         given = TickInputs(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)

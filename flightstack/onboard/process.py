@@ -6,10 +6,10 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
-from bridge.mavlink.client.companion import Origin
-from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
+from bridge.mavlink.client.link import COMPONENT_ID
 from bridge.mavlink.endpoint import open_endpoint
 from bridge.mavlink.line_budget import plan
 from bridge.mavlink.preflight.examine import Examination
@@ -17,14 +17,7 @@ from bridge.mavlink.profiles import profile
 from bridge.mavlink.transport.address import is_local, parse_url, resolve
 from bridge.mavlink.transport.transport import dropped
 from bridge.zenoh import zenoh_link
-from flightstack.common.pacing import (
-    Follower,
-    RealTimePacer,
-    Tick,
-    chosen_clock,
-    quiet_garbage_collector,
-    run_promptly,
-)
+from flightstack.common import pacing
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.compiled.core import chosen_core, compiled
 from flightstack.config.options import OnboardOptions
@@ -36,17 +29,11 @@ from flightstack.core.strategies.strategy import ignored
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard import preflight
 from flightstack.onboard.fleet_wire import FleetWire
-from flightstack.onboard.leaving import Leaving, Signals, fly
+from flightstack.onboard.leaving import Ended, Leaving, Signals
 from flightstack.onboard.lockstep import LockstepStatuses, LockstepWires
 from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.recording import Described, own_recorder
-from flightstack.onboard.runner import (
-    Ended,
-    LiveWires,
-    Refusals,
-    Runner,
-    Taken,
-)
+from flightstack.onboard.runner import LiveWires, Refusals, Runner, Taken, open_link
 from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.zenoh_wires import ZenohWires
 from flightstack.verify.certificate import certificate_of, refuse
@@ -57,8 +44,8 @@ from logs.schema.events import CAUSE, ONBOARD
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
 
 
-class Onboard:
-    """Owner of the links and the controller; it writes the rows of the ticks."""
+class Onboard(Leaving):
+    """Owner of the links and the controller; it writes the rows of the ticks and ends the flight."""
 
     def __init__(
         self,
@@ -68,29 +55,21 @@ class Onboard:
         records: ExitStack | None = None,
     ) -> None:
         """Open the links; start a recorder if the options name none, and end it with ``records``."""
+        super().__init__(options.duration_s)
         self.options, self.config, self.say = options, config, say
         self.namespace = options.namespace or member_name(config.fleet.id)
         self.names = Names(self.namespace, options.system_id)
-        rate_hz = config.loop.rate_hz
         self.core = chosen_core(options.core, config, lockstep=options.lockstep)
         self.controller = compiled(config) if self.core == "compiled" else Controller(config)
-        origin = config.vehicle.origin_wgs84
         self.wires = ZenohWires(config, options, self.namespace)
         self.fleet = _fleet(config, options, self.wires.session, self.namespace)
         age_max_s, signed = config.checks.own_age_max_s, options.signing_key is not None
-        every = plan(parse_url(options.vehicle_url).baud, rate_hz, age_max_s, signed=signed).every
-        self.link = VehicleLink(
-            # the companion has the vehicle's MAVLink system id
-            open_endpoint("onboard", options.vehicle_url, options.system_id, COMPONENT_ID, options),
-            takeoff_height_m=config.takeoff.height_m,
-            rate_hz=rate_hz,
-            system_id=options.system_id,
-            defer_timesync=options.lockstep,
-            profile=profile(options.autopilot),
-            origin=Origin(*origin) if origin is not None else None,
-            every=every,
-            power=config.reserve is not None,
-        )
+        every = plan(parse_url(options.vehicle_url).baud, config.loop.rate_hz, age_max_s, signed=signed).every
+        # the companion has the vehicle's MAVLink system id
+        system_id, lockstep = options.system_id, options.lockstep
+        endpoint = open_endpoint("onboard", options.vehicle_url, system_id, COMPONENT_ID, options)
+        autopilot = profile(options.autopilot)
+        self.link = open_link(config, endpoint, system_id, autopilot, lockstep=lockstep, every=every)
         self.log_file: Path | None = None
         recorder = options.recorder
         if recorder is None and records is not None and not options.no_record:
@@ -98,19 +77,17 @@ class Onboard:
             flight = Described(config, plugged, self.names)
             recorder, self.log_file = records.enter_context(own_recorder(flight))
         socket = str(recorder) if recorder is not None else None
-        self.feed = Feed.connect(socket, self.names.logger(ONBOARD), lossless=options.lockstep)
+        self.feed = Feed.connect(socket, self.names.logger(ONBOARD), lossless=lockstep)
         self._describe()
-        self.log = OnboardLog(
-            self.feed, self.wires.session, self.names, config, lockstep=options.lockstep,
-        )  # fmt: skip
+        self.log = OnboardLog(self.feed, self.wires.session, self.names, config, lockstep=lockstep)
         self.link.endpoint.tap = self.log.tap
-        lockstep = options.lockstep  # in lockstep no text may depend on wall time
-        self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
+        # in lockstep no text may depend on wall time
+        self.waiting = WaitReport(config, system_id, self.link, self.wires, searches=not lockstep)
         self._foreign_due, self.refusals = 1, Refusals()
         self.cause = ""  # reason why the autopilot ended the flight, appended to that of the phase
         self.opened_s = time.monotonic()
 
-    def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
+    def write(self, tick: pacing.Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
         """Log and publish a tick, and send the message to the fleet."""
         link, arrived = self.link, taken.arrived
         exec_s *= self.options.speed
@@ -174,9 +151,20 @@ class Onboard:
         print(f"onboard: WARNING: {text}", file=sys.stderr)
         self.log.event(time.time_ns() if unix_ns is None else unix_ns, level, text)
 
-    def failed(self, text: str) -> None:
-        """Print and log an exception that ended the flight."""
-        self.warn(text, level=ERROR)
+    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
+        """Return how the flight ended, also because the link rejects the vehicle; None: it has not ended."""
+        armed = status is not None and status.armed
+        doubled = self.link.senders.doubled or self.fleet.doubled
+        refused = self.link.refused or (doubled if out.phase is Phase.WAIT and not armed else "")
+        if refused and not out.finished:
+            return Ended(out.phase, refused, 1)
+        ended = super().ended(out, memory, status, now_s)
+        if ended is not None and self.cause:
+            return ended._replace(reason=ended.reason + self.cause)
+        lacking, person = self.waiting.lacking, self.person
+        if ended is None or not lacking or person.stop or person.operator is not Operator.NONE:
+            return ended
+        return ended._replace(reason=f"{ended.reason}: {'; '.join(lacking)}")
 
     def close(self) -> None:
         """Close all links; the feed informs the recorder of its end."""
@@ -200,7 +188,7 @@ class Onboard:
 def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None] = print) -> Ended:
     """Fly until the vehicle has landed, the flight is aborted, the operator ends it, or its time is over."""
     _check_speed(options)
-    chosen_clock(options.speed, options.clock, Follower.ONBOARD, lockstep=options.lockstep)
+    pacing.chosen_clock(options.speed, options.clock, pacing.Follower.ONBOARD, lockstep=options.lockstep)
     refuse([config])
     if not (options.unproven or options.lockstep or certificate_of(config)):
         raise ConfigError(
@@ -210,7 +198,7 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
     with ExitStack() as records:
         onboard = Onboard(config, options, say, records)  # a signal before this line cancels the flight
         records.callback(onboard.close)
-        signals = Signals()
+        onboard.person = Signals()
         if onboard.log_file is not None:
             say(f"log {onboard.log_file}")
         say(f"core {onboard.core}")
@@ -219,12 +207,12 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
         say("ready")
         sys.stdout.flush()
         if not options.lockstep:  # in lockstep the vehicle is simulated, with known parameters
-            ended = _preflight(onboard, signals)
+            ended = _preflight(onboard)
             if ended is not None:
                 return ended
-        quiet_garbage_collector()
-        wires, leaving = _wires(onboard, signals), _Leaving(onboard, signals)
-        return fly(Runner(onboard.controller, wires, leaving, onboard), wires, leaving, onboard.failed)
+        pacing.quiet_garbage_collector()
+        ticks = Runner(onboard.controller, _wires(onboard), onboard, onboard.write)
+        return ticks.fly(partial(onboard.warn, level=ERROR))
 
 
 def _check_speed(options: OnboardOptions) -> None:
@@ -242,10 +230,7 @@ def _check_speed(options: OnboardOptions) -> None:
 def _fleet(
     config: FlightConfig, options: OnboardOptions, session: zenoh_link.Session, namespace: str
 ) -> FleetWire:
-    """Return the connection to the other fleet members.
-
-    Raises ConfigError: the members cannot connect to each other.
-    """
+    """Return the connection to the other fleet members. Raises ConfigError: they cannot connect."""
     if config.fleet.others and not (options.connect or options.listen or options.zenoh_config):
         raise ConfigError(
             "[fleet]: no other process can reach this one; --connect, --listen or --zenoh-config is needed "
@@ -256,7 +241,7 @@ def _fleet(
     return FleetWire(session, namespace, config.fleet)
 
 
-def _preflight(onboard: Onboard, signals: Signals) -> Ended | None:
+def _preflight(onboard: Onboard) -> Ended | None:
     """Return why the flight must not start (vehicle not ready, or id used twice); None: it may start."""
     options, endpoint, senders = onboard.options, onboard.link.endpoint, onboard.link.senders
     wait_s = onboard.config.checks.wait_time_max_s
@@ -270,7 +255,7 @@ def _preflight(onboard: Onboard, signals: Signals) -> Ended | None:
 
     vehicle = Examination(
         endpoint, options.system_id, profile(options.autopilot), senders, say=tell,
-        stopped=lambda: signals.stop or signals.operator is not Operator.NONE,
+        stopped=lambda: onboard.person.stop or onboard.person.operator is not Operator.NONE,
     )  # fmt: skip
     report = preflight.check(vehicle, onboard.config, wait_s=wait_s, accept_release=options.accept_release)
     endpoint.tap = tap
@@ -282,44 +267,20 @@ def _preflight(onboard: Onboard, signals: Signals) -> Ended | None:
         onboard.link.adopt(report.profile)
     for line in preflight.lines(report):
         onboard.say(line)
-    if signals.operator is Operator.EMERGENCY_STOP:
+    if onboard.person.operator is Operator.EMERGENCY_STOP:
         return None  # the ticks send the emergency stop without a pre-flight check
     problem = preflight.verdict(report) or onboard.fleet.namesake()
     return Ended(Phase.WAIT, problem, 1) if problem else None
 
 
-class _Leaving(Leaving):
-    """End of a flight, also because the link rejects the vehicle; the reason names missing inputs."""
-
-    def __init__(self, onboard: Onboard, signals: Signals) -> None:
-        super().__init__(onboard.options.duration_s, signals)
-        self._link, self._waiting, self._fleet = onboard.link, onboard.waiting, onboard.fleet
-        self._onboard = onboard
-
-    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """Return how the flight ended; None if it has not ended."""
-        armed = status is not None and status.armed
-        doubled = self._link.senders.doubled or self._fleet.doubled
-        refused = self._link.refused or (doubled if out.phase is Phase.WAIT and not armed else "")
-        if refused and not out.finished:
-            return Ended(out.phase, refused, 1)
-        ended = super().ended(out, memory, status, now_s)
-        if ended is not None and self._onboard.cause:
-            return ended._replace(reason=ended.reason + self._onboard.cause)
-        lacking, person = self._waiting.lacking, self.person
-        if ended is None or not lacking or person.stop or person.operator is not Operator.NONE:
-            return ended
-        return ended._replace(reason=f"{ended.reason}: {'; '.join(lacking)}")
-
-
-def _wires(onboard: Onboard, signals: Signals) -> LockstepWires | LiveWires:
+def _wires(onboard: Onboard) -> LockstepWires | LiveWires:
     """Return the wires of the ticks, in lockstep or in real time."""
     options, link, zenoh, fleet = onboard.options, onboard.link, onboard.wires, onboard.fleet
-    rate_hz = onboard.config.loop.rate_hz
+    rate_hz, person = onboard.config.loop.rate_hz, onboard.person
     if options.lockstep:
-        return LockstepWires(link, rate_hz, zenoh.odometry, zenoh.session, onboard.namespace, signals, fleet)
-    run_promptly()
-    clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
-    pacer = RealTimePacer(rate_hz, clock)
+        return LockstepWires(link, rate_hz, zenoh.odometry, zenoh.session, onboard.namespace, person, fleet)
+    pacing.run_promptly()
+    clock = pacing.chosen_clock(options.speed, options.clock, pacing.Follower.ONBOARD, lambda: person.stop)
+    pacer = pacing.RealTimePacer(rate_hz, clock)
     fleet.begin(pacer.unix_start_ns, pacer.now_s)
     return LiveWires(link, pacer, zenoh.odometry, fleet.statuses)

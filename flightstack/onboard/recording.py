@@ -8,9 +8,10 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib import metadata
+from itertools import count
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -24,22 +25,18 @@ from logs.schema import FLEET, Names
 
 LOG = "flight.mcap"
 _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
-
-
 _NO_NAME = re.compile(r"[^\w.=+@-]|\.\.")  # not allowed in folder names, which commands contain
 
 
 def new_folder(name: str) -> Path:
     """Make a folder in ``runs`` for the files of a flight; separators and control characters become "_"."""
     base = f"{datetime.now().strftime('%Y%m%d-%H%M%S')}-{_NO_NAME.sub('_', name)[:100]}"
-    for number in range(1000):
+    for number in count():
         folder = Path("runs") / (f"{base}-{number}" if number else base)
-        try:
+        with suppress(FileExistsError):
             folder.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        return folder
-    raise ConfigError(f"runs/{base}: a thousand runs of this second exist already; give --out")
+            break
+    return folder
 
 
 def log_in(folder: Path) -> Path:
@@ -68,18 +65,16 @@ def end_recorder(recorder: Child) -> str | None:
 @contextmanager
 def own_recorder(flight: Described) -> Iterator[tuple[Path, Path]]:
     """Record a log in a new folder of ``runs``; yield socket and log, and warn of an incomplete log."""
-    sockets = socket_folder()
+    sockets, recorder = socket_folder(), None
     try:
         socket, log = sockets / "recorder", log_in(new_folder("onboard"))
         recorder = start_recorder(socket, log)
-        try:
-            recorder.yield_to_others(10)
-            describe(socket, flight)
-            yield socket, log
-        finally:
-            if problem := end_recorder(recorder):
-                print(f"onboard: WARNING: {problem}", file=sys.stderr)
+        recorder.yield_to_others(10)
+        describe(socket, flight)
+        yield socket, log
     finally:
+        if recorder is not None and (problem := end_recorder(recorder)):
+            print(f"onboard: WARNING: {problem}", file=sys.stderr)
         shutil.rmtree(sockets, ignore_errors=True)
 
 
@@ -103,8 +98,10 @@ def describe(
     """
     feed = Feed.connect(str(recorder), "launcher", lossless=True)
     feed.metadata(FLEET, {"members": ",".join(flight.names.member for flight in flights), **fleet})
-    for flight in flights:
-        _describe(feed, flight)
+    for config, run, names in flights:
+        own = {"own_boundary": boundary} if (boundary := own_boundary(config.filter)) else {}
+        about = {"filter": config.filter, "mode": "real-time", "rate_hz": str(config.loop.rate_hz)}
+        feed.metadata(names.record("run"), {**about, **own, **run})
     feed.metadata(
         "made",
         {
@@ -122,25 +119,10 @@ def describe(
     feed.close()
 
 
-def _describe(feed: Feed, flight: Described) -> None:
-    config, names = flight.config, flight.names
-    metadata = {"filter": config.filter, "mode": "real-time", "rate_hz": str(config.loop.rate_hz)}
-    if boundary := own_boundary(config.filter):
-        metadata["own_boundary"] = boundary
-    feed.metadata(names.record("run"), {**metadata, **flight.run})
-
-
 def _revision() -> str:
     """Return the git revision of the code, with "-dirty" if changed; empty without a git checkout."""
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
     try:
-        result = subprocess.run(
-            ["git", "describe", "--always", "--dirty"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            timeout=5.0,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
+        return subprocess.check_output(command, stderr=subprocess.DEVNULL, text=True, timeout=5.0).strip()
+    except (OSError, subprocess.SubprocessError):
         return ""
-    return result.stdout.strip()

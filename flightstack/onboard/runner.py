@@ -6,29 +6,36 @@ the vehicle, the source of target samples, the end of the flight, and the sink o
 
 from __future__ import annotations
 
+import contextlib
 import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
+from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.endpoint import Endpoint
+from bridge.mavlink.profiles import Profile
 from bridge.ros2.cdr import OdometryError
 from bridge.target.odometry import RawSample, SampleSource, sample_of
 from flightstack.common.pacing import RealTimePacer, Tick
 from flightstack.core.controller import Controller, Outputs
-from flightstack.core.memory import Memory
+from flightstack.core.memory import AbortWay
+from flightstack.core.parameters.filters import failed_in
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import (
     Inputs,
     MemberStatus,
-    Operator,
+    Mode,
     OwnState,
-    Phase,
     Power,
     Request,
     TargetSample,
     VehicleStatus,
 )
+from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Ended, Leaving, flies
 
 
 class Arrived(NamedTuple):
@@ -40,6 +47,7 @@ class Arrived(NamedTuple):
 
 
 NOTHING = Arrived()
+_PERIOD_S = 0.02  # wall time between two checks after the last tick, s
 STALL_MAX_S = 0.05  # largest delay of a tick whose samples are used, s: checks.target_age_max_s / 5
 
 
@@ -58,14 +66,6 @@ class VehicleInputs(NamedTuple):
     status: VehicleStatus | None
     command_failed: bool
     power: Power | None = None
-
-
-class Ended(NamedTuple):
-    """Result of a flight: last phase, its reason, and the exit status of the process."""
-
-    phase: Phase
-    reason: str
-    exit_code: int
 
 
 Statuses = Callable[[], tuple[MemberStatus, ...]]  # source of the statuses of other vehicles
@@ -95,50 +95,79 @@ class Wires(Protocol):
     def landing_began(self, tick: int) -> None:
         """Report the start of the landing; a simulated robot may drive from this tick."""
 
-
-class Ending(Protocol):
-    """The operator's request in a tick, and how the flight ended (``leaving.Leaving``)."""
-
-    def operator(self, status: VehicleStatus | None, now_s: float) -> Operator: ...
-
-    def ended(
-        self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float
-    ) -> Ended | None: ...
-
-
-class Sink(Protocol):
-    """Writer of ticks; ``exec_s`` is the wall time until the outputs were sent to the vehicle."""
-
-    def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None: ...
+    def ask(self, request: Request, now_s: float) -> None:
+        """Request a mode from the vehicle without the controller."""
 
 
 class Runner:
-    """Runs the ticks of a flight."""
+    """Runs the ticks of a flight; ``write`` gets each, with the wall time until its outputs were sent, s."""
 
-    def __init__(self, controller: Controller, wires: Wires, ending: Ending, sink: Sink) -> None:
-        self._controller, self._wires, self._ending, self._sink = controller, wires, ending, sink
+    def __init__(
+        self, controller: Controller, wires: Wires, leaving: Leaving,
+        write: Callable[[Tick, Taken, Outputs, float], None],
+    ) -> None:  # fmt: skip
+        self._controller, self._wires, self._leaving, self._write = controller, wires, leaving, write
         self._landing = False
-        self.now_s = 0.0  # stack clock at the newest tick
+        self._now_s = 0.0  # stack clock at the newest tick
 
-    @property
-    def memory(self) -> Memory:
-        """State of the controller's mission and commands."""
-        return self._controller.memory
+    def fly(self, failed: Callable[[str], None]) -> Ended:
+        """Fly until the flight is over or an error occurs, then release the vehicle.
 
-    @property
-    def filter_name(self) -> str:
-        """Name of the filter that flies."""
-        return self._controller.config.filter
+        Autopilots differ when set-points stop: PX4 lands, ArduPilot hovers. A process that ends in flight
+        therefore requests the autopilot's landing until a heartbeat confirms it, for a bounded time: through
+        the controller as long as ticks can run, or directly after an exception, whose text ``failed``
+        receives.
+        """
+        memory, ended, works = self._controller.memory, None, True
+        try:
+            while ended is None:
+                ended = self.tick()
+        except ClockStoppedError as error:
+            ended, works = Ended(memory.phase, str(error), 1), False
+        except BaseException as error:  # any exception: a library may even raise SystemExit
+            reason = failed_in(self._controller.config.filter, error) or f"internal error: {error!r}"
+            ended, works = Ended(memory.phase, reason, 1), False
+            with contextlib.suppress(Exception):
+                failed(f"{reason}\n{traceback.format_exc()}")
+        return self._leave(ended, works=works)
+
+    def _leave(self, ended: Ended, *, works: bool) -> Ended:
+        """Request the landing until the heartbeat confirms it; the reason states whether it did."""
+        memory, began_s, self._leaving.leaves = self._controller.memory, time.monotonic(), True
+        arms = self._leaving.arms and not memory.was_armed  # arming may follow after this process has ended
+        works = works and not arms
+        while True:
+            status, waited_s = self._wires.read().status, time.monotonic() - began_s
+            lands, in_air = status is not None and status.mode is Mode.LAND, flies(memory, status)
+            off = memory.abort_way is AbortWay.MOTORS_OFF  # whether an emergency stop was requested
+            if lands or waited_s >= LAND_SHOWN_MAX_S or not (in_air or (arms and status is not None)):
+                break
+            if works:
+                try:
+                    self.tick()
+                except BaseException:  # after an exception the loop continues without the controller
+                    works = False
+            else:
+                with contextlib.suppress(Exception):
+                    self._wires.ask(Request.MOTORS_OFF if off else Request.LAND, self._now_s + waited_s)
+                time.sleep(_PERIOD_S)
+        if not in_air:
+            return ended
+        shown = "the vehicle lands"
+        if not lands:
+            wanted = "its motors are off" if off else "it lands"
+            shown = f"the vehicle did not report in {LAND_SHOWN_MAX_S:g} s that {wanted}"
+        return ended._replace(phase=memory.phase, reason=f"{ended.reason}; {shown}")
 
     def tick(self) -> Ended | None:
         """Run one tick; the outputs are sent to the vehicle before they are logged."""
         controller, wires = self._controller, self._wires
         tick = wires.wait()
         began_s = time.perf_counter()
-        self.now_s = now_s = tick.now_s
+        self._now_s = now_s = tick.now_s
         arrived = wires.samples(now_s)
         own, status, command_failed, power = wires.read()
-        operator = self._ending.operator(status, now_s)
+        operator = self._leaving.operator(status, now_s)
         inputs = Inputs(own, status, arrived.samples, operator, power, wires.statuses())
         out = controller.step(inputs, now_s, command_failed=command_failed)
         wires.answer(out, now_s)
@@ -147,8 +176,27 @@ class Runner:
         if not self._landing and memory.started_s <= now_s:
             self._landing = True
             wires.landing_began(tick.number)
-        self._sink.write(tick, Taken(inputs, command_failed, arrived), out, exec_s)
-        return self._ending.ended(out, memory, status, now_s)
+        self._write(tick, Taken(inputs, command_failed, arrived), out, exec_s)
+        return self._leaving.ended(out, memory, status, now_s)
+
+
+def open_link(
+    config: FlightConfig, endpoint: Endpoint, system_id: int, profile: Profile | None, *, lockstep: bool,
+    every: int = 1,
+) -> VehicleLink:  # fmt: skip
+    """Return the link of a flight with this configuration; ``every``: ticks between set-points."""
+    origin = config.vehicle.origin_wgs84
+    return VehicleLink(
+        endpoint,
+        takeoff_height_m=config.takeoff.height_m,
+        rate_hz=config.loop.rate_hz,
+        system_id=system_id,
+        defer_timesync=lockstep,
+        profile=profile,
+        origin=Origin(*origin) if origin is not None else None,
+        every=every,
+        power=config.reserve is not None,
+    )
 
 
 class LinkedVehicle:
@@ -228,20 +276,18 @@ REFUSED = "target sample refused: "
 class Refusals:
     """Counter of rejected samples; it reports each doubling of the count, to keep the log short."""
 
-    def __init__(self) -> None:
-        self._count, self._due = 0, 1
+    count = 0
 
     def told(self, problems: Iterable[str]) -> list[str]:
         """Count the problems, and return those that must be reported now."""
         found = []
         for text in problems:
-            if not text.startswith(REFUSED):
+            refused = text.startswith(REFUSED)
+            self.count += refused
+            if not refused or self.count == 1:
                 found.append(text)
-                continue
-            self._count += 1
-            if self._count == self._due:
-                self._due *= 2
-                found.append(text if self._count == 1 else f"{text} ({self._count} refused so far)")
+            elif self.count & (self.count - 1) == 0:  # a power of two
+                found.append(f"{text} ({self.count} refused so far)")
         return found
 
 

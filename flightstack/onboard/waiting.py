@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 
 from bridge.mavlink.client.link import VehicleLink
@@ -40,10 +40,10 @@ class _Pace:
             self._longest_s = interval_s if self._reported else max(interval_s, self._longest_s)
             self._reported = False
 
-    def seldom(self, what: str, age_s: float | None, key: str, most_s: float) -> str:
+    def seldom(self, what: str, age_s: float, key: str, most_s: float) -> str:
         """Return a text if inputs arrive too rarely for their age limit; the next report starts anew."""
         every_s, self._reported = self._longest_s, True
-        if every_s <= most_s or age_s is None or age_s > every_s:
+        if every_s <= most_s or not age_s <= every_s:
             return ""
         return f"{what}: one every {every_s:.2f} s ({1.0 / every_s:.1f} Hz); checks.{key} allows {most_s:g} s"
 
@@ -83,11 +83,10 @@ class WaitReport:
         # missing inputs in the last report; they remain after the end of the wait
         self.lacking: tuple[str, ...] = ()
         self._config, self._system_id, self._link, self._wires = config, system_id, link, wires
-        self._searches = searches
-        self._due_s = PERIOD_S
-        self._counted: Counter[str] = Counter()  # counters of the endpoint at the last report
-        self._refused: Counter[str] = Counter()
-        self._arrived = self._refused_before = self._accepted = 0  # numbers of target samples
+        self._searches, self._due_s = searches, PERIOD_S
+        # counters of endpoint and vehicle state, and refused target samples, at the last report
+        self._counted, self._refused, self._refused_samples = Counter[str](), Counter[str](), 0
+        self._arrived = self._accepted = 0  # target samples: since the last report, and of the flight
         self._heartbeats, self._states, self._samples = _Pace(), _Pace(), _Pace()
         # newest texts of the vehicle that may be reasons, and newest ones of any severity, with their newest
         # arrival time
@@ -117,16 +116,22 @@ class WaitReport:
 
         ``arrived``: number of target samples in this tick; ``problems``: why some could not be decoded.
         """
-        phase = out.phase
+        phase, snapshot = out.phase, out.snapshot
+        own, status = snapshot.inputs.own, snapshot.inputs.status
         if phase not in (Phase.WAIT, Phase.ABORT):
             self.lacking = ()
         if phase is Phase.WAIT:
-            self._note_arrivals(out, now_s)
+            if own is not None:
+                self._states.note(own.arrival_s)
+            if status is not None:
+                self._heartbeats.note(status.arrival_s)
+            if out.target_accepted != self._accepted:
+                self._accepted = out.target_accepted
+                self._samples.note(now_s)
             self._arrived += arrived
-            self._refusals.extend(text for text in problems if text not in self._refusals)
-            for event in out.events:  # during the wait, all warnings are about rejected samples
-                if event.level == WARN and event.text not in self._refusals:
-                    self._refusals.append(event.text)
+            # during the wait, all warnings are about rejected samples
+            warnings = [event.text for event in out.events if event.level == WARN]
+            self._refusals.extend(text for text in (*problems, *warnings) if text not in self._refusals)
         else:
             self._wires.search.stop()
         if now_s < self._due_s or phase is Phase.LANDED:
@@ -134,78 +139,67 @@ class WaitReport:
         self._due_s = now_s + PERIOD_S
         left = countdown(self._config, phase, now_s - memory.phase_since_s)
         if phase is Phase.WAIT:
-            snapshot = out.snapshot
             self.lacking = (*self.of_vehicle(snapshot, now_s), *self.of_target(snapshot))
             self._refusals.clear()
             return f"waiting: {'; '.join(self.lacking)}; {left}" if self.lacking else None
-        status = out.snapshot.inputs.status
-        text = self._silence(now_s - status.arrival_s if status is not None else None)
-        if out.snapshot.link_ok or status is None:
+        text = self._silence(now_s - status.arrival_s if status is not None else math.inf)
+        if snapshot.link_ok or status is None:
             return None
         return f"{text}; {left}" if left else text
 
-    def _note_arrivals(self, out: Outputs, now_s: float) -> None:
-        own, status = out.snapshot.inputs.own, out.snapshot.inputs.status
-        if own is not None:
-            self._states.note(own.arrival_s)
-        if status is not None:
-            self._heartbeats.note(status.arrival_s)
-        if out.target_accepted != self._accepted:
-            self._accepted = out.target_accepted
-            self._samples.note(now_s)
-
-    def _silence(self, heard_s: float | None) -> str:
-        """Return why no heartbeat has arrived for this time; None: none has ever arrived."""
+    def _silence(self, heard_s: float) -> str:
+        """Return why no heartbeat has arrived for this time; infinity: none has ever arrived."""
         counted, self._counted = self._counted, self._link.endpoint.counters.copy()
-        time = f" for {heard_s:.0f} s" if heard_s is not None else ""
+        time = f" for {heard_s:.0f} s" if math.isfinite(heard_s) else ""
         return why_silent(self._system_id, self._counted - counted, self._link.foreign, time=time)
 
-    def of_vehicle(self, at: Snapshot, now_s: float) -> Sequence[str]:
-        """Return what the vehicle lacks, one sentence per input; each call counts from the previous one."""
+    def of_vehicle(self, at: Snapshot, now_s: float) -> Iterator[str]:
+        """Yield what the vehicle lacks, one sentence per input; each call counts from the previous one."""
         checks, own, status = self._config.checks, at.inputs.own, at.inputs.status
-        heard_s = now_s - status.arrival_s if status is not None else None
-        own_age_s = now_s - own.arrival_s if own is not None else None
-        before, self._refused = self._refused, self._link.state.counters.copy()
+        heard_s = now_s - status.arrival_s if status is not None else math.inf
+        age_s = now_s - own.arrival_s if own is not None else math.inf
+        refused = self._link.state.counters - self._refused
+        self._refused = self._link.state.counters.copy()
         silence = self._silence(heard_s)
         beats = self._heartbeats.seldom("heartbeats", heard_s, "status_age_max_s", checks.status_age_max_s)
-        rare = self._states.seldom("positions", own_age_s, "own_age_max_s", checks.own_age_max_s)
-        if beats or status is None or heard_s is None or heard_s > checks.status_age_max_s:
-            return (beats or silence,)
-        texts = [rare] if rare else []
-        if not rare and (own_age_s is None or own_age_s > checks.own_age_max_s):
-            old = "no position: the vehicle sends no LOCAL_POSITION_NED, as long as it has no estimate of it"
-            if own_age_s is not None:
-                old = (
-                    f"position is {own_age_s:.1f} s old; checks.own_age_max_s allows {checks.own_age_max_s:g}"
-                )
-            refused = (text for name, text in _REFUSED.items() if self._refused[name] > before[name])
-            texts = [next(refused, old)]
-        elif not rare and not at.own_ok:
-            texts = ["position and velocity of the vehicle do not agree (checks.own_drift_max_m)"]
+        rare = self._states.seldom("positions", age_s, "own_age_max_s", checks.own_age_max_s)
+        if beats or status is None or heard_s > checks.status_age_max_s:
+            yield beats or silence
+            return
+        if rare:
+            yield rare
+        elif age_s > checks.own_age_max_s:
+            old = f"position is {age_s:.1f} s old; checks.own_age_max_s allows {checks.own_age_max_s:g}"
+            never = (
+                "no position: the vehicle sends no LOCAL_POSITION_NED, as long as it has no estimate of it"
+            )
+            causes = (text for name, text in _REFUSED.items() if refused[name])
+            yield next(causes, never if own is None else old)
+        elif not at.own_ok:
+            yield "position and velocity of the vehicle do not agree (checks.own_drift_max_m)"
         if status.landed is Landed.UNKNOWN:
-            texts.append("the vehicle does not report whether it stands (EXTENDED_SYS_STATE)")
+            yield "the vehicle does not report whether it stands (EXTENDED_SYS_STATE)"
         if status.landed in _FLYING and status.mode is not Mode.EXTERNAL:
-            mode = f"the vehicle is in the air and in mode {status.mode.name}"
-            texts.append(f"{mode}: another client controls it")
+            yield (f"the vehicle is in the air and in mode {status.mode.name}: another client controls it")
         if not (status.armed or status.ready_to_arm):
             says = [text for text, at_s in self._reasons.items() if now_s - at_s <= _REASON_AGE_MAX_S]
             fails = "the vehicle's own pre-arm checks fail (SYS_STATUS)"
             unknown = "the vehicle does not report whether it may be armed (SYS_STATUS)"
             reports = f"; it reports: {' | '.join(says)}" if says else ""
-            texts.append((fails if self._link.state.battery is not None else unknown) + reports)
-        return texts
+            yield (fails if self._link.state.battery is not None else unknown) + reports
 
-    def of_target(self, at: Snapshot) -> Sequence[str]:
-        """Return what the target lacks, in at most one sentence; each call counts from the previous one."""
+    def of_target(self, at: Snapshot) -> Iterator[str]:
+        """Yield what the target lacks, in at most one sentence; each call counts from the previous one."""
         wires, checks = self._wires, self._config.checks
         most_s, name = checks.target_age_max_s, f"samples on {wires.target.text}"
-        refused, self._refused_before = wires.odometry.refused - self._refused_before, wires.odometry.refused
-        arrived, self._arrived = self._arrived + refused, 0
-        age_s = at.target.age_s if at.target is not None and math.isfinite(at.target.age_s) else None
-        lost = age_s is None or age_s > most_s
-        search = self._searches and lost and not arrived
-        keys = wires.search.keys() if search else ()
-        if not search:
+        arrived = self._arrived + wires.odometry.refused - self._refused_samples
+        self._arrived, self._refused_samples = 0, wires.odometry.refused
+        age_s = at.target.age_s if at.target is not None else math.inf
+        lost = not age_s <= most_s
+        keys: Sequence[str] = ()
+        if self._searches and lost and not arrived:
+            keys = wires.search.keys()
+        else:
             wires.search.stop()
         found = dict.fromkeys((*wires.odometry.told[-_PROBLEMS:], *self._refusals))
         texts = [text.removeprefix(f"{wires.target.text}: ") for text in found][:_PROBLEMS]
@@ -213,17 +207,18 @@ class WaitReport:
         rare = self._samples.seldom(name, age_s, "target_age_max_s", most_s)
         if at.target_placed:
             causes = f"checks.target_drift_max_m is {checks.target_drift_max_m:g}; {DRIFT_CAUSES}"
-            return (f"position and velocity of the target do not agree; {causes}",)
-        if rare:
-            return (rare,)
-        if not lost:
-            return tuple(filter(None, (target_below(self._config, at),)))
-        if arrived:
-            return (f"{arrived} {name}, none accepted{problems}",)
-        if age_s is not None:
+            yield f"position and velocity of the target do not agree; {causes}"
+        elif rare:
+            yield rare
+        elif not lost:
+            yield from filter(None, [target_below(self._config, at)])
+        elif arrived:
+            yield f"{arrived} {name}, none accepted{problems}"
+        elif math.isfinite(age_s):
             allowed = f"checks.target_age_max_s allows {most_s:g}"
-            return (f"the newest sample on {wires.target.text} is {age_s:.1f} s old; {allowed}",)
-        if problems:
-            return (f"no sample on {wires.target.text} any more; of earlier ones{problems}",)
-        there = f"there are {', '.join(keys)}" if keys else "nor on any key like odometry or pose"
-        return (f"no sample on {wires.target.text}; {there}",)
+            yield f"the newest sample on {wires.target.text} is {age_s:.1f} s old; {allowed}"
+        elif problems:
+            yield f"no sample on {wires.target.text} any more; of earlier ones{problems}"
+        else:
+            there = f"there are {', '.join(keys)}" if keys else "nor on any key like odometry or pose"
+            yield f"no sample on {wires.target.text}; {there}"

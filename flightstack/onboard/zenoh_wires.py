@@ -13,32 +13,21 @@ from flightstack.config.options import OnboardOptions
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from logs.recorder.derive import Deriver
+from logs.schema import schemas
 from logs.schema.events import pack_string
 from logs.schema.rows import ControllerStepRow
-from logs.schema.schemas import (
-    CONTROLLER_STEP,
-    HEALTH,
-    MARKER_ARRAY,
-    ODOMETRY,
-    POSE_STAMPED,
-    STRING,
-    TF_MESSAGE,
-    TWIST_STAMPED,
-    packer,
-    type_hash,
-)
 
 FLOAT64 = "std_msgs/msg/Float64"
 PLAIN_HZ = 20.0  # rate of the topics h, phase and step; the topics of viewers have other rates
 NODE = "flightstack_onboard"
 _DERIVED = {
-    "/pose": POSE_STAMPED,
-    "/odom": ODOMETRY,
-    "/target/pose": POSE_STAMPED,
-    "/cmd/velocity_nominal": TWIST_STAMPED,
-    "/cmd/velocity_filtered": TWIST_STAMPED,
-    "/cmd/velocity": TWIST_STAMPED,
-    "/cbf/markers": MARKER_ARRAY,
+    "/pose": schemas.POSE_STAMPED,
+    "/odom": schemas.ODOMETRY,
+    "/target/pose": schemas.POSE_STAMPED,
+    "/cmd/velocity_nominal": schemas.TWIST_STAMPED,
+    "/cmd/velocity_filtered": schemas.TWIST_STAMPED,
+    "/cmd/velocity": schemas.TWIST_STAMPED,
+    "/cbf/markers": schemas.MARKER_ARRAY,
 }
 
 
@@ -100,22 +89,19 @@ class ZenohWires:
 
 
 class LiveRos2:
-    """Publisher of one flight to ROS 2; its errors do not affect the flight.
-
-    ``session``: session that reaches the ROS 2 nodes; the caller closes it; ``domain``: their ROS_DOMAIN_ID.
-    """
+    """Publisher of one flight to ROS 2; its errors do not affect the flight. It leaves ``session`` open."""
 
     def __init__(self, session: zenoh_link.Session, domain: int, namespace: str, rate_hz: int) -> None:
         space = f"/{namespace}"
         self._node = Ros2Node(session, NODE, domain=domain, namespace=space)
         self._derive = Deriver(namespace)
         self._derived = {space + name: self._publisher(space + name, kind) for name, kind in _DERIVED.items()}
-        self._derived["/tf"] = self._publisher("/tf", TF_MESSAGE)
-        self._pack_float = packer(FLOAT64)
+        self._derived["/tf"] = self._publisher("/tf", schemas.TF_MESSAGE)
+        self._pack_float = schemas.packer(FLOAT64)
         self._h = self._publisher(space + "/h", FLOAT64)
-        self._phase = self._publisher(space + "/phase", STRING)
-        self._step = self._publisher(space + "/controller/step", CONTROLLER_STEP)
-        self._health = self._publisher(space + "/health", HEALTH)
+        self._phase = self._publisher(space + "/phase", schemas.STRING)
+        self._step = self._publisher(space + "/controller/step", schemas.CONTROLLER_STEP)
+        self._health = self._publisher(space + "/health", schemas.HEALTH)
         self._every = max(1, round(rate_hz / PLAIN_HZ))
 
     def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
@@ -134,4 +120,4 @@ class LiveRos2:
             self._step.put(step.pack(), now_ns)
 
     def _publisher(self, topic: str, kind: str) -> Ros2Publisher:
-        return self._node.publisher(topic, kind, type_hash(kind))
+        return self._node.publisher(topic, kind, schemas.type_hash(kind))

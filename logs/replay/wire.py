@@ -13,8 +13,7 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.companion import Origin
-from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
+from bridge.mavlink.client.link import COMPONENT_ID
 from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.line_budget import plan
@@ -24,7 +23,7 @@ from bridge.target.odometry import RawSample
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Inputs
-from flightstack.onboard.runner import LinkedVehicle, Refusals, decoded
+from flightstack.onboard.runner import LinkedVehicle, Refusals, decoded, open_link
 from logs.compare import Tally, values_of
 from logs.reader.reader import ROSOUT
 from logs.replay.read import FlightInputs, TickRecord
@@ -78,20 +77,11 @@ class WireReplay:
         if "baud" in onboard:
             signed, age_max_s = onboard.get("signed") == "true", config.checks.own_age_max_s
             every = plan(int(onboard["baud"]), config.loop.rate_hz, age_max_s, signed=signed).every
-        system_id, origin = flight.names.system_id, config.vehicle.origin_wgs84
+        system_id = flight.names.system_id
         self._endpoint = RecordedEndpoint(system_id)
         self._heard, self._refusals = False, Refusals()
-        self._link = VehicleLink(
-            self._endpoint,
-            takeoff_height_m=config.takeoff.height_m,
-            rate_hz=config.loop.rate_hz,
-            system_id=system_id,
-            defer_timesync=lockstep,
-            profile=profile(autopilot),
-            origin=Origin(*origin) if origin is not None else None,
-            every=every,
-            power=config.reserve is not None,
-        )
+        piloted = profile(autopilot)
+        self._link = open_link(config, self._endpoint, system_id, piloted, lockstep=lockstep, every=every)
         self._vehicle = LinkedVehicle(self._link, lockstep=lockstep)
 
     def take(self, record: TickRecord, given: TickInputs) -> None:

@@ -23,7 +23,7 @@ from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import MemberStatus, Phase
 from flightstack.onboard.leaving import Leaving
 from flightstack.onboard.lockstep import VehicleTicks
-from flightstack.onboard.runner import Runner, Taken
+from flightstack.onboard.runner import Runner, Taken, open_link
 from logs.recorder.feed import Feed
 from logs.schema import Names, member_name
 from logs.schema.rows import FleetPairRow
@@ -55,7 +55,7 @@ class _Wires(VehicleTicks):
         return self.neighbours
 
 
-class Companion:
+class Companion(Leaving):
     """The onboard process; the vehicle's loop calls it when the loop waits for an answer.
 
     ``controller`` replaces the scenario's controller. ``on_step`` is called after every controller step.
@@ -70,6 +70,8 @@ class Companion:
         self, scenario: Scenario, seed: int, on_step: OnStep | None = None, system_id: int = SYSTEM_ID,
         target_seed: int | None = None, *, controller: Controller | None = None,
     ) -> None:  # fmt: skip
+        self._ends_s = scenario.duration_max_s
+        super().__init__(self._ends_s)
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
         self.name = member_name(system_id)  # name and namespace of the vehicle: cf1 for system id 1
@@ -84,15 +86,7 @@ class Companion:
         self.ticks_max = ticks_max  # maximum number of ticks of a flight
         self.target = target = self.robot_type(scenario, seed if target_seed is None else target_seed, grid)
         here, there = wires((system_id, COMPONENT_ID), (system_id, COMPANION_ID))
-        self._link = VehicleLink(
-            there,
-            takeoff_height_m=config.takeoff.height_m,
-            profile=OWN_SITL,
-            rate_hz=rate_hz,
-            system_id=system_id,
-            defer_timesync=True,
-            power=config.reserve is not None,
-        )
+        self._link = open_link(config, there, system_id, OWN_SITL, lockstep=True)
         self.vehicle = vehicle = VehicleSim(scenario, seed)  # the simulated vehicle
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id)
         # message of the newest tick to the other vehicles; None: no message, or the flight is over
@@ -107,9 +101,8 @@ class Companion:
             system_id, self.name, vehicle, autopilot, here, self._notes, robot=target, grid=grid,
             stop=self._stop, words=self,
         )  # fmt: skip
-        self._ends_s = scenario.duration_max_s
         self._wires = _Wires(self._link, rate_hz, target)
-        self._runner = Runner(self.controller, self._wires, Leaving(self._ends_s), self)
+        self._runner = Runner(self.controller, self._wires, self, self.write)
 
     def batches(self) -> Batches | None:
         """Return the runner of batches; None: this landing cannot fly in batches, or ``on_step`` is set."""

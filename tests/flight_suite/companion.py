@@ -15,7 +15,7 @@ from types import TracebackType
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import END_TIME_MAX_S, Child
 from flightstack.core.types import Phase
-from flightstack.watch import News, Watch
+from flightstack.watch import Watch
 from tests.flight_suite.room import Room
 from tests.processes.started import StartedChild
 
@@ -146,7 +146,7 @@ class Companion:
 
     def _trouble(self) -> str | None:
         step = self.watch.step
-        if step is None or self.watch.news is not News.FRESH or not step.own_valid:
+        if step is None or not self.watch.fresh or not step.own_valid:
             return None  # the state is unknown; the onboard process itself reacts to this
         if self._start is None:
             self._start = step.own_position_enu_m

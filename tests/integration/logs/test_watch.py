@@ -14,7 +14,7 @@ from rich.console import Console
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import Port
 from flightstack.core.types import Phase
-from flightstack.watch import STALE_S, News, Watch, draw, snapshot
+from flightstack.watch import STALE_S, Watch, draw, snapshot
 from logs.schema.rows import HealthRow
 from tests.integration.runs import called
 from tests.integration.sim_processes import ROOT
@@ -82,7 +82,7 @@ def step(number=0, **values):
 
 def test_old_data_is_shown_as_old_and_never_as_new():
     with opened() as (sender, watch, clock):
-        assert watch.news is News.NEVER
+        assert not watch.fresh
         clock.now_s += 3.2
         assert "no data for 3.2 s" in shown(watch)
         row = step()
@@ -90,13 +90,13 @@ def test_old_data_is_shown_as_old_and_never_as_new():
         sender.puts["health"].put(HEALTHY.pack())
         sender.puts["loop/timing"].put(landing().timing[5].pack())
         until(watch, lambda: watch.step and watch.health and watch.timings, "nothing came")
-        assert watch.news is News.FRESH
+        assert watch.fresh
         text = shown(watch)
         for words in ("APPROACH", f"{row.h_m:+.3f} m", " 20 ms", "3.87 V 90 %", "good again"):
             assert words in text
         assert "no data" not in text
         clock.now_s += STALE_S + 2.0
-        assert watch.news is News.STALE
+        assert not watch.fresh
         text = shown(watch)
         assert "no data for 3.0 s: connected, but no data arrives on these keys; data below is OLD" in text
         values = snapshot(watch)
@@ -129,9 +129,9 @@ def test_a_sender_that_repeats_itself_is_stale():
         sender.puts["controller/step"].put(payload)
         sender.puts["loop/timing"].put(landing().timing[5].pack())
         until(watch, lambda: watch.timings, "nothing came")  # it is sent last, so the step has arrived
-        assert watch.news is News.STALE
+        assert not watch.fresh
         sender.puts["controller/step"].put(step(1).pack())
-        until(watch, lambda: watch.news is News.FRESH, "a new step is news")
+        until(watch, lambda: watch.fresh, "a new step is news")
 
 
 def test_what_is_not_ours_is_counted_and_shown():
@@ -201,7 +201,7 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
         assert 3.0 < now["health"]["battery_v"] < 4.3
         assert now["health"]["target_age_s"] < 1.0
         assert now["h_m"] > -0.1
-        assert len(now["setpoint_enu_m_s"]) == 3
+        assert len(now["command_enu_m_s"]) == 3
         once = subprocess.run(
             command("watch", "--connect", port.endpoint, "--once", "--json", "--timeout", "30"),
             cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=True,

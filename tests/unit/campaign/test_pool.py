@@ -32,7 +32,7 @@ def test_an_item_that_does_not_end_is_given_up():
 
 
 def test_processes_that_cannot_start_are_an_error():
-    with pytest.raises(WorkersError, match="3 workers in a row"):
+    with pytest.raises(WorkersError, match="a worker ended before it was ready"):
         list(in_processes(work, [1], 1, failed, start=os._exit, arguments=(1,)))
 
 

@@ -155,32 +155,14 @@ def test_a_file_that_is_no_clock_is_refused(file):
         FollowedClock(file.with_name("missing"), Follower.ONBOARD)
 
 
-WORKS = "import time\nwhile time.process_time() < {}: pass\nprint('ready here', flush=True)"
-SLEEPS = "import time\ntime.sleep(60)"
-
-
 def child(tmp_path, code):
     return Child("slow", ["-c", code], tmp_path, program=[sys.executable])
 
 
-def test_a_child_that_computes_is_waited_for(tmp_path, monkeypatch):
-    monkeypatch.setattr(processes, "START_TIME_MAX_S", 0.6)
-    monkeypatch.setattr(processes, "_WORKING_S", 0.02)
-    slow = child(tmp_path, WORKS.format(0.8))
-    assert slow.wait_ready() == "here"
-    slow.end()
-
-
-@pytest.mark.parametrize(
-    ("code", "work_max_s", "said"),
-    [(SLEEPS, 60.0, "0.4 s without any"), ("while True: pass", 0.5, "not ready after 1 s of processor time")],
-)
-def test_a_child_that_hangs_is_not(tmp_path, monkeypatch, code, work_max_s, said):
-    monkeypatch.setattr(processes, "START_TIME_MAX_S", 0.4 if code is SLEEPS else 20.0)
-    monkeypatch.setattr(processes, "START_WORK_MAX_S", work_max_s)
-    with pytest.raises(LaunchError, match="slow did not start: not ready") as raised:
-        child(tmp_path, code).wait_ready()
-    assert said in str(raised.value) or work_max_s < 1.0
+def test_a_child_that_hangs_is_not_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(processes, "START_MAX_S", 0.4)
+    with pytest.raises(LaunchError, match=r"slow did not start: not ready within 0\.4 s"):
+        child(tmp_path, "import time; time.sleep(60)").wait_ready()
 
 
 def test_one_that_ends_says_why(tmp_path):

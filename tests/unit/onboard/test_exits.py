@@ -16,8 +16,8 @@ from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller
 from flightstack.core.memory import AbortWay
 from flightstack.core.types import Landed, Mode, OwnState, Phase, Request, VehicleStatus
-from flightstack.onboard import leaving as way_out
-from flightstack.onboard.leaving import Leaving, Signals, fly
+from flightstack.onboard import runner
+from flightstack.onboard.leaving import Ended, Leaving, Signals
 from flightstack.onboard.runner import NOTHING, ClockStoppedError, Runner, VehicleInputs
 from sim.scenarios.scenario import load
 
@@ -166,10 +166,9 @@ def flown(exits, name="APPROACH", duration_s=None, **more):
     flight.refuse = refusals.append
     ended = leaving.ended
     leaving.ended = lambda out, memory, status, now_s: (
-        way_out.Ended(out.phase, refusals[0], 1) if refusals else ended(out, memory, status, now_s)
+        Ended(out.phase, refusals[0], 1) if refusals else ended(out, memory, status, now_s)
     )
-    runner = Runner(controller, flight, leaving, flight)
-    return flight, fly(runner, flight, leaving, flight.said.append)
+    return flight, Runner(controller, flight, leaving, flight.write).fly(flight.said.append)
 
 
 @pytest.mark.parametrize("name", PHASES)
@@ -189,7 +188,7 @@ def test_every_exit_in_every_phase_lands_or_is_not_ours(exits, name):
 
 @pytest.mark.parametrize("exits", EXITS.values(), ids=EXITS)
 def test_a_vehicle_that_does_not_show_it_is_waited_for_no_longer_than_allowed(exits, monkeypatch):
-    monkeypatch.setattr(way_out, "LAND_SHOWN_MAX_S", 0.1)
+    monkeypatch.setattr(runner, "LAND_SHOWN_MAX_S", 0.1)
     flight, ended = flown(exits, deaf=True)
     assert flight.asked[-1] is Request.LAND
     assert ended.reason.endswith("did not report in 0.1 s that it lands")

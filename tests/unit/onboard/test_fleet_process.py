@@ -59,10 +59,6 @@ def feed(monkeypatch):
     return made
 
 
-def nobody():
-    return SimpleNamespace(operator=Operator.NONE, stop=False)
-
-
 @pytest.fixture
 def endpoint():
     return free_endpoint()
@@ -87,8 +83,7 @@ def other(onboard, endpoint):
 
 
 def running(onboard):
-    wires, leaving = process._wires(onboard, nobody()), process._Leaving(onboard, nobody())
-    return Runner(onboard.controller, wires, leaving, onboard)
+    return Runner(onboard.controller, process._wires(onboard), onboard, onboard.write)
 
 
 def word(id_, now_s):
@@ -133,11 +128,11 @@ def test_the_start_is_refused_while_another_process_is_the_same_vehicle(onboard,
     other.say(word(3, 0.0))
     wait_for(onboard.fleet.namesake)
     monkeypatch.setattr(process.preflight, "check", lambda *_, **__: Report(None, None, (), None))
-    ended = process._preflight(onboard, nobody())
+    ended = process._preflight(onboard)
     assert (ended.phase, ended.exit_code) == (Phase.WAIT, 1)
     assert "another process has the vehicle id 3" in ended.reason
-    stopping = SimpleNamespace(operator=Operator.EMERGENCY_STOP, stop=False)
-    assert process._preflight(onboard, stopping) is None
+    onboard.person.operator = Operator.EMERGENCY_STOP
+    assert process._preflight(onboard) is None
 
 
 def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard, other):
@@ -152,9 +147,8 @@ def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard,
 
     wait_for(go_on)
     assert "another process has the vehicle id 3" in found[-1].reason
-    leaving = process._Leaving(onboard, nobody())
     out = SimpleNamespace(phase=Phase.APPROACH, finished=False)
-    assert leaving.ended(out, onboard.controller.memory, None, 1.0) is None  # this failure ends no flight
+    assert onboard.ended(out, onboard.controller.memory, None, 1.0) is None  # this failure ends no flight
 
 
 def test_a_lone_vehicle_has_no_wire(feed):

@@ -36,7 +36,7 @@ class Parts:
 
     def __init__(self):
         self.calls, self.memory = [], Memory()
-        self.runner = Runner(*[self] * 4)
+        self.runner = Runner(*[self] * 3, self.write)
 
     def __getattr__(self, name):
         return lambda *given: self.calls.append((name, *given)) or ANSWERS.get(name)

@@ -24,7 +24,7 @@ from flightstack.cli.main import main
 from flightstack.common.terminal import Terminal
 from flightstack.common.text import one_line, plain
 from flightstack.onboard.recording import new_folder
-from flightstack.watch import News, draw
+from flightstack.watch import draw
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from logs.recorder.recording import McapFile
@@ -211,7 +211,7 @@ def test_the_view_of_a_fleet_takes_reasons_for_words(monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     reason = "it said: log [/fs/microsd] full\nready tcp/1"
     health = HealthRow(1, 42, *[0.1] * 5, 1, 2, *[True] * 6, 100, 1, 2, 3, reason)
-    watch = SimpleNamespace(step=None, news=News.FRESH, timings=[], health=health, health_fresh=True)
+    watch = SimpleNamespace(step=None, fresh=True, timings=[], health=health, health_fresh=True)
     out = io.StringIO()
     Console(file=out).print(draw({"[cf1]": watch}, "[t]"))
     assert "log [/fs/microsd] full\\nready tcp/1" in out.getvalue()
