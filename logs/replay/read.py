@@ -30,11 +30,15 @@ from logs.schema.schemas import (
     CONTROLLER_STEP,
 )
 
-# topics of a tick, without MAVLink frames and events
-_TOPICS = (
-    "controller/input", "controller/step", "controller/power", "controller/neighbours", "controller/state",
-    "target/odom",
-)  # fmt: skip
+# readers of the records of a tick, by topic, without MAVLink frames and events
+_READERS: dict[str, Callable[[bytes], Any]] = {
+    "controller/input": unpack_controller_input,
+    "controller/step": bytes,
+    "controller/power": lambda data: (data, unpack_power(data)),
+    "controller/neighbours": unpack_neighbours,
+    "controller/state": ControllerStateRow.unpack,
+    "target/odom": bytes,
+}
 
 
 class ReplayError(ValueError):
@@ -106,7 +110,7 @@ class FlightInputs:
 
     def ticks(self) -> Iterator[TickRecord]:
         """Yield the ticks in order; the last one may be incomplete."""
-        given, step, power, neighbours, state, odometry = map(self.topic, _TOPICS)
+        given, step, power, neighbours, state, odometry = map(self.topic, _READERS)
         for unix_ns, records in groupby(self._records(), itemgetter(0)):
             found: dict[str, list[Any]] = defaultdict(list)
             for _, topic, content in records:
@@ -137,11 +141,7 @@ class FlightInputs:
 
     def _records(self) -> Iterator[tuple[int, str, Any]]:
         """Yield log time, topic and content of each record of the onboard process."""
-        readers: tuple[Callable[[bytes], Any], ...] = (
-            unpack_controller_input, bytes, lambda data: (data, unpack_power(data)), unpack_neighbours,
-            ControllerStateRow.unpack, bytes,
-        )  # fmt: skip
-        unpack = dict(zip(map(self.topic, _TOPICS), readers, strict=True))
+        unpack = {self.topic(name): read for name, read in _READERS.items()}
         unpack |= {self.source: unpack_mavlink, self.sink: unpack_mavlink, ROSOUT: LogRow.unpack}
         loggers = self.names.logger(ONBOARD), self.names.logger(CONTROLLER)
         newest_ns = 0
