@@ -9,7 +9,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -56,13 +56,12 @@ class MocapSource:
         """Open a session for the poses on a key, and close it at the end. Raises ValueError: bad key."""
         spec = TargetSpec.parse(key, TargetType(options.pose_type), options.ros_domain, options.offset_flu_m)
         limits = Limits(options.frame_id, rate_max_hz=rate_max_hz, speed_max_m_s=options.pose_speed_m_s)
-        session = zenoh_link.open_session(
-            options.listen, options.connect, config_file=options.zenoh_config, prompt=True
-        )
-        try:
+        with closing(
+            zenoh_link.open_session(
+                options.listen, options.connect, config_file=options.zenoh_config, prompt=True
+            )
+        ) as session:
             yield cls(session, spec, PoseChecks(limits), options.connect or options.listen)
-        finally:
-            session.close()
 
     def poll(self, now_s: float, *, armed: bool) -> tuple[Passed, ...]:
         """Return the good poses since the last call, oldest first; never blocks."""

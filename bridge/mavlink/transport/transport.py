@@ -93,26 +93,22 @@ class DatagramTransport:
         for _ in range(2):
             try:
                 self._counters["bytes_out"] += self._socket.sendto(datagram, peer)
+                return
             except ConnectionRefusedError:
                 continue  # the error belongs to an earlier datagram; send this datagram again
             except OSError:  # full buffer or no route: a newer frame follows in the next tick
-                self._counters["send_errors"] += 1
-            return
+                break
         self._counters["send_errors"] += 1
 
 
 def _datagrams(frames: Sequence[bytes]) -> list[bytes]:
     """Join frames, in order, into as few datagrams as the size limit allows."""
-    if sum(map(len, frames)) <= _DATAGRAM_MAX:
-        return [b"".join(frames)]
-    datagrams: list[bytes] = []
-    current = b""
+    datagrams = [b""]
     for frame in frames:
-        if current and len(current) + len(frame) > _DATAGRAM_MAX:
-            datagrams.append(current)
-            current = b""
-        current += frame
-    return [*datagrams, current]
+        if datagrams[-1] and len(datagrams[-1]) + len(frame) > _DATAGRAM_MAX:
+            datagrams.append(b"")
+        datagrams[-1] += frame
+    return datagrams
 
 
 RETRY_S = 0.5  # time between two tries to open a lost connection, s
