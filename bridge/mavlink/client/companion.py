@@ -118,12 +118,9 @@ class StreamRequests:
     no position for minutes (no satellites, no origin). ``rates_hz``: required rate by message id.
     """
 
-    def __init__(
-        self, rates_hz: Mapping[int, float], target_system: int, target_component: int, unset: float
-    ) -> None:
+    def __init__(self, rates_hz: Mapping[int, float], target: tuple[int, int], unset: float) -> None:
         self._streams = {id_: _Stream(id_, rate) for id_, rate in rates_hz.items()}
-        self._target = (target_system, target_component)
-        self._unset = unset
+        self._target, self._unset = target, unset
         self.quiet_until_s = -math.inf  # time before which ``step`` returns no message
 
     def seen(self, message_id: int, count: int = 1) -> None:
@@ -192,12 +189,8 @@ class CommandSequencer:
     class sends nothing: the controller reacts to a later change of mode.
     """
 
-    def __init__(
-        self, profile: Profile, target_system: int, target_component: int, takeoff_height_m: float
-    ) -> None:
-        self._profile = profile
-        self._target = (target_system, target_component)
-        self._height_m = takeoff_height_m
+    def __init__(self, profile: Profile, target: tuple[int, int], takeoff_height_m: float) -> None:
+        self._profile, self._target, self._height_m = profile, target, takeoff_height_m
         self._stream_start_s = self._stream_last_s = -math.inf
         # height of home above sea level, for autopilots with that datum; None: requested before arming
         self.home_amsl_m: float | None = None

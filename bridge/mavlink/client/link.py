@@ -236,8 +236,8 @@ class VehicleLink:
             **profile.asked_hz,
             **({dialect.MAVLINK_MSG_ID_VFR_HUD: _THROTTLE_HZ} if self._power else {}),
         }
-        self._sequencer = CommandSequencer(profile, *self._target, self._takeoff_height_m)
-        self._streams = StreamRequests(rates_hz, *self._target, profile.unset)
+        self._sequencer = CommandSequencer(profile, self._target, self._takeoff_height_m)
+        self._streams = StreamRequests(rates_hz, self._target, profile.unset)
         self._origin_sender = OriginSender(self._origin if profile.needs_origin else None, self._target[0])
 
     def _may_stream(self, profile: Profile) -> bool:

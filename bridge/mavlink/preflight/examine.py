@@ -53,13 +53,11 @@ class ParameterReader:
     A parameter without a reply is listed as missing, with the reason. After a lost reply more tries are made.
     """
 
-    def __init__(
-        self, names: Iterable[str], target_system: int, target_component: int, *, bytewise: bool
-    ) -> None:
+    def __init__(self, names: Iterable[str], target: tuple[int, int], *, bytewise: bool) -> None:
         self.values: dict[str, float] = {}  # received values by name
         self.missing: dict[str, str] = {}  # reasons why parameters are missing, by name
         self._asked = dict.fromkeys(names, (0, -math.inf))  # tries and time of the last one, by open name
-        self._target, self._bytewise = (target_system, target_component), bytewise
+        self._target, self._bytewise = target, bytewise
         self._tries_max = _READ_TRIES
 
     @property
@@ -182,7 +180,7 @@ class Examination:
                     choice = Choice(table.releases[-1], None, None)
                 asked = table.asked(profile.name, choice.release or "")
             names = (each.name.name for each in asked)
-            reader = self._reader = ParameterReader(names, *self.target, bytewise=profile.bytewise)
+            reader = self._reader = ParameterReader(names, self.target, bytewise=profile.bytewise)
             self._exchange(
                 lambda: reader.done and not self._senders.suspects,
                 self._until_s,

@@ -29,7 +29,7 @@ class Stack:
         self._seen = 0
 
     def flight(self) -> tuple[CommandSequencer, VehicleState]:
-        return CommandSequencer(CRAZYFLIE, 1, 1, HEIGHT_M), VehicleState(CRAZYFLIE)
+        return CommandSequencer(CRAZYFLIE, (1, 1), HEIGHT_M), VehicleState(CRAZYFLIE)
 
     def run(self, flight, request: Request, done, limit_s: float = 20.0) -> None:
         sequencer, state = flight

@@ -190,7 +190,7 @@ def test_an_old_heartbeat_does_not_prove_a_new_request():
     ids=["stops", "never comes", "comes", "comes too slowly"],
 )
 def test_a_stream_is_asked_for_while_it_does_not_come(wanted, seen, expected):
-    streams, asked_s = StreamRequests(wanted, 1, 1, 0.0), []
+    streams, asked_s = StreamRequests(wanted, (1, 1), 0.0), []
     for tick in range(2000):
         for message in streams.step(tick * 0.01):
             assert (message.command, message.param1, message.param2) == (511, 32.0, 20_000.0)

@@ -101,7 +101,7 @@ REAL, INT32, INT8 = dialect.MAV_PARAM_TYPE_REAL32, dialect.MAV_PARAM_TYPE_INT32,
 
 
 def reader(*names, bytewise=True):
-    return ParameterReader(names, 1, 1, bytewise=bytewise)
+    return ParameterReader(names, (1, 1), bytewise=bytewise)
 
 
 def value(name, wire, type_=REAL):

@@ -37,7 +37,7 @@ def status(arrival_s=0.0, *, armed=False, mode=Mode.HOLD, landed=Landed.ON_GROUN
 
 
 def sequencer(autopilot=PX4):
-    made = CommandSequencer(autopilot, 1, 1, HEIGHT)
+    made = CommandSequencer(autopilot, (1, 1), HEIGHT)
     made.home_amsl_m = 0.0
     return made
 
