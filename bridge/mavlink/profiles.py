@@ -170,10 +170,7 @@ CRAZYFLIE = replace(
 )
 
 _GUIDED = Step(
-    _DO_SET_MODE,
-    "switch to GUIDED",
-    (_CUSTOM_MODE_ENABLED, 4.0, 0.0),
-    lambda s: s.mode is Mode.EXTERNAL,
+    _DO_SET_MODE, "switch to GUIDED", (_CUSTOM_MODE_ENABLED, 4.0, 0.0), lambda s: s.mode is Mode.EXTERNAL
 )
 ARDUPILOT = Profile(
     name="ardupilot",

@@ -35,11 +35,7 @@ class MocapSource:
     """Receives the poses of motion capture from Zenoh and checks each of them."""
 
     def __init__(
-        self,
-        session: zenoh_link.Session,
-        spec: TargetSpec,
-        checks: PoseChecks,
-        where: Sequence[str] = (),
+        self, session: zenoh_link.Session, spec: TargetSpec, checks: PoseChecks, where: Sequence[str] = ()
     ) -> None:
         """``where``: Zenoh endpoints."""
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)

@@ -214,11 +214,7 @@ _CAUSES: Sequence[tuple[tuple[str, ...], str]] = (
 
 
 def why_silent(
-    system_id: int,
-    grown: Mapping[str, int],
-    senders: Mapping[tuple[int, int], int],
-    *,
-    time: str = "",
+    system_id: int, grown: Mapping[str, int], senders: Mapping[tuple[int, int], int], *, time: str = ""
 ) -> str:
     """Return a sentence about the missing heartbeat of a vehicle with the likely reason.
 

@@ -271,7 +271,4 @@ def _mission(message: Any, sender: Sender, _now_s: float) -> list[Message]:
 # Replies to other programs. Without a reply about missions, ground stations report an error after seconds.
 # REQUEST_DATA_STREAM has no handler, as in PX4: the rates that MAVProxy and dronekit request at their start
 # (4 Hz of every message) would slow down the companion's position stream.
-_REPLIES: dict[int, Handler] = {
-    dialect.MAVLINK_MSG_ID_PING: _ping,
-    **dict.fromkeys(_MISSIONS, _mission),
-}
+_REPLIES: dict[int, Handler] = {dialect.MAVLINK_MSG_ID_PING: _ping, **dict.fromkeys(_MISSIONS, _mission)}

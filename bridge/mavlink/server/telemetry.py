@@ -19,13 +19,7 @@ from bridge.frames import (
 )
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.commander import Battery, Commander
-from bridge.mavlink.server.profile import (
-    CAPABILITIES,
-    EVERY_TICK,
-    POSITION_SOURCE,
-    PX4_CODES,
-    VERSION,
-)
+from bridge.mavlink.server.profile import CAPABILITIES, EVERY_TICK, POSITION_SOURCE, PX4_CODES, VERSION
 
 V = TypeVar("V", bound=Commander)
 
