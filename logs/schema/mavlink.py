@@ -20,8 +20,6 @@ MAVLINK_PEERS = "mavlink_peers"  # metadata record with the address HOST:PORT of
 NAMED_MAX = 99  # maximum number of named peers, since any sender can reach an open port
 OTHERS = "p99"  # name that all peers after the first ``NAMED_MAX`` share
 _MARKER = 0xFD
-_OVERHEAD, _SIGNATURE = 12, 13  # bytes of header and checksum; bytes of the signature
-_SIGNED = 1  # flag MAVLINK_IFLAG_SIGNED
 _FRAMING_OK = 1  # every recorded frame has passed its checksum
 _pack, _unpack = codec(MAVLINK, frame_id=None)
 
@@ -52,17 +50,11 @@ class Record(NamedTuple):
 
 
 def pack_mavlink(stamp_ns: int, frame: bytes, peer: str = "") -> bytes:
-    """Return one raw frame as CDR; ``peer`` is a name of :class:`PeerNames`, or empty."""
-    size = len(frame)
-    end = 10 + frame[1] if size >= _OVERHEAD else size
-    signature = frame[end + 2 :]
-    if size < end + 2 or frame[0] != _MARKER or len(signature) != (_SIGNATURE if frame[2] & _SIGNED else 0):
-        raise ValueError(f"not one whole MAVLink frame: {size} bytes beginning with {frame[:12].hex()}")
+    """Return one whole raw frame as CDR; ``peer`` is a name of :class:`PeerNames`, or empty."""
+    end = 10 + frame[1]
     message_id, checksum = frame[7] | frame[8] << 8 | frame[9] << 16, frame[end] | frame[end + 1] << 8
-    payload = frame[10:end] + bytes(-frame[1] & 7)
-    return _pack(
-        ((stamp_ns, peer), _FRAMING_OK, *frame[:7], message_id, checksum, payload, signature)
-    )  # fmt: skip
+    payload, signature = frame[10:end] + bytes(-frame[1] & 7), frame[end + 2 :]
+    return _pack(((stamp_ns, peer), _FRAMING_OK, *frame[:7], message_id, checksum, payload, signature))
 
 
 def unpack_mavlink(data: bytes) -> Record:

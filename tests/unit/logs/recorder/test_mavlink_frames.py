@@ -43,23 +43,6 @@ def test_frame_round_trip_is_lossless_and_equals_the_generic_codec(stamp_ns, fra
     assert decoded.payload64.astype("<u8").tobytes()[: decoded.len] == frame[10 : 10 + frame[1]]
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        b"",
-        b"\xfd",
-        b"\xfd\x03" + bytes(10),  # the payload is missing
-        b"\xfd\x00" + bytes(11),  # the frame has one byte too many
-        b"\xfd\x00\x01" + bytes(9),  # the signature is missing
-        b"\xfe\x00" + bytes(10),  # MAVLink 1
-        bytes(12),
-    ],
-)
-def test_not_a_frame_is_refused(bad):
-    with pytest.raises(ValueError, match="not one whole MAVLink frame"):
-        pack_mavlink(0, bad)
-
-
 @given(frames(), st.data())
 def test_cut_frame_record_is_refused(frame, data):
     record = pack_mavlink(1, frame)
