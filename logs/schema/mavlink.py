@@ -32,10 +32,6 @@ class Record(NamedTuple):
     frame: bytes
 
     @property
-    def sequence(self) -> int:
-        return self.frame[4]
-
-    @property
     def sender(self) -> tuple[int, int]:
         """System and component id."""
         return self.frame[5], self.frame[6]
@@ -43,10 +39,6 @@ class Record(NamedTuple):
     @property
     def message_id(self) -> int:
         return int.from_bytes(self.frame[7:10], "little")
-
-    @property
-    def payload(self) -> bytes:
-        return self.frame[10 : 10 + self.frame[1]]
 
 
 def pack_mavlink(stamp_ns: int, frame: bytes, peer: str = "") -> bytes:
@@ -82,7 +74,8 @@ def decoder(message_id: int) -> tuple[str, str, Callable[[Record], bytes]] | Non
     ]
 
     def decode(record: Record) -> bytes:
-        flat = iter(cls.unpacker.unpack(record.payload[:size].ljust(size, b"\x00")))
+        payload = record.frame[10 : 10 + record.frame[1]]
+        flat = iter(cls.unpacker.unpack(payload[:size].ljust(size, b"\x00")))
         values: list[Any] = [(record.stamp_ns, record.peer or "p--")]
         for is_char, length in wire:
             if is_char:
