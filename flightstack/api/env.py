@@ -104,7 +104,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         self.close()
         flown = int(self.np_random.integers(2**31)) if seed is None else whole("seed", seed)
         controller = Controller(self.scenario.onboard)
-        controller.strategy.ask, controller.strategy.exchange.agent = self._ask, True
+        controller.strategy.ask = self._ask
         controller.velocity.program.enforces = self._enforces
         flights = Flights(self.scenario, flown, controller=controller)
         (self._companion,) = flights.members

@@ -17,17 +17,18 @@ import numpy as np
 from flightstack.compiled.foreign import call, doubles, whole
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.objects import Objects
-from flightstack.compiled.records import F64, I64
+from flightstack.compiled.records import F64
 from flightstack.core.controller import Controller, Landing, Outputs
 from flightstack.core.memory import Memory, State
-from flightstack.core.mission.conditions import lasting_flags
-from flightstack.core.mission.phases import TABLE
 from flightstack.core.numeric import STAND_INS, NotOrdinary
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.osqp import Osqp, calls
+from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.sender_clock import Reading
-from flightstack.core.snapshot import FUTURE_MAX_S, Snapshot
+from flightstack.core.snapshot import FUTURE_MAX_S, Relative, Snapshot
+from flightstack.core.strategies.strategy import Filter
 from flightstack.core.types import (
+    FilterStatus,
     Inputs,
     Operator,
     OwnState,
@@ -38,12 +39,8 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-RULES: dict[Phase, I64] = {
-    phase: np.array([(rule.when, rule.unless) for rule in TABLE[phase]], dtype=np.int64)
-    for phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED)
-}
 _SAMPLES = 4  # maximum number of target samples in a compiled tick
-_OWN, _SAMPLE = struct.Struct("=12d"), struct.Struct("=10d")
+_OWN, _SAMPLE = struct.Struct("=11d"), struct.Struct("=10d")
 _NONE = -1.0  # value instead of the number of samples, for a call that only compiles
 
 
@@ -63,7 +60,32 @@ def _solve(one: Osqp, numbers: tuple[float, ...]) -> tuple[Vec3, bool, int]:
     return point, solved, iterations
 
 
+def _chosen(one: Filter, at: Relative, own: Vec3) -> Vec3:
+    """Compiled form of ``Filter.choose``: call the agent."""
+    exchange = one.exchange
+    if not exchange.agent:
+        return own
+    exchange.at, exchange.nominal = at, own
+    if call(exchange.function, ()) != 0:
+        raise NotOrdinary
+    return exchange.chosen
+
+
+def _filtered(
+    one: Filter, at: Relative, h_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, lower: Vec3,
+    upper: Vec3,
+) -> FilterResult:  # fmt: skip
+    """Compiled form of ``Filter.filtered``: call the user's filter."""
+    exchange = one.exchange
+    exchange.at, exchange.nominal, exchange.lower_m_s, exchange.upper_m_s = at, nominal, lower, upper
+    exchange.h_m, exchange.gradient, exchange.dh_dt_m_s = h_m, gradient, dh_dt_m_s
+    if call(exchange.function, ()) != 0:
+        raise NotOrdinary
+    return FilterResult(exchange.chosen, 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
+
+
 STAND_INS[Osqp.solve] = _solve
+STAND_INS[Filter.choose], STAND_INS[Filter.filtered] = _chosen, _filtered
 
 
 @jitted
@@ -83,18 +105,18 @@ def take(kernel: Controller, row: F64, arrival_s: float) -> None:
 
 
 @jitted
-def _landed(kernel: Controller, given: F64, rules: I64) -> tuple[Landing, float]:
+def _landed(kernel: Controller, given: F64) -> tuple[Landing, float]:
     """Pass the samples to the controller and run a tick; return its result and the thrust reserve."""
     if given[0] == _NONE:
         raise NotOrdinary
     kernel.track.memory.settled = True  # ``step`` sets ``settled`` from the take-off on
     for n in range(int(given[0])):
-        row = given[12 + 10 * n : 22 + 10 * n]
+        row = given[11 + 10 * n : 21 + 10 * n]
         take(kernel, row, row[9])
     own = OwnState(
-        given[3], given[4], (given[5], given[6], given[7]), (given[8], given[9], given[10]), given[11]
+        given[2], given[3], (given[4], given[5], given[6]), (given[7], given[8], given[9]), given[10]
     )
-    return kernel.land(own, int(given[2]), rules, given[1]), kernel.reserve.reserve
+    return kernel.land(own, given[1]), kernel.reserve.reserve
 
 
 class CompiledController(Controller):
@@ -109,12 +131,12 @@ class CompiledController(Controller):
         super().__init__(config)
         self._objects = Objects(self)
         self._handle, self._landed = self._objects.handle, cast("Any", _landed)
-        self._given = np.zeros(12 + 10 * _SAMPLES)
+        self._given = np.zeros(11 + 10 * _SAMPLES)
         self._status: object = ()
-        self._lasting = self._accepted = 0
+        self._accepted = 0
         self._given[0] = _NONE
         with suppress(NotOrdinary):
-            self._landed(self._handle, self._given, RULES[Phase.LANDED])
+            self._landed(self._handle, self._given)
 
     @property
     def memory(self) -> Memory:
@@ -161,8 +183,8 @@ class CompiledController(Controller):
         if reserve.active and reserve.receive(inputs.power, standing=False):
             objects.write_one(reserve.reported)
         _OWN.pack_into(
-            given.data, 0, len(samples), now_s, self._lasting, own.arrival_s, own.source_time_s,
-            *own.position_enu_m, *own.velocity_enu_m_s, own.yaw_rad,
+            given.data, 0, len(samples), now_s, own.arrival_s, own.source_time_s, *own.position_enu_m,
+            *own.velocity_enu_m_s, own.yaw_rad,
         )  # fmt: skip
         for n, each in enumerate(samples):
             _SAMPLE.pack_into(
@@ -172,7 +194,7 @@ class CompiledController(Controller):
         objects.spare[:] = objects.state
         began_s = time.perf_counter()
         try:
-            landing, reserve_ratio = self._landed(self._handle, given, RULES[self._memory.phase])
+            landing, reserve_ratio = self._landed(self._handle, given)
         except NotOrdinary:
             objects.state[:] = objects.spare
             return None
@@ -190,8 +212,7 @@ class CompiledController(Controller):
         if memory.phase is Phase.LANDED or not self.ordinary(status):
             return False
         self._held = self._held or self._objects.write()
-        self._status, self._lasting = known, lasting_flags(self.config.checks, memory, status)
-        self._accepted = self.track.memory.accepted
+        self._status, self._accepted = known, self.track.memory.accepted
         return self._held
 
     def _outputs(self, inputs: Inputs, landing: Landing, reserve: float, took_s: float) -> Outputs:

@@ -17,7 +17,7 @@ from flightstack.core.command import Barriers, VelocityCommand
 from flightstack.core.fleet.member import FleetMember
 from flightstack.core.memory import Memory, State
 from flightstack.core.mission.guidance import nominal_command, ordinary_velocity
-from flightstack.core.mission.machine import Mission, Rules, Transition
+from flightstack.core.mission.machine import Mission, Transition
 from flightstack.core.numeric import NotOrdinary, rare
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.gate import ApprovedSetpoint, GateVerdict
@@ -44,6 +44,7 @@ from flightstack.core.types import (
 # (COM_SPOOLUP_TIME, 1 s), ramp (MPC_TKO_RAMP_T, 3 s). PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s.
 RISE_FREE_S = 7.0
 FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
+ORDINARY = FLYING | {Phase.LANDED}  # phases that ``Controller.land`` may run
 INFO, WARN, ERROR = 20, 30, 40
 
 
@@ -169,12 +170,11 @@ class Controller:
             member_status=self._message(seen, now_s),
         )
 
-    def land(self, own: OwnState, lasting: int, rules: Rules, now_s: float) -> Landing:
+    def land(self, own: OwnState, now_s: float) -> Landing:
         """Run an ordinary tick of APPROACH, LAND, TOUCHDOWN or LANDED in the sequence of ``step``.
 
         Preconditions: the target samples are processed, there is no fleet, the heartbeat is recent, and the
-        vehicle follows set-points or, in LANDED, stands. ``lasting``: flags that remain since the last tick
-        in Python; ``rules``: rules of the phase.
+        vehicle follows set-points or, in LANDED, stands.
         Raises NotOrdinary: ``step`` must run this tick, from the state before it.
         """
         target = self.strategy.target(self.track, now_s)
@@ -185,7 +185,7 @@ class Controller:
         fresh = target.age_s <= self.config.checks.target_age_max_s and not self.track.memory.distrusted
         if not (plausible and fresh):
             raise NotOrdinary
-        self._mission.stay(at, lasting, rules, now_s)
+        self._mission.stay(at, now_s)
         if self.memory.phase is Phase.LANDED:
             self.memory.commanding = False
             return Landing(False, at, self.velocity.unsent(at), ZERO, ZERO)

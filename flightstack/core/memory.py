@@ -180,20 +180,6 @@ class FilterMemory:
 
 
 @dataclass(slots=True)
-class ExchangeMemory:
-    """Values that compiled code passes to Python within a tick, and the answer; logs do not contain them."""
-
-    agent: bool = False  # whether a learning agent chooses the nominal velocity
-    chosen: Vec3 = ZERO  # velocity that the agent or the user's filter chooses, m/s ENU
-    nominal: Vec3 = ZERO  # nominal velocity of the stack, m/s ENU
-    h_m: float = nan  # value of the active barrier
-    gradient: Vec3 = ZERO  # gradient of the active barrier with respect to position
-    dh_dt_m_s: float = nan  # partial time derivative of the active barrier
-    lower_m_s: Vec3 = ZERO  # lowest velocity within limits and slew
-    upper_m_s: Vec3 = ZERO  # highest velocity within limits and slew
-
-
-@dataclass(slots=True)
 class Heard:
     """State of one other member, from the messages of that member."""
 

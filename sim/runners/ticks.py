@@ -7,6 +7,8 @@ radio's delay, if the autopilot has to do more than forward the set-point.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from bridge import frames
@@ -15,7 +17,6 @@ from flightstack.compiled.records import F64, I64, Cell, Record, Vector
 from flightstack.compiled.tick import take
 from flightstack.core.controller import Controller, Landing
 from flightstack.core.numeric import NotOrdinary, twin
-from flightstack.core.snapshot import Relative
 from flightstack.core.types import OwnState, Vec3
 from sim.autopilot.flight import WatchRecord, check
 from sim.clock import NS_PER_S
@@ -27,24 +28,31 @@ from sim.vehicle.physics import VehicleRecord, fly, write_truth
 from sim.world.bodies import arc_of_step
 
 
-class RulesRecord(Record):
-    """Constants of a batch of ticks; times are on the controller's clock."""
+class BatchRecord(Record):
+    """Plan, constants and results of a batch of ticks; times are on the controller's clock."""
 
+    first: int  # first tick
+    count: int  # number of ticks to fly
+    samples_before: int  # number of target samples that arrived before the first tick
+    rate_hz: int
+    radio_ms: int  # delay of set-points by the radio
     flies: bool  # whether the controller sends set-points
-    lasting: int  # flags of the mission that stay constant in the batch
     status_s: float  # arrival time of the newest heartbeat
     status_age_max_s: float
     ends_s: float  # time limit of the flight
     # inputs of the vehicle's autopilot
-    yaw_told_rad: float  # commanded heading, as the autopilot received it, rad
+    yaw_rad: float  # commanded heading, as the autopilot received it, rad
     cos_yaw: float
     sin_yaw: float
     speeds: Vector  # speed limits, m/s: horizontal, up, down
-    delay_ms: int  # delay of set-points by the radio
     armed: bool
     standing: bool
     supervisor: int  # state of the firmware's supervisor
     stream_until_s: float  # time at which the autopilot stops waiting for set-points
+    # results
+    done: int  # number of ticks flown; a tick whose second part is missing counts
+    own_sent: Annotated[F64, 8]  # newest vehicle state as sent: boot clock, position, velocity, yaw
+    setpoint: Vector  # newest set-point, as the autopilot received it
 
 
 @jitted
@@ -100,25 +108,25 @@ def _place_deck(v: VehicleRecord, deck: F64) -> None:
 
 
 @jitted
-def _send(p: RulesRecord, inbox: InboxRecord, setpoint: Vec3, now_ms: int) -> None:
+def _send(p: BatchRecord, inbox: InboxRecord, setpoint: Vec3, now_ms: int) -> None:
     """Compiled form of ``VehicleSim.set_velocity``; the set-point acts after the radio's delay."""
     at = WIDTH * (inbox.end % ROOM)
     row = inbox.rows[at : at + WIDTH]
     row[:] = 0.0
-    row[0], row[4], row[6], row[7] = now_ms + p.delay_ms, p.yaw_told_rad, p.cos_yaw, p.sin_yaw
+    row[0], row[4], row[6], row[7] = now_ms + p.radio_ms, p.yaw_rad, p.cos_yaw, p.sin_yaw
     row[1], row[2], row[3] = setpoint[0], setpoint[1], setpoint[2]
     inbox.end += 1
 
 
 @jitted
-def _flyable(p: RulesRecord, v: Vec3) -> bool:
+def _flyable(p: BatchRecord, v: Vec3) -> bool:
     """Whether the autopilot forwards this velocity unchanged."""
     xy, up, down = p.speeds[0], p.speeds[1], p.speeds[2]
     return bool(v[0] * v[0] + v[1] * v[1] <= xy * xy and -down <= v[2] <= up)
 
 
 @jitted
-def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float) -> bool:
+def _needs_autopilot(p: BatchRecord, v: VehicleRecord, now_ms: int, now_s: float) -> bool:
     """Whether the autopilot has to do more than forward the set-point."""
     c, f = v.contact, v.firmware
     touches = now_ms - c.pad_ms <= GAP_MS or now_ms - c.ground_ms <= GAP_MS
@@ -132,10 +140,9 @@ def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float
 
 @jitted
 def _decided(
-    v: VehicleRecord, p: RulesRecord, kernel: Controller, phase_rules: I64, samples: F64, since: int,
-    until: int, now_s: float,
-) -> tuple[OwnState, Landing]:  # fmt: skip
-    """Pass the vehicle state and these target samples to the controller; run its step."""
+    v: VehicleRecord, p: BatchRecord, kernel: Controller, samples: F64, now_s: float
+) -> tuple[OwnState, Landing]:
+    """Pass the vehicle state and the ``samples`` of this tick to the controller; run its step."""
     f, e = v.firmware, v.firmware.estimator
     if (
         bool(f.supervisor.motors_allowed) != bool(p.armed)
@@ -154,100 +161,66 @@ def _decided(
     if not abs(2.0 * (attitude[0] * attitude[2] - attitude[3] * attitude[1])) < _POLE:
         raise NotOrdinary
     source_s, yaw_rad = round(now_s * 1000) * 1e-3, _yaw_enu(narrow(_euler(attitude)[2]))
-    kernel.track.memory.settled = True  # equals the value that the Python step sets after the take-off
-    for i in range(since, until):
-        take(kernel, samples[i], now_s)
+    kernel.track.memory.settled = True  # ``step`` sets ``settled`` from the take-off on
+    for row in samples:
+        take(kernel, row, now_s)
     own = OwnState(now_s, source_s, position, velocity, yaw_rad)
-    return own, kernel.land(own, p.lasting, phase_rules, now_s)
-
-
-@jitted
-def look(
-    vehicle: Cell[VehicleRecord], rules: Cell[RulesRecord], _watches: Cell[WatchRecord],
-    kernel: Controller, phase_rules: I64, state: F64, spare: F64, plan: I64, samples: F64, come: I64,
-) -> tuple[Relative, Vec3, tuple[Vec3, float, Vec3, float, Vec3, Vec3]]:  # fmt: skip
-    """Return the inputs of an agent or a user's filter at the next tick.
-
-    The inputs are the relative state, the last command and the values of ``ExchangeMemory``.
-
-    The caller restores ``state`` from ``spare``. The arguments equal those of ``fly_ticks``.
-    Raises NotOrdinary: Python has to run the tick.
-    """
-    spare[:] = state
-    before, now_s = kernel.memory.command, plan[0] * NS_PER_S // plan[2] / 1e9
-    _, landing = _decided(vehicle[0], rules[0], kernel, phase_rules, samples, plan[4], come[0], now_s)
-    given = kernel.strategy.exchange
-    return (
-        landing.at,
-        before,
-        (given.nominal, given.h_m, given.gradient, given.dh_dt_m_s, given.lower_m_s, given.upper_m_s),
-    )
+    return own, kernel.land(own, now_s)
 
 
 @jitted
 def fly_ticks(
     vehicle: Cell[VehicleRecord],
-    rules: Cell[RulesRecord],
+    batch: Cell[BatchRecord],
     watches: Cell[WatchRecord],
     kernel: Controller,
-    phase_rules: I64,
     state: F64,
     spare: F64,
-    plan: I64,
     decks: F64,
     samples: F64,
     come: I64,
     truths: F64,
     ages: F64,
-    told: F64,
 ) -> int:
     """Fly ticks until all are done or Python is needed.
 
-    ``rules``: constants of the batch; ``watches``: state of the autopilot's ``Watches``; ``kernel``: the
-    controller, whose state is changed in place; ``phase_rules``: (n, 2), rules of the mission for
-    ``Controller.land``; ``state``: memory of the controller's state; ``spare``: receives the state before
-    the newest tick; ``plan``: first tick, number of ticks, rate of the ticks, delay of the radio in ms,
-    number of samples that arrived before; its last element receives the number of ticks done, a partly done
-    tick included; ``decks``: (n, 8) for each tick: position, yaw, velocity, yaw rate of the pad; ``samples``:
-    (m, 9) target samples: time stamp, position, velocity, yaw, yaw rate; ``come``: (n,) number of samples
-    that arrive up to each tick; ``truths``: (n, TRUTH), receives true states; ``ages``: (n,), receives ages
-    of the target state, s; ``told``: receives the vehicle state of the last tick as sent (position, velocity,
-    yaw, boot clock), then the set-point of that tick as received.
+    ``watches``: state of the autopilot's ``Watches``; ``kernel``: the controller, whose state is changed in
+    place; ``state``: memory of the controller's state; ``spare``: receives the state before the newest tick;
+    ``decks``: (n, 8) for each tick: position, yaw, velocity, yaw rate of the pad; ``samples``: (m, 9) target
+    samples: time stamp, position, velocity, yaw, yaw rate; ``come``: (n,) number of samples that arrive up to
+    each tick; ``truths``: (n, TRUTH), receives true states; ``ages``: (n,), receives ages of the target
+    state, s.
 
     Returns how the call ended: ``END``, ``BEFORE`` or ``MIDDLE``.
     Raises NotOrdinary: Python has to run the next tick, with the state in ``spare``.
     """
-    v, p = vehicle[0], rules[0]
-    tick, count, rate, radio_ms = plan[0], plan[1], plan[2], plan[3]
-    f, done_samples = v.firmware, plan[4]
-    plan[5] = 0
-    for n in range(count):
+    v, p = vehicle[0], batch[0]
+    rate, before = p.rate_hz, p.samples_before
+    p.done = 0
+    for n in range(p.count):
         spare[:] = state
-        now_ns = (tick + n) * NS_PER_S // rate
-        now_s = now_ns / 1e9
-        now_ms, end_ms = (
-            (2000 * (tick + n) + rate) // (2 * rate),
-            (2000 * (tick + n + 1) + rate) // (2 * rate),
-        )
-        own, landing = _decided(v, p, kernel, phase_rules, samples, done_samples, come[n], now_s)
+        tick = p.first + n
+        now_s = tick * NS_PER_S // rate / 1e9
+        now_ms, end_ms = (2000 * tick + rate) // (2 * rate), (2000 * (tick + 1) + rate) // (2 * rate)
+        own, landing = _decided(v, p, kernel, samples[before : come[n]], now_s)
         setpoint = _narrow3(landing.setpoint)
         if landing.sends != bool(p.flies) or (landing.sends and not _flyable(p, setpoint)):
             raise NotOrdinary
-        done_samples = come[n]
+        before = come[n]
         ages[n] = landing.at.target.age_s
         for i in range(3):
-            told[i], told[3 + i] = own.position_enu_m[i], own.velocity_enu_m_s[i]
-            told[8 + i] = setpoint[i]
-        told[6], told[7] = own.yaw_rad, own.source_time_s
-        plan[5] = n + 1
+            p.own_sent[1 + i], p.own_sent[4 + i] = own.position_enu_m[i], own.velocity_enu_m_s[i]
+            p.setpoint[i] = setpoint[i]
+        p.own_sent[0], p.own_sent[7] = own.source_time_s, own.yaw_rad
+        p.done = n + 1
         _place_deck(v, decks[n])
         write_truth(vehicle, now_ms, truths[n])
-        ahead_ms = min(end_ms - now_ms, radio_ms)
+        ahead_ms = min(end_ms - now_ms, p.radio_ms)
         fly(vehicle, now_ms, now_ms + ahead_ms)
         if _needs_autopilot(p, v, now_ms + ahead_ms, now_s):
             return MIDDLE
         _watch(watches, v, now_s)
         if landing.sends:
-            _send(p, f.inbox, setpoint, now_ms)
+            _send(p, v.firmware.inbox, setpoint, now_ms)
         fly(vehicle, now_ms + ahead_ms, end_ms)
     return END

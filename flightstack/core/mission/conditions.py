@@ -26,6 +26,7 @@ _ASKED: dict[Operator, int] = {
     Operator.LAND: C.ABORT_ASKED | C.LAND_ASKED,
     Operator.TIME_OVER: C.ABORT_ASKED,
 }
+_NO_STATUS = VehicleStatus(-math.inf, False, Mode.UNKNOWN, Landed.UNKNOWN, False)
 # longest time in each phase, s, in the order of ``Phase``
 PhaseTimes = tuple[float, float, float, float, float, float, float, float, float, float]
 
@@ -116,7 +117,9 @@ def condition_flags(
     """Return the flags of this tick; ``memory`` already contains its timers and is not changed."""
     config, memory, phase = s.config, s.memory, s.memory.phase
     inputs, own = snapshot.inputs, snapshot.inputs.own
-    flags = _ASKED[inputs.operator] | lasting_flags(config.checks, memory, inputs.status)
+    status = inputs.status or _NO_STATUS
+    external, standing = status.mode is Mode.EXTERNAL, status.landed is Landed.ON_GROUND
+    flags = _ASKED[inputs.operator] | lasting_flags(config.checks, memory, status.armed, external, standing)
     if not snapshot.follows:
         flags |= C.NOT_FOLLOWING
     blind = phase is Phase.TOUCHDOWN and now_s - memory.own_ok_s <= config.touchdown.blind_time_s
@@ -138,8 +141,8 @@ def condition_flags(
         flags |= C.TIRED if _better_beside(s, snapshot) else 0
     if snapshot.permissions.cut_off and _better_beside(s, snapshot):
         flags |= C.CUT_OFF
-    status, fit = inputs.status, snapshot.charge is Charge.FIT and snapshot.permissions.may_begin
-    if status is not None and snapshot.good and (status.ready_to_arm or status.armed) and fit:
+    fit = snapshot.charge is Charge.FIT and snapshot.permissions.may_begin
+    if snapshot.good and (status.ready_to_arm or status.armed) and fit:
         flags |= C.READY if phase is not Phase.WAIT or not target_below(config, snapshot) else 0
     flags |= time_flags(config.checks, times_s, memory, now_s)
     if snapshot.permissions.waited and memory.started_s < math.inf:
@@ -216,28 +219,29 @@ def _better_beside(s: Situation, snapshot: Snapshot) -> bool:
     return s.memory.phase is not Phase.APPROACH or at is None or at.d_m > s.config.barrier.peak_distance_m
 
 
-def lasting_flags(checks: Checks, memory: Memory, status: VehicleStatus | None) -> int:
+@numeric
+def lasting_flags(checks: Checks, memory: Memory, armed: bool, external: bool, standing: bool) -> int:
     """Return the flags that only the heartbeat or the phase changes in a landing without losses.
 
     Compiled ticks compute only these flags, ``time_flags`` and ``landing_flags``: each flag that a rule of
     APPROACH, LAND, TOUCHDOWN or LANDED uses must be in one of the three.
     """
-    flags = C.TARGET_KNOWN if memory.target_position_enu_m is not None else 0
+    flags = 0
+    if memory.target_position_enu_m is not None:
+        flags |= C.TARGET_KNOWN
     if memory.retries < checks.retries_max:
         flags |= C.RETRIES_LEFT
     if memory.clear:
         flags |= C.CLEAR
-    if status is None:
-        return flags
-    if status.armed:
+    if armed:
         flags |= C.ARMED
-    if status.mode is Mode.EXTERNAL:
+    if external:
         flags |= C.EXTERNAL
     if memory.was_armed:
         flags |= C.WAS_ARMED
     if memory.was_external:
         flags |= C.WAS_EXTERNAL
-    if status.landed is Landed.ON_GROUND:
+    if standing:
         flags |= C.STANDING
     return flags
 

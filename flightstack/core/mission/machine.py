@@ -25,6 +25,7 @@ from flightstack.core.mission.conditions import (
     flown_clear,
     high_enough_m,
     landing_flags,
+    lasting_flags,
     phase_times_s,
     target_below,
     time_flags,
@@ -54,8 +55,19 @@ DRIFT_CAUSES = (
 )
 RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
 RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
-Rules = NDArray[np.int64]  # rules of a phase, (n, 2) bit masks: required flags, blocking flags
 _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
+
+
+def _masks() -> NDArray[np.int64]:
+    """Return required and blocking flags of all rules, (phase, rule, 2); no flags meet a padding of -1."""
+    masks = np.full((len(Phase), max(map(len, TABLE.values())), 2), -1, dtype=np.int64)
+    for phase, rules in TABLE.items():
+        for k, rule in enumerate(rules):
+            masks[phase, k] = rule.when, rule.unless
+    return masks
+
+
+_MASKS = _masks()  # ``TABLE`` for compiled code
 
 
 class Transition(NamedTuple):
@@ -144,22 +156,20 @@ class Mission(Situation):
                 or self._stands(at, standing, now_s)
             )
 
-    def stay(self, at: Relative, lasting: int, rules: Rules, now_s: float) -> None:
-        """Run an ordinary tick: all inputs are good. Raise NotOrdinary if a rule of the phase fires.
-
-        ``lasting``: flags that have not changed since the last tick of ``step``.
-        """
-        memory = self.memory
+    def stay(self, at: Relative, now_s: float) -> None:
+        """Run an ordinary tick: all inputs are good. Raise NotOrdinary if a rule of the phase fires."""
+        memory, flies = self.memory, self.memory.phase is not Phase.LANDED
         memory.target_position_enu_m = at.target.position_enu_m
         memory.target_velocity_enu_m_s = at.target.velocity_enu_m_s
         memory.own_ok_s = now_s
         self.watch_contact(at, False, now_s)
-        flags = lasting | time_flags(self.config.checks, self._times_s, memory, now_s)
+        flags = lasting_flags(self.config.checks, memory, flies, flies, False)
+        flags |= time_flags(self.config.checks, self._times_s, memory, now_s)
         flags |= landing_flags(self, at, now_s, True, True)
-        for k in range(len(rules)):
-            if flags & rules[k, 0] == rules[k, 0] and not flags & rules[k, 1]:
+        for rule in _MASKS[memory.phase.value]:
+            if flags & rule[0] == rule[0] and not flags & rule[1]:
                 raise NotOrdinary
-        if memory.phase is Phase.LANDED and now_s - memory.phase_since_s >= LANDED_SETTLE_S:
+        if not flies and now_s - memory.phase_since_s >= LANDED_SETTLE_S:
             raise NotOrdinary
 
     def finished(self, status: VehicleStatus | None, now_s: float) -> bool:

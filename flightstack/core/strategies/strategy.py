@@ -19,15 +19,8 @@ from numpy.typing import ArrayLike
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import one_line
-from flightstack.core.memory import (
-    ExchangeMemory,
-    FilterMemory,
-    LateMemory,
-    MotionMemory,
-    OwnMemory,
-    TrackingMemory,
-)
-from flightstack.core.numeric import STAND_INS, UNSEEN
+from flightstack.core.memory import FilterMemory, LateMemory, MotionMemory, OwnMemory, TrackingMemory
+from flightstack.core.numeric import UNSEEN
 from flightstack.core.parameters.filters import FILTERS, file_of, named
 from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
 from flightstack.core.safety.barrier import ActiveBarrier, Barrier, problem_of
@@ -38,11 +31,10 @@ from flightstack.core.strategies.user_filter import (
     NEEDED,
     Ask,
     At,
+    Exchange,
     Vector,
     checked_velocity,
-    chosen,
     compiled_as,
-    filtered,
     three_finite,
 )
 from flightstack.core.target.track import TargetState, TargetTrack
@@ -94,7 +86,7 @@ class Filter:
     tracking: TrackingMemory
     own: OwnMemory
     late: LateMemory
-    exchange: ExchangeMemory
+    exchange: Exchange
     replaces_program: bool  # whether the class has its own method ``filter``
     _by_rule: bool  # whether the paper's touchdown rule is configured
     _config: FlightConfig
@@ -110,7 +102,7 @@ class Filter:
         self.contact_speed_max_m_s = config.touchdown.descent_m_s
         self.stopped_below_m = 0.0
         self.motion, self.tracking, self.own = MotionMemory(), TrackingMemory(), OwnMemory()
-        self.late, self.exchange = LateMemory(), ExchangeMemory()
+        self.late, self.exchange = LateMemory(), Exchange()
         self.compiled_as = compiled_as(type(self)) or type(self)
         self.ask: Ask | None = None  # agent that chooses the velocity (flightstack/api/env.py)
         # answers in a tick that compiled code started: velocity of the agent, result of the user's filter
@@ -290,9 +282,6 @@ class Filter:
             least_z_m_s: lowest vertical velocity that the set-point may cause if it is the last one.
         """
         return wanted_m_s
-
-
-STAND_INS[Filter.choose], STAND_INS[Filter.filtered] = chosen, filtered
 
 
 class PaperFilter(Filter):

@@ -1,12 +1,10 @@
-"""A user's filter: its input ``At``, the check of its result, and its call in a tick that is compiled code.
-
-Compiled code cannot call Python. It computes the arguments, Python calls the filter or an agent, and the tick
-continues with the answer, which is stored in ``Filter.exchange``.
-"""
+"""A user's filter: its input ``At``, the check of its result, and what it exchanges with compiled code."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import takewhile
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple
@@ -16,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from flightstack.common.text import one_line
 from flightstack.core.safety.projection import projected
-from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.snapshot import Relative
-from flightstack.core.types import FilterStatus, Vec3
+from flightstack.core.target.track import TargetState
+from flightstack.core.types import ZERO, OwnState, Vec3
 
 Vector = NDArray[np.float64]
 NEEDED = "three finite numbers (m/s ENU) are needed"
@@ -104,25 +102,23 @@ def checked_velocity(found: Any, where: str) -> Vec3:
 Ask = Callable[[Relative, Vec3], Vec3]  # agent: vehicle relative to target, nominal velocity -> velocity
 
 
-def chosen(one: Any, _at: Relative, own: Vec3) -> Vec3:
-    """Compiled form of ``Filter.choose``: the agent's answer is given before the tick."""
-    exchange = one.exchange
-    if not exchange.agent:
-        return own
-    exchange.nominal = own
-    answer: Vec3 = exchange.chosen
-    return answer
+_NOWHERE = Relative(OwnState(0.0, 0.0, ZERO, ZERO, 0.0), TargetState(0.0, ZERO, ZERO, 0.0), ZERO, 0.0)
 
 
-def filtered(
-    one: Any, _at: Relative, h_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, lower: Vec3,
-    upper: Vec3,
-) -> FilterResult:  # fmt: skip
-    """Compiled form of ``Filter.filtered``: the result of the user's filter is given before the tick."""
-    exchange = one.exchange
-    exchange.nominal, exchange.h_m, exchange.gradient, exchange.dh_dt_m_s = nominal, h_m, gradient, dh_dt_m_s
-    exchange.lower_m_s, exchange.upper_m_s = lower, upper
-    return FilterResult(exchange.chosen, 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
+@dataclass(slots=True)
+class Exchange:
+    """Arguments of a call from compiled code to an agent or a user's filter, and the answer."""
+
+    agent: bool = False  # whether a learning agent chooses the nominal velocity
+    function: int = 0  # address of the C function that calls the agent or the filter
+    at: Relative = _NOWHERE
+    nominal: Vec3 = ZERO  # nominal velocity of the stack, m/s ENU
+    h_m: float = math.nan  # value of the active barrier
+    gradient: Vec3 = ZERO  # gradient of the active barrier with respect to position
+    dh_dt_m_s: float = math.nan  # partial time derivative of the active barrier
+    lower_m_s: Vec3 = ZERO  # lowest velocity within limits and slew
+    upper_m_s: Vec3 = ZERO  # highest velocity within limits and slew
+    chosen: Vec3 = ZERO  # answer: velocity that the agent or the user's filter chooses, m/s ENU
 
 
 _PLAIN = {"filter", "State", "certificate", "__init__", "__doc__", "__module__", "__annotations__"}
