@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import types as python_types
-import typing
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import IntEnum
 from functools import cache
-from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+from itertools import count
+from types import UnionType
+from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from flightstack.core.numeric import UNSEEN
 
+_UNIONS = (Union, UnionType)
 WORD = 8  # size of a double or integer, bytes
 _texts: list[str] = [""]
 
@@ -36,39 +37,28 @@ class Kind(NamedTuple):
     @property
     def format(self) -> str:
         """Format string for ``struct``."""
-        if self.parts:
-            return "".join(part.format for part in self.parts)
-        return "d" if self.hint is float else "q"
+        return "".join(part.format for part in self.parts) or ("d" if self.hint is float else "q")
 
     def taken(self, path: str) -> str:
         """Return a Python expression for the elements of a value, in the order of compiled memory."""
-        if not self.parts:
-            if self.hint is str:
-                return f"code({path})"
-            return f"at.get(id({path}), 0)" if self.is_object else path
-        if all(part.hint in (float, int, bool) and not part.parts for part in self.parts):
-            return f"*{path}"
-        return ", ".join(part.taken(f"{path}[{n}]") for n, part in enumerate(self.parts))
-
-    def made(self, at: int, scope: dict[str, Any]) -> str:
-        """Return a Python expression for the value whose elements start at ``v[at]``."""
-        if self.parts:
-            if get_origin(self.hint) is tuple and set(self.format) == {"d"} and not self.parts[0].parts:
-                return f"v[{at}:{at + len(self.parts)}]"
-            ends = [at]
-            for part in self.parts:
-                ends.append(ends[-1] + len(part.format))
-            inner = "".join(f"{part.made(n, scope)}, " for part, n in zip(self.parts, ends, strict=False))
-            if get_origin(self.hint) is tuple:
-                return f"({inner})"
-            scope[self.hint.__name__] = self.hint
-            return f"{self.hint.__name__}({inner})"
-        if self.hint in (float, int):
-            return f"v[{at}]"
+        if all(part.hint in (float, int, bool) for part in self.parts or (self,)):
+            return f"*{path}" if self.parts else path
         if self.hint is str:
-            return f"texts[v[{at}]]"
+            return f"code({path})"
+        if self.is_object:
+            return f"at.get(id({path}), 0)"
+        return ", ".join(part.taken(f"{path}[{n}]") for n, part in enumerate(self.parts)) or path
+
+    def made(self, words: Iterator[str], scope: dict[str, Any]) -> str:
+        """Return a Python expression for the value; ``words``: expressions for its elements."""
         scope[self.hint.__name__] = self.hint
-        return f"{self.hint.__name__}(v[{at}])"
+        if self.parts:
+            inner = "".join(f"{part.made(words, scope)}, " for part in self.parts)
+            return f"({inner})" if self.hint.__name__ == "tuple" else f"{self.hint.__name__}({inner})"
+        word = next(words)
+        if self.hint in (float, int):
+            return word
+        return f"texts[{word}]" if self.hint is str else f"{self.hint.__name__}({word})"
 
 
 def is_enum(hint: Any) -> bool:
@@ -78,23 +68,21 @@ def is_enum(hint: Any) -> bool:
 
 def kind_of_hint(hint: Any) -> Kind | None:
     """Return the layout of a declared type; ``None`` if compiled code cannot hold it."""
-    if get_origin(hint) is Annotated:
-        return None if UNSEEN in get_args(hint) else kind_of_hint(get_args(hint)[0])
-    if get_origin(hint) in (typing.Union, python_types.UnionType):
-        given = [each for each in get_args(hint) if each is not type(None)]
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return None if UNSEEN in inner else kind_of_hint(inner[0])
+    if origin in _UNIONS:
+        given = [each for each in inner if each is not type(None)]
         return kind_of_hint(given[0]) if len(given) == 1 else None
     if hint in (float, int, bool, str) or is_enum(hint):
         return Kind(hint)
-    if get_origin(hint) is tuple:
-        inner = [kind_of_hint(each) for each in get_args(hint) if each is not Ellipsis]
-        known = Ellipsis not in get_args(hint) and inner and all(inner)
-        return Kind(hint, tuple(each for each in inner if each)) if known else None
-    if not isinstance(hint, type) or get_origin(hint) is not None:
-        return None
-    if issubclass(hint, tuple) and hasattr(hint, "_fields"):
-        inner = [kind_of_hint(each) for each in get_type_hints(hint, include_extras=True).values()]
-        return Kind(hint, tuple(each for each in inner if each)) if all(inner) else None
-    return Kind(hint) if getattr(hint, "__module__", "").startswith("flightstack.core") else None
+    if hasattr(hint, "_fields"):
+        inner = tuple(get_type_hints(hint, include_extras=True).values())
+    elif origin is not tuple:
+        held = isinstance(hint, type) and hint.__module__.startswith("flightstack.core")
+        return Kind(hint) if held and origin is None else None
+    parts = tuple(kind for each in inner if (kind := kind_of_hint(each)) is not None)
+    return Kind(hint, parts) if parts and len(parts) == len(inner) else None
 
 
 def is_state(cls: type) -> bool:
@@ -107,12 +95,11 @@ def fields_of(cls: Any) -> dict[str, tuple[Kind, int]]:
     """Return the fields of a class that compiled code can hold, each with the index of its first element."""
     found, at = {}, 0
     for name, hint in get_type_hints(cls, include_extras=True).items():
-        if get_origin(hint) is typing.ClassVar or (kind := kind_of_hint(hint)) is None:
-            continue
-        may_lack = get_origin(hint) in (typing.Union, python_types.UnionType)
-        if not may_lack or kind.is_object or is_state(cls):  # a constant that may be None has no type
-            found[name] = (kind, at)
-            at += len(kind.format)
+        kind = kind_of_hint(hint)
+        if kind is None or not (kind.is_object or is_state(cls) or get_origin(hint) not in _UNIONS):
+            continue  # a constant that may be None has no type
+        found[name] = (kind, at)
+        at += len(kind.format)
     return found
 
 
@@ -126,8 +113,12 @@ def objects_of(cls: Any) -> dict[str, Any]:
 def reader_of(cls: Any) -> Callable[[Any, tuple[Any, ...]], None]:
     """Return a function that sets the fields of an object, except objects, from elements of memory."""
     scope: dict[str, Any] = {"texts": _texts}
-    lines = [f"    o.{n} = {k.made(at, scope)}" for n, (k, at) in fields_of(cls).items() if not k.is_object]
-    exec("def read(o, v):\n" + "\n".join([*lines, "    return"]), scope)
+    lines = [
+        f"    o.{name} = {kind.made((f'v[{n}]' for n in count(at)), scope)}"
+        for name, (kind, at) in fields_of(cls).items()
+        if not kind.is_object
+    ]
+    exec("\n".join(["def read(o, v):", *lines, "    return"]), scope)
     return scope["read"]  # type: ignore[no-any-return]
 
 
@@ -147,4 +138,5 @@ def class_of(one: object) -> Any:
 
 @cache
 def format_of(cls: Any) -> str:
+    """Return the format string for ``struct`` of an object's elements."""
     return "".join(kind.format for kind, _ in fields_of(cls).values())

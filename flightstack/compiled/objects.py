@@ -118,47 +118,40 @@ else:
             if isinstance(one, property):
                 overload_attribute(made, name, strict=False)(_chooser(one.fget))
             elif isinstance(one, bool):
-                scope: dict[str, Any] = {}
-                exec(f"def constant(one):\n    return {one}", scope)
-                overload_attribute(made, name, strict=False)(lambda _one, f=scope["constant"]: f)
+                overload_attribute(made, name, strict=False)(lambda _one, one=one: lambda _one: one)
             elif isinstance(one, python_types.FunctionType):
                 overload_method(made, name, strict=False)(_chooser(STAND_INS.get(one, one)))
 
-    def _chooser(function: Any) -> Any:
+    def _chooser(function: Any, cls: type | None = None) -> Any:
+        """Return the overload of a method; ``cls``: named tuple to whose values it applies."""
+
         @cache
         def copied() -> Any:
-            return _raising(function) if function in RARE else scope_of(function, jitted)
+            return _refusing(function) if function in RARE else scope_of(function, jitted)
 
-        def choose(*_args: Any, **_kwargs: Any) -> Any:
-            return copied()
+        def choose(one: Any, *_args: Any, **_kwargs: Any) -> Any:
+            return copied() if cls is None or one.instance_class is cls else None
 
         choose.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
         return choose
 
-    def _raising(function: Any) -> Any:
+    def _refusing(function: Any) -> Any:
         """Return the compiled form of a rare function: it raises ``NotOrdinary``; Python runs the tick."""
-        hint = get_type_hints(function).get("return")
-        kind = None if hint in (None, type(None)) else kind_of_hint(hint)
-        zero = _zero(types.none if kind is None else _numba_type(kind))
-        names = function.__code__.co_varnames[: function.__code__.co_argcount]
-        scope = {"zero": zero, "always": _always, "NotOrdinary": NotOrdinary}
-        exec(
-            f"def rare({', '.join(names)}):\n    if always():\n        raise NotOrdinary\n    return zero()",
-            scope,
-        )
-        return scope["rare"]
+        kind = kind_of_hint(get_type_hints(function)["return"])
+        result = types.none if kind is None else _numba_type(kind)
 
-    @intrinsic
-    def _always(_typing: Any) -> Any:
-        return types.boolean(), lambda *_: cgutils.true_bit
-
-    @cache
-    def _zero(kind: Any) -> Any:
         @intrinsic
-        def zero(_typing: Any) -> Any:
-            return kind(), lambda context, *_: context.get_constant_null(kind)
+        def refuse(_typing: Any) -> Any:
+            def code(context: Any, builder: Any, *_: Any) -> Any:
+                with builder.if_then(cgutils.true_bit):
+                    context.call_conv.return_user_exc(builder, NotOrdinary, ())
+                return context.get_constant_null(result)
 
-        return zero
+            return result(), code
+
+        names, scope = ", ".join(inspect.signature(function).parameters), {"refuse": refuse}
+        exec(f"def rare({names}):\n    return refuse()", scope)
+        return scope["rare"]
 
     class _Address(models.PrimitiveModel):
         def __init__(self, manager: Any, kind: Any) -> None:
@@ -171,54 +164,20 @@ else:
         def generic_resolve(self, one: Held, name: str) -> Any:
             return one.type_of(name)
 
-    def _place(builder: Any, one: Any, address: Any, name: str) -> Any:
-        return cgutils.pointer_add(builder, address, WORD * fields_of(one.cls)[name][1])
-
-    _DOUBLE, _WHOLE = ir.DoubleType(), ir.IntType(64)
-
-    def _load(context: Any, builder: Any, kind: Any, place: Any) -> tuple[Any, int]:
-        """Return a value of a type, and the number of words that it occupies."""
-        if isinstance(kind, types.BaseTuple):
-            items, at = [], 0
-            for each in kind:
-                item, size = _load(context, builder, each, cgutils.pointer_add(builder, place, WORD * at))
-                items.append(item)
-                at += size
-            return context.make_tuple(builder, kind, items), at
-        if kind == types.float64:
-            return builder.load(builder.bitcast(place, _DOUBLE.as_pointer())), 1
-        number = builder.load(builder.bitcast(place, _WHOLE.as_pointer()))
-        if kind == types.boolean:
-            return builder.icmp_signed("!=", number, _WHOLE(0)), 1
-        if isinstance(kind, Held):
-            return builder.inttoptr(number, ir.IntType(8).as_pointer()), 1
-        return number, 1
-
-    def _store(context: Any, builder: Any, kind: Any, place: Any, value: Any) -> int:
-        if isinstance(kind, types.BaseTuple):
-            at = 0
-            for n, each in enumerate(kind):
-                to = cgutils.pointer_add(builder, place, WORD * at)
-                at += _store(context, builder, each, to, builder.extract_value(value, n))
-            return at
-        if kind == types.float64:
-            builder.store(value, builder.bitcast(place, _DOUBLE.as_pointer()))
-            return 1
-        if kind == types.boolean:
-            value = builder.zext(value, _WHOLE)
-        elif isinstance(kind, Held):
-            value = builder.ptrtoint(value, _WHOLE)
-        builder.store(value, builder.bitcast(place, _WHOLE.as_pointer()))
-        return 1
+    def _place(context: Any, builder: Any, one: Held, address: Any, name: str) -> Any:
+        """Return a pointer to a field; a boolean uses the first byte of its word, and the others are zero."""
+        place = cgutils.pointer_add(builder, address, WORD * fields_of(one.cls)[name][1])
+        return builder.bitcast(place, context.get_data_type(one.type_of(name)).as_pointer())
 
     @lower_getattr_generic(Held)
     def _get(context: Any, builder: Any, one: Held, address: Any, name: str) -> Any:
-        return _load(context, builder, one.type_of(name), _place(builder, one, address, name))[0]
+        kind = one.type_of(name)
+        return context.unpack_value(builder, kind, _place(context, builder, one, address, name))
 
     @lower_setattr_generic(Held)
     def _set(context: Any, builder: Any, signature: Any, args: Any, name: str) -> None:
         one = signature.args[0]
-        _store(context, builder, one.type_of(name), _place(builder, one, args[0], name), args[1])
+        context.pack_value(builder, one.type_of(name), args[1], _place(context, builder, one, args[0], name))
 
     @typeof_impl.register(Handle)
     def _type_of_handle(handle: Handle, _context: Any) -> Any:
@@ -239,16 +198,9 @@ else:
             _known.add(cls)
             for name, one in vars(cls).items():
                 if isinstance(one, property):
-                    overload_attribute(types.BaseNamedTuple, name, strict=False)(_of_class(cls, one.fget))
+                    overload_attribute(types.BaseNamedTuple, name, strict=False)(_chooser(one.fget, cls))
                 elif isinstance(one, python_types.FunctionType) and not name.startswith("_"):
-                    overload_method(types.BaseNamedTuple, name, strict=False)(_of_class(cls, one))
-
-    def _of_class(cls: type, function: Any) -> Any:
-        def choose(one: Any, *_args: Any, **_kwargs: Any) -> Any:
-            return scope_of(function, jitted) if one.instance_class is cls else None
-
-        choose.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
-        return choose
+                    overload_method(types.BaseNamedTuple, name, strict=False)(_chooser(one, cls))
 
     def kind_of(one: object) -> Any:
         """Return the type of an object for compiled code."""
