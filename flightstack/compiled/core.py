@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 from flightstack.common.text import pip_install
-from flightstack.compiled.jit import is_kept, is_off, keep, telling
+from flightstack.compiled.jit import compiling, is_kept, is_off
 from flightstack.core.controller import Controller
 from flightstack.core.numeric import hypot_is_known
 from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
@@ -56,7 +56,5 @@ def compiled(config: FlightConfig) -> Controller:
         return Controller(config)
     from flightstack.compiled.tick import CompiledController
 
-    with telling("the controller, about 10 s, once"):
-        made = CompiledController(config)
-    keep(f"core-{config.filter}")
-    return made
+    with compiling(f"core-{config.filter}", "the controller, about 10 s, once"):
+        return CompiledController(config)

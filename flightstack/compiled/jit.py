@@ -61,30 +61,24 @@ def _usable(directory: Path) -> bool:
 
 @cache
 def cache_directory() -> Path | None:
-    """Return the directory for machine code; None if no directory is writable.
-
-    The first writable directory is used: NUMBA_CACHE_DIR, a folder beside the sources, the user's cache, or a
-    temporary folder of this user.
-    """
-    name, chosen = f"jit-{_fingerprint()}", os.environ.get("NUMBA_CACHE_DIR")
-    roots = [Path(chosen)] if chosen else []
-    roots += [HERE / "__pycache__", Path(os.path.expanduser("~/.cache/flightstack"))]  # noqa: PTH111
-    for root in roots:
-        if _usable(root / name):
-            return root / name
-    last = _own_folder() / name  # made only if it is needed
-    return last if _usable(last) else None
+    """Return the directory for machine code: the first that is writable; None if there is none."""
+    name = f"jit-{_fingerprint()}"
+    return next((root / name for root in _roots() if _usable(root / name)), None)
 
 
-def _own_folder() -> Path:
-    """Return a temporary folder that only this user can write, because its files are executed."""
+def _roots() -> Iterator[Path]:
+    """Yield the folders that may have machine code, the preferred first; the last is made only if needed."""
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        yield Path(chosen)
+    yield HERE / "__pycache__"
+    yield Path(os.path.expanduser("~/.cache/flightstack"))  # noqa: PTH111
     with contextlib.suppress(OSError):  # also from tempfile: no temporary folder is writable
         folder = Path(tempfile.gettempdir()) / f"flightstack-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
+        # only this user may be able to write the folder, because its files are executed
         if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077:
-            return folder
-    return Path(os.devnull)
+            yield folder
 
 
 def jitted(function: F) -> F:
@@ -128,46 +122,23 @@ def is_kept(what: str) -> bool:
     return folder is not None and (folder / what).exists()
 
 
-def keep(what: str) -> None:
-    """Record that all machine code of ``what`` is on disk."""
-    folder = cache_directory()
-    if folder is not None and not is_off():
-        with contextlib.suppress(OSError):  # the disk may be full
-            (folder / what).touch()
-
-
 @contextlib.contextmanager
-def telling(what: str = "the simulator, about 25 s, once") -> Iterator[None]:
-    """Print to standard error that functions are compiled in this block, if any are; then, that it is done.
+def compiling(what: str, about: str) -> Iterator[None]:
+    """Announce on standard error that functions are compiled in this block, unless ``what`` is on disk.
 
-    ``what``: description and processor time of the compiled part; a slow computer takes longer. Each version
-    compiles once.
+    After the block, all machine code of ``what`` is on disk. ``about``: description and processor time of the
+    compilation; a slow computer takes longer.
     """
-    if is_off() or _told:
+    if is_off() or is_kept(what):
         yield
         return
-    load_numba()
-    from numba.core import event
-
-    class Starts(event.Listener):  # type: ignore[misc]
-        def on_start(self, event: Any) -> None:
-            if not _told:
-                _told.append(event)
-                _say(f"compiling {what}")
-
-        def on_end(self, event: Any) -> None:
-            del event
-
-    with event.install_listener("numba:compile", Starts()):
-        try:
-            yield
-            if _told:
-                _say("compiled")
-        finally:
-            _told.clear()
-
-
-_told: list[object] = []  # the compilation that was announced; empty: none runs
+    _say(f"compiling {about}")
+    yield
+    _say("compiled")
+    folder = cache_directory()
+    if folder is not None:
+        with contextlib.suppress(OSError):  # the disk may be full
+            (folder / what).touch()
 
 
 def _say(text: str) -> None:

@@ -23,8 +23,7 @@ from flightstack.common.processes import CLOSE_TIME_MAX_S, END_TIME_MAX_S, Child
 from flightstack.common.terminal import Terminal
 from flightstack.common.text import failed_code
 from flightstack.config.options import WatchOptions
-from flightstack.core.mission.machine import parse
-from flightstack.core.types import Phase
+from flightstack.core.mission.machine import aborts
 from flightstack.onboard.recording import end_recorder, start_recorder
 from flightstack.watch import REFRESH_HZ, Watch, draw
 
@@ -214,8 +213,7 @@ class Launcher(contextlib.ExitStack):
     def _say(self, flight: Followed, lines: list[str]) -> None:
         for line in lines:
             flight.last_line = line
-            change = parse(line)
-            flight.aborted = flight.aborted or (change is not None and change.after is Phase.ABORT)
+            flight.aborted = flight.aborted or aborts(line)
             if self._tells:
                 self.hint(f"{flight.namespace}  {line}", None)
 

@@ -18,7 +18,7 @@ from bridge.mavlink.profiles import OWN_SITL
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, Tick
-from flightstack.compiled.jit import telling
+from flightstack.compiled.jit import compiling
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import MemberStatus, Phase
 from flightstack.onboard.leaving import Leaving
@@ -241,9 +241,10 @@ def land(
 def warm_up(scenario: Scenario) -> None:
     """Compile all code of a flight, or load it from the cache, before the first flight starts."""
     warm_up_room(scenario)
-    with telling("the loop of a campaign with this filter, about 20 s, once for each filter"):
-        batches = Flights(scenario, 0).batches
-        if batches is not None:
+    batches = Flights(scenario, 0).batches
+    if batches is not None:
+        name = scenario.onboard.filter.replace(":", "-")
+        with compiling(f"loop-{name}", "the loop of a campaign with this filter, about 20 s, once for each"):
             batches.warm_up()
 
 

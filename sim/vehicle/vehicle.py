@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from flightstack.compiled.jit import is_kept, is_off, keep, telling
+from flightstack.compiled.jit import compiling, is_kept, is_off
 from flightstack.compiled.records import reader
 from flightstack.core.types import ZERO, Vec3
 from logs.schema.events import ContactBit
@@ -259,13 +259,12 @@ def warm_up(scenario: Scenario) -> None:
     """
     vehicle = VehicleSim(scenario, 0)
     vehicle.arm()
-    with telling():
+    with compiling(_KEPT, "the simulator, about 25 s, once"):
         for _ in range(WARM_UP_MS // 10):
             vehicle.set_velocity((0.0, 0.0, 0.3), 0.0)
             vehicle.advance(10)
             vehicle.truth()
             vehicle.estimate()
-    keep(_KEPT)
 
 
 def compile_first(scenario: Scenario) -> None:

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from flightstack.core.memory import AbortWay
-from flightstack.core.mission.machine import parse
+from flightstack.core.mission.machine import aborts
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Truth
 from logs.schema.events import ContactBit
@@ -173,10 +172,8 @@ def h_min(flown: Flown) -> float:
     if start_s is None:
         return math.nan
     until_s = flown.disturbed_at_s + flown.failsafe_s if flown.failsafe else math.inf
-    changes = ((event, parse(event.text)) for event in flown.seen.events)
-    aborts = ((event, change) for event, change in changes if change and change.after is Phase.ABORT)
-    abort, change = next(aborts, (None, None))
-    if change is not None and change.way is AbortWay.FLY_CLEAR:
+    abort = next((event for event in flown.seen.events if aborts(event.text)), None)
+    if abort is not None and abort.text.endswith("(fly clear)"):
         clear_m = flown.seen.config.checks.clearance_m
         away = truth.t_s[(truth.t_s > abort.t_s) & (truth.d_m > clear_m)]
         until_s = min(until_s, *away[:1])

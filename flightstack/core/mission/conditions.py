@@ -116,67 +116,57 @@ def condition_flags(
 ) -> int:
     """Return the flags of this tick; ``memory`` already contains its timers and is not changed."""
     config, memory, phase = s.config, s.memory, s.memory.phase
-    inputs, own = snapshot.inputs, snapshot.inputs.own
-    status = inputs.status or _NO_STATUS
+    inputs, own, permissions = snapshot.inputs, snapshot.inputs.own, snapshot.permissions
+    status, at = inputs.status or _NO_STATUS, snapshot.relative if snapshot.good else None
     external, standing = status.mode is Mode.EXTERNAL, status.landed is Landed.ON_GROUND
-    flags = _ASKED[inputs.operator] | lasting_flags(config.checks, memory, status.armed, external, standing)
-    if not snapshot.follows:
-        flags |= C.NOT_FOLLOWING
+    fit, tired = snapshot.charge is Charge.FIT, snapshot.charge is Charge.TIRED
     blind = phase is Phase.TOUCHDOWN and now_s - memory.own_ok_s <= config.touchdown.blind_time_s
-    if not (snapshot.own_ok or blind):
-        flags |= C.OWN_LOST
-    if not snapshot.link_ok:
-        flags |= C.LINK_LOST
-    if not snapshot.target_ok:
-        flags |= C.TARGET_LOST
-    if command_failed:
-        flags |= C.COMMAND_FAILED
-    if s.strategy.memory.refusal:
-        flags |= C.NO_RESULT
-    if now_s - memory.good_since_s >= config.checks.recovery_time_s:
-        steady = phase is not Phase.WAIT or _steady(config.checks, memory, snapshot, now_s)
-        flags |= C.RECOVERED if steady else 0
-    if snapshot.charge is Charge.TIRED:
-        flags &= ~C.RETRIES_LEFT
-        flags |= C.TIRED if _better_beside(s, snapshot) else 0
-    if snapshot.permissions.cut_off and _better_beside(s, snapshot):
-        flags |= C.CUT_OFF
-    fit = snapshot.charge is Charge.FIT and snapshot.permissions.may_begin
-    if snapshot.good and (status.ready_to_arm or status.armed) and fit:
-        flags |= C.READY if phase is not Phase.WAIT or not target_below(config, snapshot) else 0
-    flags |= time_flags(config.checks, times_s, memory, now_s)
-    if snapshot.permissions.waited and memory.started_s < math.inf:
-        flags |= C.LANDING_TIME_OVER
-    if phase is Phase.CLIMB and own is not None:
-        flags |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(s) else 0
+    recovered = now_s - memory.good_since_s >= config.checks.recovery_time_s
+    ready = snapshot.good and (status.ready_to_arm or status.armed) and fit and permissions.may_begin
+    if phase is Phase.WAIT:
+        recovered = recovered and _steady(config.checks, memory, snapshot, now_s)
+        ready = ready and not target_below(config, snapshot)
     rested = phase is Phase.LANDED and now_s - memory.phase_since_s >= LANDED_SETTLE_S
-    if rested and snapshot.permissions.pad_wanted and snapshot.good and snapshot.charge is Charge.FIT:
-        flags |= C.PAD_WANTED
-    at = snapshot.relative if snapshot.good else None
+    above_m = own.position_enu_m[2] if own is not None else -math.inf
+    flags = (
+        _ASKED[inputs.operator]
+        | lasting_flags(config.checks, memory, status.armed, external, standing)
+        | time_flags(config.checks, times_s, memory, now_s)
+        | C.NOT_FOLLOWING * (not snapshot.follows)
+        | C.OWN_LOST * (not (snapshot.own_ok or blind))
+        | C.LINK_LOST * (not snapshot.link_ok)
+        | C.TARGET_LOST * (not snapshot.target_ok)
+        | C.COMMAND_FAILED * command_failed
+        | C.NO_RESULT * (s.strategy.memory.refusal != "")
+        | C.RECOVERED * recovered
+        | C.READY * ready
+        | C.LANDING_TIME_OVER * (permissions.waited and memory.started_s < math.inf)
+        | C.HIGH_ENOUGH * (phase is Phase.CLIMB and above_m >= high_enough_m(s))
+        | C.PAD_WANTED * (rested and permissions.pad_wanted and snapshot.good and fit)
+    )
+    if (tired or permissions.cut_off) and _better_beside(s, at):
+        flags |= C.TIRED * tired | C.CUT_OFF * permissions.cut_off
+    if tired:
+        flags &= ~C.RETRIES_LEFT
     if at is None:
         return flags
     if phase is Phase.TAKEOFF and memory.climbed and _at_start(config, at):
         flags |= C.AT_START
-    may_land, may_touch = snapshot.permissions.may_land, snapshot.permissions.may_touch
-    return flags | landing_flags(s, at, now_s, may_land, may_touch)
+    return flags | landing_flags(s, at, now_s, permissions.may_land, permissions.may_touch)
 
 
 @numeric
 def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float) -> int:
     """Return the flags of expired time limits and of detected contact."""
-    flags = 0
-    if memory.started_s < math.inf:
-        flags |= C.STARTED
-        if now_s - memory.started_s > checks.landing_time_max_s:
-            flags |= C.LANDING_TIME_OVER
-    if now_s - memory.phase_since_s > times_s[memory.phase.value]:
-        flags |= C.PHASE_TIME_OVER
-    if memory.phase is Phase.TOUCHDOWN and memory.contact:
-        flags |= C.ON_PAD
-    # a vehicle that stands off the pad's centre has h < 0, where no touchdown rule applies
-    if memory.phase is Phase.LAND and memory.contact:
-        flags |= C.TOUCH
-    return flags
+    phase, started = memory.phase, memory.started_s < math.inf
+    return (
+        C.STARTED * started
+        | C.LANDING_TIME_OVER * (started and now_s - memory.started_s > checks.landing_time_max_s)
+        | C.PHASE_TIME_OVER * (now_s - memory.phase_since_s > times_s[phase.value])
+        | C.ON_PAD * (phase is Phase.TOUCHDOWN and memory.contact)
+        # a vehicle that stands off the pad's centre has h < 0, where no touchdown rule applies
+        | C.TOUCH * (phase is Phase.LAND and memory.contact)
+    )
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
@@ -209,13 +199,12 @@ def target_below(config: FlightConfig, snapshot: Snapshot) -> str:
     )
 
 
-def _better_beside(s: Situation, snapshot: Snapshot) -> bool:
+def _better_beside(s: Situation, at: Relative | None) -> bool:
     """Whether a landing beside the target is better than one on the pad.
 
     Inside the peak ring of the boundary the pad is the shortest way down: to fly clear, the vehicle must
     climb over the ring.
     """
-    at = snapshot.relative if snapshot.good else None
     return s.memory.phase is not Phase.APPROACH or at is None or at.d_m > s.config.barrier.peak_distance_m
 
 
@@ -226,24 +215,16 @@ def lasting_flags(checks: Checks, memory: Memory, armed: bool, external: bool, s
     Compiled ticks compute only these flags, ``time_flags`` and ``landing_flags``: each flag that a rule of
     APPROACH, LAND, TOUCHDOWN or LANDED uses must be in one of the three.
     """
-    flags = 0
-    if memory.target_position_enu_m is not None:
-        flags |= C.TARGET_KNOWN
-    if memory.retries < checks.retries_max:
-        flags |= C.RETRIES_LEFT
-    if memory.clear:
-        flags |= C.CLEAR
-    if armed:
-        flags |= C.ARMED
-    if external:
-        flags |= C.EXTERNAL
-    if memory.was_armed:
-        flags |= C.WAS_ARMED
-    if memory.was_external:
-        flags |= C.WAS_EXTERNAL
-    if standing:
-        flags |= C.STANDING
-    return flags
+    return (
+        C.TARGET_KNOWN * (memory.target_position_enu_m is not None)
+        | C.RETRIES_LEFT * (memory.retries < checks.retries_max)
+        | C.CLEAR * memory.clear
+        | C.ARMED * armed
+        | C.EXTERNAL * external
+        | C.STANDING * standing
+        | C.WAS_ARMED * memory.was_armed
+        | C.WAS_EXTERNAL * memory.was_external
+    )
 
 
 def _at_start(config: FlightConfig, at: Relative) -> bool:
@@ -258,25 +239,25 @@ def _at_start(config: FlightConfig, at: Relative) -> bool:
 @numeric
 def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_touch: bool) -> int:
     """Return the flags that depend on the vehicle's position over the pad; all inputs must be good."""
-    memory, strategy, touchdown, flags = s.memory, s.strategy, s.config.touchdown, 0
+    memory, strategy, touchdown = s.memory, s.strategy, s.config.touchdown
     # the vehicle leaves the cone at a wider radius than it enters, so that noise does not toggle the phase
     radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
     low = at.e_m[2] < max(s.config.barrier.peak_height_m, touchdown.height_m)
     over_pad = at.d_m <= radius and low and may_land
-    if over_pad:
-        flags |= C.OVER_PAD
-    if may_touch and strategy.may_touch(at) and not waits_for_calm(s, at, now_s):
-        flags |= C.TOUCH
+    touches = may_touch and strategy.may_touch(at) and not waits_for_calm(s, at, now_s)
     descends = memory.phase is Phase.TOUCHDOWN and not memory.contact
-    if descends and (strategy.drifts(at) or _sets_off(s, at, now_s)):
-        flags |= C.DRIFTED
+    swings = False
     if memory.phase is Phase.LAND and may_land and may_touch and strategy.watches_swinging:
         # the vehicle oscillates: it leaves the cone over the pad too often, or its error does not shrink
         waited_s = now_s - max(memory.phase_since_s, memory.started_s + touchdown.calm_wait_s)
         leaves = memory.swings >= s.config.checks.swings_max
-        if waited_s > s.config.checks.over_pad_time_max_s if over_pad else leaves:
-            flags |= C.SWINGS
-    return flags
+        swings = waited_s > s.config.checks.over_pad_time_max_s if over_pad else leaves
+    return (
+        C.OVER_PAD * over_pad
+        | C.TOUCH * touches
+        | C.DRIFTED * (descends and (strategy.drifts(at) or _sets_off(s, at, now_s)))
+        | C.SWINGS * swings
+    )
 
 
 @numeric

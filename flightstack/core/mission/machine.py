@@ -1,6 +1,6 @@
 """State machine of the mission: timers, condition flags, transitions, kind of abort, end of the flight.
 
-A ``Transition`` is a change of phase; ``parse`` reads its text back from a log. Only ``Mission`` writes the
+A ``Transition`` is a change of phase. Only ``Mission`` writes the
 phase and its data, and counts the retries: each change from ``RETRY_FROM`` to ``RETRY_TO`` is a go-around.
 The rules are tables (``phases.py``); ``guidance.py`` computes the command of a phase.
 """
@@ -40,10 +40,8 @@ from flightstack.core.target.reserve import ReserveEstimate
 from flightstack.core.target.track import TargetTrack
 from flightstack.core.types import Landed, Mode, Operator, Phase, VehicleStatus
 
-_PHASES, _WAYS = "|".join(Phase.__members__), "|".join(w.name.lower().replace("_", " ") for w in AbortWay)
-_TIME = r"(?: *[0-9.]+ s  )?"
-_CHANGE = rf"(?P<before>{_PHASES})(?: -> (?P<after>{_PHASES}))?"
-_TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))?", re.DOTALL)
+_PHASES = "|".join(Phase.__members__)
+_ABORT = re.compile(rf"(?: *[0-9.]+ s  )?(?:(?:{_PHASES}) -> )?ABORT: ")
 STANDING_S = 4.0  # contact time allowed in LAND, s; most vehicles move to the centre (h >= 0) in 3 s
 SLIDING_TIME_S = 0.15  # prediction time of a slide, s: contact is detected after 0.1 s, motors stop in 0.05 s
 ABORT_SETTLE_S = 1.0  # minimum time in an abort, s; a heartbeat (1 Hz) must report its end
@@ -90,20 +88,9 @@ class Transition(NamedTuple):
         return f"{now_s:8.2f} s  {self.text}"
 
 
-def parse(text: str) -> Transition | None:
-    """Parse a text of ``Transition.text`` or ``Transition.timed_text``; return None for any other text."""
-    found = _TEXT.fullmatch(text)
-    if found is None:
-        return None
-    before, after, way = Phase[found["before"]], found["after"], found["way"]
-    if after is None and way is None:  # only an abort may keep its phase
-        return None
-    return Transition(
-        before,
-        Phase[after] if after is not None else before,
-        found["reason"],
-        AbortWay[way.upper().replace(" ", "_")] if way is not None else AbortWay.NONE,
-    )
+def aborts(text: str) -> bool:
+    """Whether a text of ``Transition.text`` or ``Transition.timed_text`` is a change of or to an abort."""
+    return _ABORT.match(text) is not None
 
 
 class Mission(Situation):
