@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from flightstack.core.numeric import numeric, wrapped
+from flightstack.core.numeric import wrapped
 from flightstack.core.types import Vec3
 
 Quat = tuple[float, float, float, float]
@@ -34,26 +34,22 @@ def frd_from_flu(v: Vec3) -> Vec3:
 enu_from_ned, flu_from_frd = ned_from_enu, frd_from_flu
 
 
-@numeric
 def wrap_angle(angle_rad: float) -> float:
     """Wrap a finite angle to (-pi, pi]. Raises ValueError: the angle is infinite."""
     turned = wrapped(angle_rad)
     return math.pi if turned <= -math.pi else turned
 
 
-@numeric
 def yaw_enu_from_ned(yaw_ned_rad: float) -> float:
     """Convert a heading clockwise from north into a heading counter-clockwise from east, in (-pi, pi]."""
     return wrap_angle(math.pi / 2 - yaw_ned_rad)
 
 
-@numeric
 def yaw_ned_from_enu(yaw_enu_rad: float) -> float:
     """Convert a heading counter-clockwise from east into a heading clockwise from north, in (-pi, pi]."""
     return wrap_angle(math.pi / 2 - yaw_enu_rad)
 
 
-@numeric
 def ned_frd_from_enu_flu(q: Quat) -> Quat:
     """Convert the attitude of FLU in ENU into the attitude of FRD in NED.
 
@@ -107,7 +103,6 @@ def ned_covariance_from_enu(covariance: Sequence[float]) -> list[float]:
     ]
 
 
-@numeric
 def euler_from_quaternion(q: Quat) -> Vec3:
     """Return roll, pitch in [-pi/2, pi/2] and yaw of a unit quaternion; they rotate about z, then y, then x.
 

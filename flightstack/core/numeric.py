@@ -1,9 +1,9 @@
-"""Numeric functions of the core that may also be compiled; both forms agree to the last bit.
+"""Functions of the core that may also be compiled; both forms agree to the last bit.
 
-A marked function takes numbers, tuples of numbers and tables of the configuration; it returns numbers and
-tuples. It calls only marked functions, ``exp``, ``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and
-``wrapped`` of this module. On these and on + - * / compiled code equals Python to the last bit; on
-``math.hypot``, ``math.remainder`` and ``**`` it may differ.
+A compiled function takes and returns numbers, tuples of numbers, and objects of the core. It calls functions
+of this project, ``exp``, ``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. On
+these and on + - * / compiled code equals Python to the last bit; on ``math.hypot``, ``math.remainder`` and
+``**`` it may differ.
 """
 
 from __future__ import annotations
@@ -19,17 +19,19 @@ from typing import Any, TypeVar, cast
 F = TypeVar("F", bound=Callable[..., Any])
 Vec3 = tuple[float, float, float]
 
-MARKED: set[Callable[..., Any]] = set()
+C = TypeVar("C", bound=type)
+MARKED: set[type] = set()
 RARE: set[Callable[..., Any]] = set()
+_OURS = ("flightstack.", "bridge.", "sim.")  # prefixes of the modules whose functions are compiled
 # functions of ``math`` whose machine code differs in the last bits
 _INEXACT = {"hypot", "dist", "remainder", "fsum", "pow"}
 _SPLIT = 134217729.0  # 2^27 + 1: splits a double into two halves (Veltkamp)
 
 
-def numeric(function: F) -> F:
-    """Mark a function that may be compiled. Python code still calls the plain function."""
-    MARKED.add(function)
-    return function
+def numeric(cls: C) -> C:
+    """Mark a named tuple whose methods compiled code may call."""
+    MARKED.add(cls)
+    return cls
 
 
 def rare(function: F) -> F:
@@ -47,14 +49,12 @@ class NotOrdinary(Exception):  # noqa: N818
 
 @cache
 def twin(function: F, compiler: Callable[[Any], Any]) -> F:
-    """Compile a marked function and the functions that it calls; the plain functions remain unchanged."""
-    if function not in MARKED:
-        raise ValueError(f"{function.__module__}.{function.__qualname__} is not marked @numeric")
+    """Compile a function and the functions that it calls; the plain functions remain unchanged."""
     return cast(F, compiler(scope_of(function, compiler)))
 
 
 def scope_of(function: Callable[..., Any], compiler: Callable[[Any], Any]) -> FunctionType:
-    """Copy a function, and replace each marked function that it calls by its compiled form."""
+    """Copy a function, and replace each function of this project that it calls by its compiled form."""
     own = cast("FunctionType", function)
     scope = dict(own.__globals__)
     used = (each for each in get_instructions(own) if each.opname in ("LOAD_ATTR", "LOAD_METHOD"))
@@ -63,7 +63,7 @@ def scope_of(function: Callable[..., Any], compiler: Callable[[Any], Any]) -> Fu
     for name in own.__code__.co_names:
         one = scope.get(name)
         one = STAND_INS.get(one, one) if callable(one) else one
-        if isinstance(one, FunctionType) and one in MARKED:
+        if isinstance(one, FunctionType) and one.__module__.startswith(_OURS):
             scope[name] = twin(one, compiler)
     copy = FunctionType(own.__code__, scope, own.__name__, own.__defaults__)
     copy.__qualname__, copy.__module__ = own.__qualname__, own.__module__
@@ -83,7 +83,6 @@ def wrapped(angle_rad: float) -> float:
     return math.remainder(angle_rad, math.tau)
 
 
-@numeric
 def _length(v: tuple[float, ...]) -> float:
     """Compute ``math.hypot`` of finite numbers as CPython 3.11 does (mathmodule.c, vector_norm)."""
     most = 0.0
@@ -128,17 +127,14 @@ def _length(v: tuple[float, ...]) -> float:
     return (root + (whole - 1.0 + (high + cross + low)) / (2.0 * root)) / scale
 
 
-@numeric
 def _hypot(x: float, y: float) -> float:
     return _length((x, y))
 
 
-@numeric
 def _norm(v: Vec3) -> float:
     return _length(v)
 
 
-@numeric
 def _wrapped(angle_rad: float) -> float:
     """Wrap an angle of at most one and a half turns, so that the subtraction is exact; NaN if larger."""
     if abs(angle_rad) <= math.pi:
@@ -148,7 +144,6 @@ def _wrapped(angle_rad: float) -> float:
     return angle_rad - math.copysign(math.tau, angle_rad)
 
 
-@numeric
 def _no_time() -> float:
     """Return 0, because compiled code has no clock; the caller measures the time of a tick."""
     return 0.0

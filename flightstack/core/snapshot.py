@@ -36,7 +36,6 @@ class Relative(NamedTuple):
         return v[0] - t[0], v[1] - t[1]
 
 
-@numeric
 def relative(own: OwnState, target: TargetState) -> Relative:
     """Return the states of vehicle and target with their offset and horizontal distance."""
     (x, y, z), (px, py, pz) = own.position_enu_m, target.position_enu_m

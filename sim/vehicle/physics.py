@@ -13,7 +13,7 @@ import numpy as np
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Cell, Motors, Record, Vector, cell, new, reader, scalars
-from flightstack.core.numeric import numeric, twin, wrapped
+from flightstack.core.numeric import twin, wrapped
 from flightstack.core.safety.barrier import barrier_h
 from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
@@ -187,7 +187,6 @@ SUPPLY_MS = 320  # time for which random numbers are drawn in advance: the IMU u
 TUMBLED = ContactBit.TUMBLED.value
 
 
-@numeric
 def _turned_back(angle_rad: float) -> float:
     return wrapped(angle_rad)
 

@@ -9,7 +9,7 @@ import math
 
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import C
-from flightstack.core.numeric import hypot, numeric
+from flightstack.core.numeric import hypot
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
@@ -155,7 +155,6 @@ def condition_flags(
     return flags | landing_flags(s, at, now_s, permissions.may_land, permissions.may_touch)
 
 
-@numeric
 def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float) -> int:
     """Return the flags of expired time limits and of detected contact."""
     phase, started = memory.phase, memory.started_s < math.inf
@@ -208,7 +207,6 @@ def _better_beside(s: Situation, at: Relative | None) -> bool:
     return s.memory.phase is not Phase.APPROACH or at is None or at.d_m > s.config.barrier.peak_distance_m
 
 
-@numeric
 def lasting_flags(checks: Checks, memory: Memory, armed: bool, external: bool, standing: bool) -> int:
     """Return the flags that only the heartbeat or the phase changes in a landing without losses.
 
@@ -236,7 +234,6 @@ def _at_start(config: FlightConfig, at: Relative) -> bool:
     )
 
 
-@numeric
 def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_touch: bool) -> int:
     """Return the flags that depend on the vehicle's position over the pad; all inputs must be good."""
     memory, strategy, touchdown = s.memory, s.strategy, s.config.touchdown
@@ -260,7 +257,6 @@ def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_
     )
 
 
-@numeric
 def _sets_off(s: Situation, at: Relative, now_s: float) -> bool:
     """Whether a slow target has become fast, a retry is left, and h is large enough for a climb."""
     if (
@@ -271,7 +267,6 @@ def _sets_off(s: Situation, at: Relative, now_s: float) -> bool:
     return waits_for_calm(s, at, now_s)
 
 
-@numeric
 def waits_for_calm(s: Situation, at: Relative, now_s: float) -> bool:
     """Whether the target is fast now and may become slower soon; False for a vehicle on the pad."""
     touchdown, wait_s = s.config.touchdown, s.config.touchdown.calm_wait_s

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from flightstack.core.memory import AbortWay
 from flightstack.core.mission.conditions import Situation, high_enough_m, start_point, waits_for_calm
-from flightstack.core.numeric import NotOrdinary, numeric
+from flightstack.core.numeric import NotOrdinary
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.position_loop import limit, nominal_velocity
 from flightstack.core.snapshot import Relative, Snapshot
@@ -73,7 +73,6 @@ def _land(s: Situation, seen: Snapshot) -> NominalCommand:
     return NominalCommand(Request.EXTERNAL, towards_pad(s, at), filtered=True)
 
 
-@numeric
 def towards_pad(s: Situation, at: Relative) -> Vec3:
     """Return the nominal velocity of APPROACH and LAND; the vehicle may wait above a target that is fast."""
     x, y, z = s.strategy.choose(at, s.strategy.approach_m_s(at, s.memory.phase is Phase.LAND))
@@ -83,7 +82,6 @@ def towards_pad(s: Situation, at: Relative) -> Vec3:
     return (x, y, z)
 
 
-@numeric
 def ordinary_velocity(s: Situation, at: Relative) -> Vec3:
     """Return the nominal velocity of APPROACH, LAND and TOUCHDOWN until the motors stop."""
     if s.memory.phase is not Phase.TOUCHDOWN:

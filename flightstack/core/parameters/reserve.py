@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from flightstack.common.strict_toml import ConfigError, span
-from flightstack.core.numeric import numeric
 
 GRAVITY_M_S2 = 9.81
 LEAST_M_S2 = 0.1  # minimum of the acceleration limit, m/s^2, so that the velocity can always change
@@ -94,19 +93,16 @@ class Reserve:
         return self.lowest_voltage_v + self.start_margin_v
 
 
-@numeric
 def left(effort: float, sags: float, most: float) -> float:
     """Return the reserve for an effort in level flight; ``Reserve.left`` without an object."""
     return min(1.0 + (1.0 / effort - 1.0) / (1.0 + sags), most / effort)
 
 
-@numeric
 def up_m_s2(reserve: float, share: float) -> float:
     """Return the limit of the commanded upward acceleration, m/s^2."""
     return max(LEAST_M_S2, share * (reserve - 1.0) * GRAVITY_M_S2)
 
 
-@numeric
 def level_m_s2(reserve: float, share: float) -> float:
     """Return the limit of the commanded acceleration on x and y, m/s^2; tilt uses the remaining thrust."""
     lift = reserve / (1.0 + share * (reserve - 1.0)) if reserve > 1.0 else 1.0

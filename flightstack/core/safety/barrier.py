@@ -136,14 +136,12 @@ class Barrier:
         return ez - decay * d, (gx, gy, 1.0), -(gx * vx + gy * vy + vz)
 
 
-@numeric
 def boundary_height(alpha_1_m: float, beta_m: float, d_m: float) -> float:
     """Return the boundary height; ``Barrier.height`` without an object."""
     ad = alpha_1_m * d_m
     return beta_m * ad * math.exp(-ad)
 
 
-@numeric
 def barrier_h(alpha_1_m: float, beta_m: float, e_m: Vec3) -> float:
     """Return the barrier value; ``Barrier.h`` without an object."""
     return e_m[2] - boundary_height(alpha_1_m, beta_m, math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]))

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
 
 _NAME = "osqp.ext_builtin"
@@ -153,7 +152,6 @@ class Osqp:
         return (x, y, z), self._status.value == self.solved and math.isfinite(x + y + z), self._count.value
 
 
-@numeric
 def calls(rows: int, solver: int, numbers: int) -> tuple[tuple[int, ...], ...]:
     """Return the arguments of the four C functions that solve a program, in the order of their calls."""
     bounds, sides, at = 3, rows + 3, DOUBLE

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 
-from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
 
 
-@numeric
 def nominal_velocity(e_m: Vec3, gain_1_s: Vec3, target_velocity_enu_m_s: Vec3) -> Vec3:
     """Return the nominal velocity u' = -K_p e + dp_d/dt, m/s ENU."""
     return (
@@ -18,7 +16,6 @@ def nominal_velocity(e_m: Vec3, gain_1_s: Vec3, target_velocity_enu_m_s: Vec3) -
     )
 
 
-@numeric
 def clip(value: float, low: float, high: float) -> float:
     """Return ``max(low, min(high, value))``, three times faster than these calls."""
     value = value if value < high else high
@@ -31,7 +28,6 @@ def clip_to_box(point: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
     return (clip(x, lx, hx), clip(y, ly, hy), clip(z, lz, hz))
 
 
-@numeric
 def limit(velocity: Vec3, velocity_max_m_s: Vec3) -> Vec3:
     """Clip each axis to the symmetric box (the admissible set U of paper eq. 11)."""
     vx, vy, vz = velocity
@@ -39,7 +35,6 @@ def limit(velocity: Vec3, velocity_max_m_s: Vec3) -> Vec3:
     return (clip(vx, -mx, mx), clip(vy, -my, my), clip(vz, -mz, mz))
 
 
-@numeric
 def slew(previous: Vec3, wanted: Vec3, step_max_m_s: Vec3, up_max_m_s: float = math.inf) -> Vec3:
     """Return the previous command, changed towards the wanted one by at most ``step_max_m_s`` on each axis.
 

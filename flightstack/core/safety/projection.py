@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import math
 
-from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
 
 
-@numeric
 def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
     """Return the point of the box with the largest ``g . u``; where g is 0, the value nearest to zero."""
     return (
@@ -29,7 +27,6 @@ def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
 EMPTY = -1.0  # value of the multiplier if no point of the box meets the half-space
 
 
-@numeric
 def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
     """Return the minimiser and the multiplier lambda of the half-space.
 
@@ -51,7 +48,6 @@ def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tup
     return (min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)), multiplier
 
 
-@numeric
 def _multiplier(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3, value: float) -> float:
     """Return the lambda that meets the half-space; ``value`` is ``g . u`` at lambda = 0, below ``b``."""
     # values of lambda at which a component of u leaves its near bound (starts to change) and reaches its far

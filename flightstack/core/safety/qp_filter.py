@@ -17,7 +17,6 @@ import math
 from time import perf_counter
 from typing import NamedTuple
 
-from flightstack.core.numeric import numeric
 from flightstack.core.safety.osqp import Osqp
 from flightstack.core.safety.projection import EMPTY, projected
 from flightstack.core.types import FilterStatus, Vec3
@@ -86,7 +85,6 @@ class SafetyFilter:
         return point, residual if solved else math.inf, iterations
 
 
-@numeric
 def data_and_start(
     nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, infinity: float, point: Vec3,
     multiplier: float,
@@ -104,7 +102,6 @@ def data_and_start(
     )  # fmt: skip
 
 
-@numeric
 def clipped(point: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
     """Return a solution clipped to the box, and its largest violation of box or barrier."""
     (x, y, z), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = point, gradient, lower, upper

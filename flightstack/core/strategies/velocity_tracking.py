@@ -30,13 +30,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from flightstack.core.memory import LateMemory, TrackingMemory
-from flightstack.core.numeric import numeric, rare
+from flightstack.core.numeric import rare
 from flightstack.core.parameters.robust import VelocityFeedback, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import ZERO, Vec3
 
 
-@numeric
 def lead_observed(
     loop: VelocityLoop, t: float, v: float, u: float, m: float, dm: float, d: float
 ) -> tuple[float, float, float]:
@@ -51,7 +50,6 @@ def lead_observed(
     return m, dm, clip(d, -most_m_s, most_m_s)
 
 
-@numeric
 def lead_commanded(
     loop: VelocityLoop, t: float, b: float, r: float, v: float, s: float, d: float, most: float
 ) -> tuple[float, float]:
@@ -72,7 +70,6 @@ def lead_carried(
     return distance_m, v + (m - now)
 
 
-@numeric
 def feedback_observed(
     loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, t: float, v: float, u: float, m: float,
     dm: float, d: float,
@@ -92,7 +89,6 @@ def feedback_observed(
     return m, dm, clip(d, -most_m_s, most_m_s)
 
 
-@numeric
 def feedback_commanded(
     loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, t: float, b: float, r: float, s: float,
     m: float, dm: float, d: float, most: float,

@@ -18,7 +18,7 @@ import math
 from typing import NamedTuple
 
 from flightstack.core.memory import Covariance, MotionMemory
-from flightstack.core.numeric import numeric, rare, wrapped
+from flightstack.core.numeric import rare, wrapped
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
@@ -185,7 +185,6 @@ class TargetEstimator:
         return TargetMotion(position, velocity, math.sqrt(xy[0]), math.sqrt(z[0]), math.sqrt(xy[3]))
 
 
-@numeric
 def fading(dt_s: float, fade_s: float) -> _Time:
     """Return the effect of a decaying acceleration over a time; ``fade_s``: time constant."""
     share = dt_s / fade_s
@@ -197,14 +196,12 @@ def fading(dt_s: float, fade_s: float) -> _Time:
     return (dt_s, fade_s * (dt_s - to_velocity_s), to_velocity_s, 1.0 - gone)
 
 
-@numeric
 def turn_rate(before_rad: float, after_rad: float, dt_s: float) -> float:
     """Return the turn rate between two measured yaws, rad/s."""
     rate_rad_s = wrapped(after_rad - before_rad) / dt_s
     return max(-TURN_RATE_MAX_RAD_S, min(TURN_RATE_MAX_RAD_S, rate_rad_s))
 
 
-@numeric
 def lasting(dt_s: float) -> _Time:
     """Return the effect of a constant acceleration over a time."""
     return (dt_s, 0.5 * dt_s * dt_s, dt_s, 1.0)
@@ -214,7 +211,6 @@ def _start(noise: _Noise) -> Covariance:
     return (noise.position2, 0.0, 0.0, noise.velocity2, 0.0, noise.acceleration2)
 
 
-@numeric
 def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
     """Return the propagated covariance; the part of the white jerk does not decay, which is conservative."""
     pp, pv, pa, vv, va, aa = covariance
@@ -234,7 +230,6 @@ def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
 _Gains = tuple[float, float, float, float, float, float]  # gains of p, v, a: for position, then velocity
 
 
-@numeric
 def _correct(
     covariance: Covariance, position2: float, velocity2: float
 ) -> tuple[Covariance, _Gains, tuple[float, float]]:
@@ -253,7 +248,6 @@ def _correct(
     return corrected, (kp, kv, ka, lp, lv, la), (s, t)
 
 
-@numeric
 def _corrected(
     gains: _Gains, p: float, v: float, a: float, measured_p: float, measured_v: float
 ) -> tuple[float, float, float, float, float]:

@@ -23,7 +23,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from flightstack.core.memory import AxisState, OwnMemory
-from flightstack.core.numeric import numeric
 from flightstack.core.parameters.robust import OwnStateLink, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import OwnState, Vec3
@@ -178,7 +177,6 @@ class OwnEstimator:
         memory.z_m, _, _, memory.z_error_m_s, _ = drifted_apart(z, pz, vz, elapsed_s, rate_1_s, most_m_s)
 
 
-@numeric
 def moved(axis: AxisState, u_m_s: float, model: Model) -> AxisState:
     """Return the state of an axis after one tick with this set-point."""
     (p, v, a, e, f), (t, rate_2_s2, drag_1_s, fades, push_fades) = axis, model
@@ -191,7 +189,6 @@ def moved(axis: AxisState, u_m_s: float, model: Model) -> AxisState:
     )
 
 
-@numeric
 def learned(
     axis: AxisState, u_m_s: float, ticks: int, model: Model, p_m: float, v_m_s: float, gains: Gains,
     most_m_s: float,
@@ -205,14 +202,12 @@ def learned(
     return (p + kp * i + lp * j, v + kv * i + lv * j, a + ka * i + la * j, e, f + kf * i + lf * j)
 
 
-@numeric
 def straight_on(axis: AxisState, t_s: float) -> AxisState:
     """Return the state of an axis after a time at constant velocity."""
     p, v, a, e, f = axis
     return p + t_s * v, v, a, e, f
 
 
-@numeric
 def drifted_apart(
     axis: AxisState, p_m: float, v_m_s: float, elapsed_s: float, rate_1_s: float, most_m_s: float
 ) -> AxisState:

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 
 from flightstack.core.memory import PlausibilityMemory
-from flightstack.core.numeric import norm, numeric
+from flightstack.core.numeric import norm
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import ZERO, OwnState, TargetSample, Vec3
 
@@ -31,7 +31,6 @@ STANDING_M_S = 0.05
 STILL_MAX_S = 0.5  # longest time for which a hovering vehicle reports equal positions, s
 
 
-@numeric
 def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3, standing_m_s: float = STANDING_M_S) -> bool:
     """Whether a position equals the last one to the last bit, although the reported velocity is not zero."""
     return before == after and norm(velocity_m_s) > standing_m_s
@@ -106,7 +105,6 @@ class Plausibility:
         return self.tracking_lag_m <= self.tracking_lag_max_m
 
 
-@numeric
 def drifted(
     d: Vec3, last: OwnState | TargetSample, new: OwnState | TargetSample, dt_s: float, memory_s: float
 ) -> Vec3:
@@ -120,7 +118,6 @@ def drifted(
     )
 
 
-@numeric
 def smoothed(before: Vec3, now: Vec3, dt_s: float) -> Vec3:
     """Return the low-pass filtered drift after a new sample."""
     share = dt_s / (dt_s + SMOOTHING_S)

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 from flightstack.core.memory import ReserveMemory
-from flightstack.core.numeric import numeric
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve, left, level_m_s2, up_m_s2
 from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
 
@@ -150,7 +149,6 @@ def too_low(table: Reserve, voltage_v: float) -> str:
     )
 
 
-@numeric
 def allowed(most_m_s2: Vec3, reserve: float, share: float) -> Vec3:
     """Return the limits of the commanded acceleration with this reserve."""
     (x, y, z), level = most_m_s2, level_m_s2(reserve, share)
