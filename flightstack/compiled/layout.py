@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from enum import IntEnum
 from functools import cache
 from itertools import count
+from struct import Struct
 from types import UnionType
 from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
@@ -79,7 +80,7 @@ def kind_of_hint(hint: Any) -> Kind | None:
     if hasattr(hint, "_fields"):
         inner = tuple(get_type_hints(hint, include_extras=True).values())
     elif origin is not tuple:
-        held = isinstance(hint, type) and hint.__module__.startswith("flightstack.core")
+        held = isinstance(hint, type) and hint.__module__.startswith("flightstack.")
         return Kind(hint) if held and origin is None else None
     parts = tuple(kind for each in inner if (kind := kind_of_hint(each)) is not None)
     return Kind(hint, parts) if parts and len(parts) == len(inner) else None
@@ -137,6 +138,6 @@ def class_of(one: object) -> Any:
 
 
 @cache
-def format_of(cls: Any) -> str:
-    """Return the format string for ``struct`` of an object's elements."""
-    return "".join(kind.format for kind, _ in fields_of(cls).values())
+def struct_of(cls: Any) -> Struct:
+    """Return the layout of an object's elements in memory."""
+    return Struct("=" + "".join(kind.format for kind, _ in fields_of(cls).values()))

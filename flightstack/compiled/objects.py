@@ -14,8 +14,8 @@ import struct
 import types as python_types
 from collections.abc import Iterator
 from functools import cache
-from itertools import accumulate, pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple, get_origin, get_type_hints
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any, get_origin, get_type_hints
 
 import numpy as np
 
@@ -25,22 +25,73 @@ from flightstack.compiled.layout import (
     Kind,
     class_of,
     fields_of,
-    format_of,
     is_enum,
     is_state,
     kind_of_hint,
     objects_of,
     reader_of,
+    struct_of,
     taker_of,
 )
 from flightstack.core.numeric import MARKED, RARE, STAND_INS, NotOrdinary, scope_of
 
 
-class Handle(NamedTuple):
-    """Argument of compiled code that stands for an object: its type and address."""
+class Objects:
+    """An object, and all objects that its fields refer to, in memory that compiled code can use.
 
-    kind: Any
-    address: int
+    As an argument of compiled code it stands for the object.
+    """
+
+    def __init__(self, root: object) -> None:
+        found = sorted(_reached(root, {}), key=lambda one: not is_state(class_of(one)))  # state first
+        self._state = [one for one in found if is_state(class_of(one))]
+        ends = list(accumulate((struct_of(class_of(one)).size for one in found), initial=0))
+        words = np.zeros(ends[-1] // WORD + 1)
+        self.state, self._memory = words[: ends[len(self._state)] // WORD], words.data
+        self.spare, begin = np.zeros_like(self.state), words.ctypes.data
+        self._places = {id(one): place for one, place in zip(found, ends, strict=False)}
+        self._at = {one: begin + place for one, place in self._places.items()}
+        for one in found[len(self._state) :]:
+            self.write_one(one)
+        self.kind, self.address = kind_of(root), self._at[id(root)]  # what compiled code gets
+
+    def write(self) -> bool:
+        """Copy the state from Python's objects; return False if one of the fields is ``None``."""
+        try:
+            for one in self._state:
+                self.write_one(one)
+        except (TypeError, struct.error):
+            return False
+        return True
+
+    def write_one(self, one: object) -> None:
+        """Copy the fields of one object from Python to compiled memory."""
+        struct_of(class_of(one)).pack_into(self._memory, self._places[id(one)], *self.numbers(one))
+
+    def numbers(self, one: object) -> tuple[Any, ...]:
+        """Return the elements of an object in the order of compiled memory."""
+        return taker_of(class_of(one))(one, self._at)
+
+    def read(self) -> None:
+        """Copy the state from compiled memory to Python's objects."""
+        for one in self._state:
+            self.read_one(one)
+
+    def read_one(self, one: object) -> None:
+        """Copy the fields of one object from compiled memory to Python."""
+        cls = class_of(one)
+        reader_of(cls)(one, struct_of(cls).unpack_from(self._memory, self._places[id(one)]))
+
+
+def _reached(one: Any, known: dict[int, Any]) -> Iterator[Any]:
+    """Yield all objects to which fields refer, each once."""
+    if id(one) in known:
+        return
+    known[id(one)] = one
+    yield one
+    for name in objects_of(class_of(one)):
+        if (part := getattr(one, name)) is not None:
+            yield from _reached(part, known)
 
 
 if TYPE_CHECKING or is_off():
@@ -179,13 +230,13 @@ else:
         one = signature.args[0]
         context.pack_value(builder, one.type_of(name), args[1], _place(context, builder, one, args[0], name))
 
-    @typeof_impl.register(Handle)
-    def _type_of_handle(handle: Handle, _context: Any) -> Any:
-        return handle.kind
+    @typeof_impl.register(Objects)
+    def _type_of(objects: Objects, _context: Any) -> Any:
+        return objects.kind
 
     @unbox(Held)
-    def _unbox(_kind: Any, handle: Any, c: Any) -> Any:
-        number = c.pyapi.object_getattr_string(handle, "address")
+    def _unbox(_kind: Any, objects: Any, c: Any) -> Any:
+        number = c.pyapi.object_getattr_string(objects, "address")
         whole = c.pyapi.long_as_longlong(number)
         c.pyapi.decref(number)
         return NativeValue(c.builder.inttoptr(whole, ir.IntType(8).as_pointer()))
@@ -218,75 +269,3 @@ else:
                         others.append((name, found))
             known[id(one)] = _held(cls, tuple(others))
         return known[id(one)]
-
-
-class Objects:
-    """An object, and all objects that its fields refer to, in memory that compiled code can use."""
-
-    def __init__(self, root: object) -> None:
-        found = list(_reached(root, {}))
-        self._state = [one for one in found if is_state(class_of(one))]
-        others = [one for one in found if not is_state(class_of(one))]
-        self.state, self.spare, self._constant = (
-            np.zeros(sum(len(format_of(class_of(one))) for one in some) + 1)
-            for some in (self._state, self._state, others)
-        )
-        self._at: dict[int, int] = {}
-        for some, memory in ((self._state, self.state), (others, self._constant)):
-            at = memory.ctypes.data
-            for one in some:
-                self._at[id(one)] = at
-                at += WORD * len(format_of(class_of(one)))
-        whole = "".join(format_of(class_of(one)) for one in others)
-        numbers = [number for one in others for number in taker_of(class_of(one))(one, self._at)]
-        struct.pack_into(f"={whole}", self._constant.data, 0, *numbers)
-        self._struct = struct.Struct("=" + "".join(format_of(class_of(one)) for one in self._state))
-        self._takers = [(one, taker_of(class_of(one))) for one in self._state]
-        ends = accumulate(len(format_of(class_of(one))) for one in self._state)
-        self._readers = [
-            (one, reader_of(class_of(one)), slice(begin, end))
-            for one, (begin, end) in zip(self._state, pairwise((0, *ends)), strict=True)
-        ]
-        self._root = root
-
-    @property
-    def handle(self) -> Handle:
-        """Object as an argument of compiled code; it remains valid as long as this object."""
-        return Handle(None if is_off() else kind_of(self._root), self._at[id(self._root)])
-
-    def write(self) -> bool:
-        """Copy the state from Python's objects; return False if one of the fields is ``None``."""
-        numbers: list[Any] = []
-        try:
-            for one, take in self._takers:
-                numbers += take(one, self._at)
-            self._struct.pack_into(self.state.data, 0, *numbers)
-        except (TypeError, struct.error):
-            return False
-        return True
-
-    def numbers(self, one: object) -> tuple[Any, ...]:
-        """Return the elements of an object in the order of compiled memory."""
-        return taker_of(class_of(one))(one, self._at)
-
-    def write_one(self, one: object) -> None:
-        """Copy the state of one object from Python to compiled memory."""
-        at = (self._at[id(one)] - self.state.ctypes.data) // WORD
-        struct.pack_into(f"={format_of(class_of(one))}", self.state.data, at * WORD, *self.numbers(one))
-
-    def read(self) -> None:
-        """Copy the state from compiled memory to Python's objects."""
-        numbers = self._struct.unpack_from(self.state.data)
-        for one, read, part in self._readers:
-            read(one, numbers[part])
-
-
-def _reached(one: Any, known: dict[int, Any]) -> Iterator[Any]:
-    """Yield all objects to which fields refer, each once."""
-    if id(one) in known:
-        return
-    known[id(one)] = one
-    yield one
-    for name in objects_of(class_of(one)):
-        if (part := getattr(one, name)) is not None:
-            yield from _reached(part, known)

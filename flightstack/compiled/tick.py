@@ -10,7 +10,8 @@ import math
 import struct
 import time
 from contextlib import suppress
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from flightstack.compiled.foreign import call, doubles, whole
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.objects import Objects
 from flightstack.compiled.records import F64
+from flightstack.core.command import Barriers
 from flightstack.core.controller import Controller, Landing, Outputs
 from flightstack.core.memory import Memory, State
 from flightstack.core.numeric import STAND_INS, NotOrdinary
@@ -27,7 +29,9 @@ from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.sender_clock import Reading
 from flightstack.core.snapshot import FUTURE_MAX_S, Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
+from flightstack.core.strategies.user_filter import NOWHERE
 from flightstack.core.types import (
+    ZERO,
     FilterStatus,
     Inputs,
     Operator,
@@ -104,9 +108,17 @@ def take(kernel: Controller, row: F64, arrival_s: float) -> None:
         raise NotOrdinary
 
 
+@dataclass(slots=True)
+class Answer:
+    """Result of a compiled tick."""
+
+    landing: Landing
+    reserve: float = math.nan  # thrust reserve
+
+
 @jitted
-def _landed(kernel: Controller, given: F64) -> tuple[Landing, float]:
-    """Pass the samples to the controller and run a tick; return its result and the thrust reserve."""
+def _land(kernel: CompiledController, given: F64) -> None:
+    """Pass the samples to the controller and run a tick."""
     if given[0] == _NONE:
         raise NotOrdinary
     kernel.track.memory.settled = True  # ``step`` sets ``settled`` from the take-off on
@@ -116,7 +128,7 @@ def _landed(kernel: Controller, given: F64) -> tuple[Landing, float]:
     own = OwnState(
         given[2], given[3], (given[4], given[5], given[6]), (given[7], given[8], given[9]), given[10]
     )
-    return kernel.land(own, given[1]), kernel.reserve.reserve
+    kernel.answer.landing, kernel.answer.reserve = kernel.land(own, given[1]), kernel.reserve.reserve
 
 
 class CompiledController(Controller):
@@ -125,18 +137,23 @@ class CompiledController(Controller):
     The state is copied back at the next access to ``memory`` or ``state``, after the set-point was sent.
     """
 
+    answer: Answer
+
     def __init__(self, config: FlightConfig) -> None:
         # whether compiled memory holds the newest state; whether Python's objects are older than this state
         self._held = self._behind = False
         super().__init__(config)
+        self.answer = Answer(Landing(False, NOWHERE, self.velocity.unsent(NOWHERE), ZERO, ZERO))
         self._objects = Objects(self)
-        self._handle, self._landed = self._objects.handle, cast("Any", _landed)
         self._given = np.zeros(11 + 10 * _SAMPLES)
         self._status: object = ()
         self._accepted = 0
         self._given[0] = _NONE
+        land: Any = _land
         with suppress(NotOrdinary):
-            self._landed(self._handle, self._given)
+            land(self._objects, self._given)
+        # without the dispatcher, which spends 2 us on the types of the arguments
+        self._land = land.overloads[self._objects.kind, land.typeof_pyval(self._given)].entry_point
 
     @property
     def memory(self) -> Memory:
@@ -194,14 +211,15 @@ class CompiledController(Controller):
         objects.spare[:] = objects.state
         began_s = time.perf_counter()
         try:
-            landing, reserve_ratio = self._landed(self._handle, given)
+            self._land(self._objects, given)
         except NotOrdinary:
             objects.state[:] = objects.spare
             return None
         took_s = time.perf_counter() - began_s
         self._behind = True
         self._accepted += len(samples)
-        return self._outputs(inputs, landing, reserve_ratio, took_s)
+        objects.read_one(self.answer)
+        return self._outputs(inputs, took_s)
 
     def _holds(self, status: VehicleStatus) -> bool:
         """Whether compiled memory holds the state, and the tick may be ordinary with this status."""
@@ -215,12 +233,12 @@ class CompiledController(Controller):
         self._status, self._accepted = known, self.track.memory.accepted
         return self._held
 
-    def _outputs(self, inputs: Inputs, landing: Landing, reserve: float, took_s: float) -> Outputs:
+    def _outputs(self, inputs: Inputs, took_s: float) -> Outputs:
         """Return the outputs as ``Controller.step`` does; the gate checks the velocity again."""
-        (_, at, barriers, wanted, setpoint), memory = landing, self._memory
-        result = barriers.result
-        if result.iterations:
-            barriers = barriers._replace(result=result._replace(solve_s=took_s))
+        (_, at, barriers, wanted, setpoint), memory = self.answer.landing, self._memory
+        if barriers.result.iterations:
+            result = FilterResult._make((*barriers.result[:-1], took_s))
+            barriers = Barriers._make((*barriers[:-1], result))
         verdict, approved = self.velocity.gate.check(
             wanted, setpoint, memory.yaw_rad or 0.0,
             own_fresh=True, target_fresh=True, altitude_m=at.own.position_enu_m[2], barrier_check=None,
@@ -231,5 +249,5 @@ class CompiledController(Controller):
         snapshot = Snapshot(known, at.target, True, True, True, at)
         return Outputs(
             memory.phase, Request.EXTERNAL, approved, verdict, snapshot, barriers, wanted, None, (), False,
-            self._accepted, self.track.memory.rejected, reserve,
+            self._accepted, self.track.memory.rejected, self.answer.reserve,
         )  # fmt: skip

@@ -151,7 +151,8 @@ class Controller:
             events.append(Event(_level(transition), transition.text))
         nominal = velocity.beside(nominal_command(self._mission, seen), seen, now_s)
         barriers, wanted, gate, setpoint = velocity.setpoint(nominal, seen)
-        for text in fleet.texts(permissions, now_s - memory.phase_since_s, self.reserve.text, now_s):
+        in_phase_s = now_s - memory.phase_since_s
+        for text in fleet.texts(permissions, in_phase_s, self.reserve.text, now_s):
             events.append(Event(WARN, text))
         return Outputs(
             phase=memory.phase,
@@ -163,7 +164,8 @@ class Controller:
             wanted=wanted,
             transition=transition,
             events=tuple(events),
-            finished=self._finished(inputs.status, now_s),
+            # a fleet member continues until all other members are down
+            finished=self._mission.finished(inputs.status, now_s) and fleet.over(in_phase_s, now_s),
             target_accepted=self.track.memory.accepted,
             target_rejected=self.track.memory.rejected,
             reserve=self.reserve.reserve,
@@ -313,8 +315,3 @@ class Controller:
             return None
         base = self.velocity.base(own.velocity_enu_m_s)
         return self._fleet.message(self.memory, own, seen.inputs.status, base, seen.target, now_s)
-
-    def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
-        """Whether the flight is over; a fleet member continues until all other members are down."""
-        over = self._mission.finished(status, now_s)
-        return over and self._fleet.over(now_s - self.memory.phase_since_s, now_s)

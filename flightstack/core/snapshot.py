@@ -15,19 +15,12 @@ FUTURE_MAX_S = 0.05  # largest time by which a state may be ahead of this clock,
 
 @numeric
 class Relative(NamedTuple):
-    """Vehicle state relative to the target; it exists only if both states are known.
-
-    Attributes:
-        own: state of the vehicle.
-        target: state of the target.
-        e_m: position of the vehicle minus landing spot, ENU, m.
-        d_m: horizontal length of ``e_m``.
-    """
+    """Vehicle state relative to the target; it exists only if both states are known."""
 
     own: OwnState
     target: TargetState
-    e_m: Vec3
-    d_m: float
+    e_m: Vec3  # position of the vehicle minus landing spot, ENU, m
+    d_m: float  # horizontal length of ``e_m``
 
     @property
     def slip_m_s(self) -> tuple[float, float]:

@@ -24,7 +24,6 @@ from flightstack.compiled.objects import Objects
 from flightstack.compiled.records import cell, new
 from flightstack.core.controller import FLYING, ORDINARY, Controller
 from flightstack.core.numeric import NotOrdinary, hypot_is_known
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_class
 from flightstack.core.strategies.user_filter import compiled_as
 from flightstack.core.types import FilterStatus, OwnState, Request
@@ -45,17 +44,16 @@ _BACK_OFF = 4  # maximum number of ticks in Python after a failed attempt to sta
 
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
-    """Whether a landing can fly in batches: compiled code, no faults, supported configuration."""
-    return not is_off() and node.vehicle.faults.quiet and suits(controller.config) and hypot_is_known()
-
-
-def suits(config: FlightConfig) -> bool:
-    """Whether compiled kernel and simulated link support everything that a configuration uses."""
+    """Whether a landing can fly in batches: compiled code, no faults, supported configuration and link."""
+    config = controller.config
     return (
-        core.suits_but_filter(config)
+        not is_off()
+        and node.vehicle.faults.quiet
+        and core.suits_but_filter(config)
         and compiled_as(strategy_class(config.filter)) is not None
         and max(config.limits.velocity_max_m_s) <= SPEED_MAX_M_S
         and (config.checks.target_frame, config.checks.target_child_frame) == ("map", "target")
+        and hypot_is_known()
     )
 
 
@@ -90,7 +88,7 @@ class Batches:
         self._objects = objects = Objects(controller)
         self._numbers = objects.numbers(strategy)
         self._given: Any = (
-            node.vehicle.cell, cell(batch), node.autopilot.flight.watches.cell, objects.handle,
+            node.vehicle.cell, cell(batch), node.autopilot.flight.watches.cell, objects,
             objects.state, objects.spare,
         )  # fmt: skip
         self._most = max(1, min(TICKS, int(SPAN_S * grid.rate_hz)))
@@ -255,7 +253,9 @@ class Batches:
             flight.take_setpoint(setpoint, self._sender, now_s)
         node.control(now_s)
         node.vehicle.advance(grid.ms(last + 1) - grid.ms(last) - ahead_ms)
-        return done, how if self._goes_on(flies) else BEFORE
+        # whether mode, arming and ground contact are the same as in the batch
+        same = (flight.mode is FlightMode.OFFBOARD or not flies) and node.vehicle.armed == flies
+        return done, how if same and flight.standing != flies and flight.ground.settled else BEFORE
 
     def _ask(self) -> int:
         """Request a velocity from agent or user's filter; compiled code calls this within a tick.
@@ -263,7 +263,7 @@ class Batches:
         Return 0, or 1 if Python has to run this tick.
         """
         objects, strategy = self._objects, self._strategy
-        given, strategy.own_result = strategy.exchange, None
+        given, strategy.own_result, refusal = strategy.exchange, None, strategy.memory.refusal
         objects.read()
         self._asked_s = given.at.own.arrival_s
         try:
@@ -275,6 +275,7 @@ class Batches:
                     given.upper_m_s,
                 )  # fmt: skip
                 strategy.own_result, given.chosen = (result, strategy.memory.refusal), result.velocity_enu_m_s
+                strategy.memory.refusal = refusal  # the mission reads the new refusal in the next tick
                 # a filter that changes other fields of its class flies in Python from now on
                 self._off = objects.numbers(strategy) != self._numbers
                 if result.status is FilterStatus.REJECTED or self._off:
@@ -284,9 +285,3 @@ class Batches:
             return 1
         objects.write_one(given)
         return 0
-
-    def _goes_on(self, flies: bool) -> bool:
-        """Whether mode, arming and ground contact are the same as in the batch."""
-        flight, vehicle = self._node.autopilot.flight, self._node.vehicle
-        mode = flight.mode is FlightMode.OFFBOARD or not flies
-        return mode and vehicle.armed == flies and flight.standing != flies and flight.ground.settled

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from typing import cast
 
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import C
@@ -42,8 +43,7 @@ def phase_times_s(config: FlightConfig) -> PhaseTimes:
         Phase.CLIMB: config.checks.climb_time_max_s,
         Phase.LEAVE: config.retreat.abort_time_max_s,
     }
-    wait, takeoff, approach, land, touchdown, landed, hold, climb, abort, leave = most_s.values()
-    return wait, takeoff, approach, land, touchdown, landed, hold, climb, abort, leave
+    return cast(PhaseTimes, tuple(most_s.values()))
 
 
 def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:

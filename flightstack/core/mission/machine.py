@@ -1,7 +1,7 @@
 """State machine of the mission: timers, condition flags, transitions, kind of abort, end of the flight.
 
-A ``Transition`` is a change of phase. Only ``Mission`` writes the
-phase and its data, and counts the retries: each change from ``RETRY_FROM`` to ``RETRY_TO`` is a go-around.
+A ``Transition`` is a change of phase. Only ``Mission`` writes the phase and its data, and counts the retries:
+each change from ``RETRY_FROM`` to ``RETRY_TO`` is a go-around.
 The rules are tables (``phases.py``); ``guidance.py`` computes the command of a phase.
 """
 

@@ -102,7 +102,7 @@ def checked_velocity(found: Any, where: str) -> Vec3:
 Ask = Callable[[Relative, Vec3], Vec3]  # agent: vehicle relative to target, nominal velocity -> velocity
 
 
-_NOWHERE = Relative(OwnState(0.0, 0.0, ZERO, ZERO, 0.0), TargetState(0.0, ZERO, ZERO, 0.0), ZERO, 0.0)
+NOWHERE = Relative(OwnState(0.0, 0.0, ZERO, ZERO, 0.0), TargetState(0.0, ZERO, ZERO, 0.0), ZERO, 0.0)
 
 
 @dataclass(slots=True)
@@ -111,7 +111,7 @@ class Exchange:
 
     agent: bool = False  # whether a learning agent chooses the nominal velocity
     function: int = 0  # address of the C function that calls the agent or the filter
-    at: Relative = _NOWHERE
+    at: Relative = NOWHERE
     nominal: Vec3 = ZERO  # nominal velocity of the stack, m/s ENU
     h_m: float = math.nan  # value of the active barrier
     gradient: Vec3 = ZERO  # gradient of the active barrier with respect to position

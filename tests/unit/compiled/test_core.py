@@ -34,7 +34,7 @@ def both(given):
     """Solve a quadratic program in Python and in compiled code; return both results without wall times."""
     if is_off():
         pytest.skip("nothing is compiled")
-    return PROGRAM.solve(*given)._replace(solve_s=0.0), answered(Objects(PROGRAM).handle, given)
+    return PROGRAM.solve(*given)._replace(solve_s=0.0), answered(Objects(PROGRAM), given)
 
 
 def flown(scenario, make):

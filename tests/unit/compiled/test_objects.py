@@ -67,9 +67,9 @@ def test_compiled_methods_change_the_same_state_and_leave_rare_things_to_python(
     other.restore(deepcopy(flown.state))
     objects = Objects(flown)
     assert objects.write()
-    jitted(take)(objects.handle, 0.02, 0.001)
+    jitted(take)(objects, 0.02, 0.001)
     objects.read()
     take(other, 0.02, 0.001)
     assert repr(flown.state) == repr(other.state)
     with pytest.raises(NotOrdinary):  # a jump of the target: Python computes this tick
-        jitted(take)(objects.handle, 0.02, 5.0)
+        jitted(take)(objects, 0.02, 5.0)
