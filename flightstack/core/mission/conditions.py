@@ -117,12 +117,13 @@ def condition_flags(
     """Return the flags of this tick; ``memory`` already contains its timers and is not changed."""
     config, memory, phase = s.config, s.memory, s.memory.phase
     inputs, own, permissions = snapshot.inputs, snapshot.inputs.own, snapshot.permissions
-    status, at = inputs.status or _NO_STATUS, snapshot.relative if snapshot.good else None
+    status, good = inputs.status or _NO_STATUS, snapshot.good
+    at = snapshot.relative if good else None
     external, standing = status.mode is Mode.EXTERNAL, status.landed is Landed.ON_GROUND
     fit, tired = snapshot.charge is Charge.FIT, snapshot.charge is Charge.TIRED
     blind = phase is Phase.TOUCHDOWN and now_s - memory.own_ok_s <= config.touchdown.blind_time_s
     recovered = now_s - memory.good_since_s >= config.checks.recovery_time_s
-    ready = snapshot.good and (status.ready_to_arm or status.armed) and fit and permissions.may_begin
+    ready = good and (status.ready_to_arm or status.armed) and fit and permissions.may_begin
     if phase is Phase.WAIT:
         recovered = recovered and _steady(config.checks, memory, snapshot, now_s)
         ready = ready and not target_below(config, snapshot)
@@ -132,20 +133,20 @@ def condition_flags(
         _ASKED[inputs.operator]
         | lasting_flags(config.checks, memory, status.armed, external, standing)
         | time_flags(config.checks, times_s, memory, now_s)
-        | C.NOT_FOLLOWING * (not snapshot.follows)
-        | C.OWN_LOST * (not (snapshot.own_ok or blind))
-        | C.LINK_LOST * (not snapshot.link_ok)
-        | C.TARGET_LOST * (not snapshot.target_ok)
-        | C.COMMAND_FAILED * command_failed
-        | C.NO_RESULT * (s.strategy.memory.refusal != "")
-        | C.RECOVERED * recovered
-        | C.READY * ready
-        | C.LANDING_TIME_OVER * (permissions.waited and memory.started_s < math.inf)
-        | C.HIGH_ENOUGH * (phase is Phase.CLIMB and above_m >= high_enough_m(s))
-        | C.PAD_WANTED * (rested and permissions.pad_wanted and snapshot.good and fit)
+        | (C.NOT_FOLLOWING if not snapshot.follows else 0)
+        | (C.OWN_LOST if not (snapshot.own_ok or blind) else 0)
+        | (C.LINK_LOST if not snapshot.link_ok else 0)
+        | (C.TARGET_LOST if not snapshot.target_ok else 0)
+        | (C.COMMAND_FAILED if command_failed else 0)
+        | (C.NO_RESULT if s.strategy.memory.refusal != "" else 0)
+        | (C.RECOVERED if recovered else 0)
+        | (C.READY if ready else 0)
+        | (C.LANDING_TIME_OVER if permissions.waited and memory.started_s < math.inf else 0)
+        | (C.HIGH_ENOUGH if phase is Phase.CLIMB and above_m >= high_enough_m(s) else 0)
+        | (C.PAD_WANTED if rested and permissions.pad_wanted and good and fit else 0)
     )
     if (tired or permissions.cut_off) and _better_beside(s, at):
-        flags |= C.TIRED * tired | C.CUT_OFF * permissions.cut_off
+        flags |= (C.TIRED if tired else 0) | (C.CUT_OFF if permissions.cut_off else 0)
     if tired:
         flags &= ~C.RETRIES_LEFT
     if at is None:
@@ -159,12 +160,12 @@ def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float
     """Return the flags of expired time limits and of detected contact."""
     phase, started = memory.phase, memory.started_s < math.inf
     return (
-        C.STARTED * started
-        | C.LANDING_TIME_OVER * (started and now_s - memory.started_s > checks.landing_time_max_s)
-        | C.PHASE_TIME_OVER * (now_s - memory.phase_since_s > times_s[phase.value])
-        | C.ON_PAD * (phase is Phase.TOUCHDOWN and memory.contact)
+        (C.STARTED if started else 0)
+        | (C.LANDING_TIME_OVER if started and now_s - memory.started_s > checks.landing_time_max_s else 0)
+        | (C.PHASE_TIME_OVER if now_s - memory.phase_since_s > times_s[phase.value] else 0)
+        | (C.ON_PAD if phase is Phase.TOUCHDOWN and memory.contact else 0)
         # a vehicle that stands off the pad's centre has h < 0, where no touchdown rule applies
-        | C.TOUCH * (phase is Phase.LAND and memory.contact)
+        | (C.TOUCH if phase is Phase.LAND and memory.contact else 0)
     )
 
 
@@ -214,14 +215,14 @@ def lasting_flags(checks: Checks, memory: Memory, armed: bool, external: bool, s
     APPROACH, LAND, TOUCHDOWN or LANDED uses must be in one of the three.
     """
     return (
-        C.TARGET_KNOWN * (memory.target_position_enu_m is not None)
-        | C.RETRIES_LEFT * (memory.retries < checks.retries_max)
-        | C.CLEAR * memory.clear
-        | C.ARMED * armed
-        | C.EXTERNAL * external
-        | C.STANDING * standing
-        | C.WAS_ARMED * memory.was_armed
-        | C.WAS_EXTERNAL * memory.was_external
+        (C.TARGET_KNOWN if memory.target_position_enu_m is not None else 0)
+        | (C.RETRIES_LEFT if memory.retries < checks.retries_max else 0)
+        | (C.CLEAR if memory.clear else 0)
+        | (C.ARMED if armed else 0)
+        | (C.EXTERNAL if external else 0)
+        | (C.STANDING if standing else 0)
+        | (C.WAS_ARMED if memory.was_armed else 0)
+        | (C.WAS_EXTERNAL if memory.was_external else 0)
     )
 
 
@@ -250,10 +251,10 @@ def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_
         leaves = memory.swings >= s.config.checks.swings_max
         swings = waited_s > s.config.checks.over_pad_time_max_s if over_pad else leaves
     return (
-        C.OVER_PAD * over_pad
-        | C.TOUCH * touches
-        | C.DRIFTED * (descends and (strategy.drifts(at) or _sets_off(s, at, now_s)))
-        | C.SWINGS * swings
+        (C.OVER_PAD if over_pad else 0)
+        | (C.TOUCH if touches else 0)
+        | (C.DRIFTED if descends and (strategy.drifts(at) or _sets_off(s, at, now_s)) else 0)
+        | (C.SWINGS if swings else 0)
     )
 
 
