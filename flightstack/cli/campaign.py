@@ -18,7 +18,6 @@ from rich.text import Text
 from flightstack.common.options import Option, takes
 from flightstack.common.terminal import Bar, Terminal
 from flightstack.config import options as shared
-from flightstack.core.parameters.filters import short_name
 from sim.options import ValidateOptions
 
 if TYPE_CHECKING:
@@ -62,7 +61,8 @@ def campaign(options: CampaignOptions) -> None:
 
     wanted = core.plan(options.scenario, options.runs, options.first_seed, options.filter)
     scenario = wanted.scenario
-    folder = options.out or new_folder(f"campaign-{scenario.name}-{short_name(wanted.filter_name)}")
+    name = wanted.filter_name.rpartition(":")[2]
+    folder = options.out or new_folder(f"campaign-{scenario.name}-{name}")
     console = Terminal(stderr=options.as_json)
     if line := not_proven(scenario):
         console.print(line, soft_wrap=True, markup=False)

@@ -131,10 +131,6 @@ def _hypot(x: float, y: float) -> float:
     return _length((x, y))
 
 
-def _norm(v: Vec3) -> float:
-    return _length(v)
-
-
 def _wrapped(angle_rad: float) -> float:
     """Wrap an angle of at most one and a half turns, so that the subtraction is exact; NaN if larger."""
     if abs(angle_rad) <= math.pi:
@@ -159,7 +155,7 @@ def hypot_is_known() -> bool:
 # replacements in compiled code for functions that compilers lack, or compute with other last bits
 STAND_INS: dict[Callable[..., Any], Callable[..., Any]] = {
     math.hypot: _hypot,
-    norm: _norm,
+    norm: _length,
     wrapped: _wrapped,
     perf_counter: _no_time,
 }

@@ -12,7 +12,6 @@ from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.common.terminal import Terminal
 from flightstack.config import load as load_config
 from flightstack.config.options import OnboardOptions
-from flightstack.core.parameters.filters import short_name
 from flightstack.launch.launcher import Followed, Launcher
 from flightstack.launch.result import Flown
 from flightstack.launch.run_options import RunOptions
@@ -90,8 +89,8 @@ class _Vehicle(NamedTuple):
 def run(options: RunOptions, console: Terminal) -> Flown:
     """Fly a scenario with a process for each part; watch until all flights have ended."""
     scenario, kind = prepare(options), VEHICLES[options.flies]
-    name = f"{scenario.name}-seed{options.seed}-{short_name(scenario.onboard.filter)}"
-    folder = options.out or new_folder(name)
+    filter_name = scenario.onboard.filter.rpartition(":")[2]
+    folder = options.out or new_folder(f"{scenario.name}-seed{options.seed}-{filter_name}")
     log = log_in(folder)
     (folder / SCENARIO).write_text(text(scenario), encoding="utf-8")
     with Launcher(folder, console, tells=not options.as_json) as launcher:

@@ -237,7 +237,7 @@ class Estimator:
         self.record = r = record
         self.sensed = s = r.sensed
         (self._age_s,) = scalars(r, "since_sample_s")
-        self._read = reader(s, skipping="axes")
+        self._read = reader(s)
         r.kp, r.kv, accel = axis_gains(mocap_period_s, ACCEL_XY_M_S2, gravity_m_s2)
         r.kt = accel / gravity_m_s2
         r.kp_z, r.kv_z, r.kz = axis_gains(mocap_period_s, ACCEL_Z_M_S2, gravity_m_s2)
@@ -267,7 +267,7 @@ class Estimator:
     def estimate(self) -> Estimate:
         """Newest estimate; it is valid as long as samples arrive."""
         s = self._read()  # values in the order of SensedState's fields
-        return Estimate(s[:3], s[3:6], s[6:10], s[10:], self._age_s[0] < INNOVATION_AGE_MAX_S)
+        return Estimate(s[:3], s[3:6], s[6:10], s[-3:], self._age_s[0] < INNOVATION_AGE_MAX_S)
 
     @property
     def valid(self) -> bool:

@@ -10,7 +10,6 @@ import importlib
 import re
 import sys
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -47,11 +46,6 @@ def look_here(name: str) -> None:
         sys.path.append(here)
 
 
-def short_name(name: str) -> str:
-    """Return the name without its module, for file names."""
-    return name.rpartition(":")[2]
-
-
 def file_of(reference: str) -> str:
     """Return an imported ``MODULE:NAME`` as FILE:NAME."""
     module, _, name = reference.rpartition(":")
@@ -76,7 +70,6 @@ def give(found: Any) -> str:
     if name not in FILTERS:
         check_name(name)
         _GIVEN[name] = found
-        named.cache_clear()
     return name
 
 
@@ -85,13 +78,10 @@ def given(name: str) -> Any:
     return _GIVEN.get(name)
 
 
-@lru_cache(maxsize=16)
 def named(name: str) -> Any:
-    """Import the object with this name."""
+    """Return the object with this name: registered, or imported."""
     check_name(name)
-    if name in _GIVEN:
-        return _GIVEN[name]
-    return referred(FILTERS.get(name, name))
+    return _GIVEN[name] if name in _GIVEN else referred(FILTERS.get(name, name))
 
 
 def referred(reference: str, key: str = "filter") -> Any:

@@ -55,15 +55,12 @@ class Reserve:
 
     def at(self, voltage_v: float) -> float:
         """Return the reserve at a voltage in flight, from ``hover_throttle`` and ``hover_voltage_v``."""
-        return self.left(self.effort(self.hover_throttle * self.hover_voltage_v / voltage_v), voltage_v)
+        effort = self.effort(self.hover_throttle * self.hover_voltage_v / voltage_v)
+        return left(effort, self.sags(voltage_v), self.most(voltage_v))
 
     def effort(self, throttle: float) -> float:
         """Return the thrust at a throttle divided by the thrust at ``throttle_max``, at equal voltage."""
         return math.pow(throttle / self.throttle_max, self.thrust_exponent)
-
-    def left(self, effort: float, voltage_v: float) -> float:
-        """Return the reserve for an effort in level flight; more thrust reduces the voltage."""
-        return left(effort, self.sags(voltage_v), self.most(voltage_v))
 
     def sags(self, voltage_v: float) -> float:
         """Return the loss term of the voltage sag, 1.5 p sag_v / voltage (see the module's docstring)."""
@@ -94,7 +91,7 @@ class Reserve:
 
 
 def left(effort: float, sags: float, most: float) -> float:
-    """Return the reserve for an effort in level flight; ``Reserve.left`` without an object."""
+    """Return the reserve for an effort in level flight; more thrust reduces the voltage."""
     return min(1.0 + (1.0 / effort - 1.0) / (1.0 + sags), most / effort)
 
 

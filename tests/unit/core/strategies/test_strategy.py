@@ -6,7 +6,7 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config import load
-from flightstack.core.parameters.filters import FILTERS, look_here, named
+from flightstack.core.parameters.filters import FILTERS, look_here
 from flightstack.core.strategies.strategy import (
     ignored,
     own_boundary,
@@ -44,9 +44,7 @@ def outside(tmp_path, monkeypatch):
     (tmp_path / "outside.py").write_text(OUTSIDE)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path)
-    named.cache_clear()
     yield tmp_path
-    named.cache_clear()
     sys.modules.pop("outside", None)
 
 
