@@ -95,11 +95,7 @@ def _reached(one: Any, known: dict[int, Any]) -> Iterator[Any]:
 
 
 if TYPE_CHECKING or is_off():
-
-    def kind_of(one: object) -> Any:
-        """Return the class of an object; without numba no code is compiled."""
-        return type(one)
-
+    kind_of = type  # without numba no code is compiled
 else:
     load_numba()
     from llvmlite import ir
@@ -200,10 +196,9 @@ else:
 
             return result(), code
 
-        def rare(*_args: Any) -> Any:
-            return refuse()
-
-        return rare
+        names, scope = ", ".join(inspect.signature(function).parameters), {"refuse": refuse}
+        exec(f"def rare({names}):\n    return refuse()", scope)
+        return scope["rare"]
 
     class _Address(models.PrimitiveModel):
         def __init__(self, manager: Any, kind: Any) -> None:
@@ -242,21 +237,19 @@ else:
         c.pyapi.decref(number)
         return NativeValue(c.builder.inttoptr(whole, ir.IntType(8).as_pointer()))
 
-    _known: set[Any] = set()
-
-    def _register_named() -> None:
-        """Register the marked methods of named tuples for compiled code."""
-        for cls in [each for each in MARKED if isinstance(each, type) and each not in _known]:
-            _known.add(cls)
-            for name, one in vars(cls).items():
-                if isinstance(one, property):
-                    overload_attribute(types.BaseNamedTuple, name, strict=False)(_chooser(one.fget, cls))
-                elif isinstance(one, python_types.FunctionType) and not name.startswith("_"):
-                    overload_method(types.BaseNamedTuple, name, strict=False)(_chooser(one, cls))
+    @cache
+    def _register_named(cls: type) -> None:
+        """Register the methods of a named tuple for compiled code."""
+        for name, one in vars(cls).items():
+            if isinstance(one, property):
+                overload_attribute(types.BaseNamedTuple, name, strict=False)(_chooser(one.fget, cls))
+            elif isinstance(one, python_types.FunctionType) and not name.startswith("_"):
+                overload_method(types.BaseNamedTuple, name, strict=False)(_chooser(one, cls))
 
     def kind_of(one: object) -> Any:
         """Return the type of an object for compiled code."""
-        _register_named()
+        for cls in MARKED:
+            _register_named(cls)
         return _kind(one, {})
 
     def _kind(one: object, known: dict[int, Held]) -> Held:

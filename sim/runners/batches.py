@@ -80,7 +80,6 @@ class Batches:
         self._strategy, self._reserve = strategy, controller.reserve
         self._batch = batch = new(BatchRecord)
         batch.rate_hz, batch.radio_ms, batch.ends_s = grid.rate_hz, loop.radio_ms, ends_s
-        batch.status_age_max_s = controller.config.checks.status_age_max_s
         strategy.exchange.agent = strategy.ask is not None
         if strategy.ask is not None or strategy.replaces_program:
             self._function = ctypes.CFUNCTYPE(ctypes.c_int)(self._ask)  # compiled code has only its address
@@ -182,8 +181,7 @@ class Batches:
             return False
         if flies and (flight.mode is not FlightMode.OFFBOARD or clip is None):
             return False
-        batch.flies, batch.armed, batch.standing = flies, vehicle.armed, flight.standing
-        batch.supervisor, batch.status_s = vehicle.supervisor_state, status.arrival_s
+        batch.flies, batch.status_s, batch.supervisor = flies, status.arrival_s, vehicle.supervisor_state
         batch.yaw_rad = yaw_rad = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
         batch.cos_yaw, batch.sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
         if clip is not None:

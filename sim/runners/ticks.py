@@ -36,17 +36,15 @@ class BatchRecord(Record):
     samples_before: int  # number of target samples that arrived before the first tick
     rate_hz: int
     radio_ms: int  # delay of set-points by the radio
-    flies: bool  # whether the controller sends set-points
+    # whether the controller sends set-points to an armed vehicle in the air; if not, the vehicle stands
+    flies: bool
     status_s: float  # arrival time of the newest heartbeat
-    status_age_max_s: float
     ends_s: float  # time limit of the flight
     # inputs of the vehicle's autopilot
     yaw_rad: float  # commanded heading, as the autopilot received it, rad
     cos_yaw: float
     sin_yaw: float
     speeds: Vector  # speed limits, m/s: horizontal, up, down
-    armed: bool
-    standing: bool
     supervisor: int  # state of the firmware's supervisor
     stream_until_s: float  # time at which the autopilot stops waiting for set-points
     # results
@@ -131,8 +129,8 @@ def _needs_autopilot(p: BatchRecord, v: VehicleRecord, now_ms: int, now_s: float
     c, f = v.contact, v.firmware
     touches = now_ms - c.pad_ms <= GAP_MS or now_ms - c.ground_ms <= GAP_MS
     return (
-        bool(f.supervisor.motors_allowed) != bool(p.armed)
-        or touches != bool(p.standing)
+        bool(f.supervisor.motors_allowed) != bool(p.flies)
+        or touches == bool(p.flies)
         or not f.estimator.since_sample_s < INNOVATION_AGE_MAX_S
         or now_s > p.stream_until_s
     )
@@ -145,11 +143,11 @@ def _decided(
     """Pass the vehicle state and the ``samples`` of this tick to the controller; run its step."""
     f, e = v.firmware, v.firmware.estimator
     if (
-        bool(f.supervisor.motors_allowed) != bool(p.armed)
+        bool(f.supervisor.motors_allowed) != bool(p.flies)
         or f.supervisor.state != p.supervisor
         or f.inbox.end - f.inbox.first >= ROOM
         or not e.since_sample_s < INNOVATION_AGE_MAX_S
-        or now_s - p.status_s > p.status_age_max_s
+        or now_s - p.status_s > kernel.config.checks.status_age_max_s
         or now_s >= p.ends_s
     ):
         raise NotOrdinary
