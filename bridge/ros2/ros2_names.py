@@ -158,9 +158,8 @@ class Ros2Publisher:
         """Whether there is a subscriber; samples sent without a subscriber are lost."""
         return zenoh_link.is_matched(self._publisher)
 
-    def put(self, payload: bytes, source_time_ns: int, attachment: bytes | None = None) -> None:
-        """Send a message in CDR at a Unix or simulated time; ``attachment`` replaces rmw_zenoh's."""
+    def put(self, payload: bytes, source_time_ns: int) -> None:
+        """Send a message in CDR at a Unix or simulated time."""
         self._sequence += 1
-        if attachment is None:
-            attachment = pack_attachment(self._sequence, source_time_ns, self._identity)
+        attachment = pack_attachment(self._sequence, source_time_ns, self._identity)
         self._publisher.put(payload, attachment=attachment)

@@ -18,7 +18,6 @@ import gc
 import mmap
 import os
 import resource
-import struct
 import sys
 import time
 from collections.abc import Callable
@@ -30,7 +29,6 @@ from typing import NamedTuple
 from flightstack.common.hangup import never_wait
 
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, zero of simulated clocks
-PAIR = struct.Struct("<qq")  # lockstep message on Zenoh: (tick, number), docs/how_it_works/lockstep.md
 RUN_AHEAD_TICKS = 20  # maximum ticks that the target computes without a credit of the onboard process
 NO_GO = -1  # value of a credit with which the target must not drive yet
 # wall time in lockstep without a message after which the onboard process counts as dead, s: on a busy

@@ -10,8 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-import msgspec
-import numpy as np
+from msgspec import msgpack
 
 from bridge.mavlink.client.link import VehicleLink
 from bridge.target.odometry import RawSample, SampleSource
@@ -19,7 +18,6 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import (
     EPOCH_NS,
     NO_GO,
-    PAIR,
     RUN_AHEAD_TICKS,
     Tick,
     wait_until,
@@ -38,7 +36,6 @@ FIRST_WAIT_MAX_S = 600.0  # longest wait for a first message, s of wall time; it
 # running process may wait for the processor for many seconds, and the world waits for all companions
 WORLD_SILENT_S = 75.0
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
-OVER = 1  # second value of the last message of a member
 
 
 class VehicleTicks(LinkedVehicle):
@@ -143,13 +140,13 @@ class LockstepWires(VehicleTicks):
         self._give_credit(tick)
 
     def _give_credit(self, tick: int) -> None:
-        self._credit.put(PAIR.pack(tick, self._go_tick))
+        self._credit.put(msgpack.encode((tick, self._go_tick)))
 
     def _complete(self, tick: int) -> bool:
         """Whether the number of samples up to this tick, and all these samples, have arrived."""
         if tick not in self._counts:
             for sample in zenoh_link.drain(self._ticks):
-                first, *counts = np.frombuffer(sample.payload.to_bytes(), "<i8").tolist()
+                first, counts = msgpack.decode(sample.payload.to_bytes(), type=tuple[int, list[int]])
                 self._counts.update(enumerate(counts, first))
         if tick not in self._counts:
             return False
@@ -201,18 +198,18 @@ class LockstepStatuses(FleetWire):
         if tick is None:
             return None
         payload = pack_neighbours(tick, (message,)) if message is not None else b""
-        self._told.put(payload, attachment=PAIR.pack(tick.number, 0))
+        self._told.put(msgpack.encode((tick.number, False, payload)))
         return status_row(message, EPOCH_NS, 0).pack() if message is not None else None
 
     def close(self) -> None:
         """Send a last message, so that no process waits for one; undeclare publisher and subscriber."""
-        self._told.put(b"", attachment=PAIR.pack(self._tick.number if self._tick is not None else -1, OVER))
+        self._told.put(msgpack.encode((self._tick.number if self._tick is not None else -1, True, b"")))
         self._heard.undeclare()
         self._told.undeclare()
 
     def _has(self, tick: int) -> bool:
         for sample in zenoh_link.drain(self._heard):
-            number, _ = PAIR.unpack(sample.attachment.to_bytes())
+            number, messages = msgpack.decode(sample.payload.to_bytes(), type=tuple[int, list[bytes]])
             if number >= tick:
-                self._inbox[number] = msgspec.msgpack.decode(sample.payload.to_bytes(), type=list[bytes])
+                self._inbox[number] = messages
         return tick in self._inbox

@@ -3,9 +3,7 @@
 Keys under the namespace of each robot (``cf1`` by default):
 
 - ``target/odom``: measured odometry as a tracker sends it, ``nav_msgs/msg/Odometry`` in CDR.
-- ``sim/target/ticks``: in lockstep, after the samples of n ticks: the first of these ticks, then for each
-  tick the number of samples up to it, int64.
-- ``sim/credit`` (read): in lockstep, the reader's tick and the tick at which driving starts (-1: unknown).
+- ``sim/target/ticks``, ``sim/credit`` (read): in lockstep, see docs/how_it_works/lockstep.md.
 - ``sim/target/truth``: in real time, true pose and twist for a vehicle that another process simulates.
 - ``controller/step`` (read): in real time, the mission phase, which shows the start of the landing.
 """
@@ -21,6 +19,7 @@ from contextlib import ExitStack
 from typing import ClassVar, TypeVar
 
 import numpy as np
+from msgspec import msgpack
 
 from bridge.frames import quaternion_from_yaw, world_from_body, yaw_from_quaternion
 from bridge.ros2.cdr import Odometry, OdometryError, decode_odometry
@@ -33,7 +32,6 @@ from flightstack.common.pacing import (
     COMPANION_SILENT_S,
     EPOCH_NS,
     NO_GO,
-    PAIR,
     RUN_AHEAD_TICKS,
     wait_until,
 )
@@ -158,7 +156,7 @@ class LockstepRobot(PublishedRobot):
     def _limit(self) -> int:
         """Return the last tick for which the received credit decides whether the robot drives."""
         for sample in zenoh_link.drain(self._credits):
-            reached, go_tick = PAIR.unpack(sample.payload.to_bytes())
+            reached, go_tick = msgpack.decode(sample.payload.to_bytes(), type=tuple[int, int])
             self._credit, self._silent = max(self._credit, reached), False
             if self._go_tick == NO_GO:
                 self._go_tick = go_tick
@@ -170,7 +168,7 @@ class LockstepRobot(PublishedRobot):
         counts = self._published + np.searchsorted(new.due, np.arange(len(new.pads)), side="right")
         self._published += len(new.due)
         first = self.tick + 1 - len(new.pads)
-        self._ticks.put(np.array([first, *counts], dtype="<i8").tobytes())
+        self._ticks.put(msgpack.encode((first, counts.tolist())))
 
 
 class RealTimeRobot(PublishedRobot):
@@ -195,7 +193,7 @@ class RealTimeRobot(PublishedRobot):
         """Advance to the next tick; return the true pose there."""
         deck = super().take(tick)
         if self._truth is not None:
-            self._truth.put(self.payload, self.log.epoch_ns + self._grid.ns(tick), PAIR.pack(tick, 0))
+            self._truth.put(self.payload, self.log.epoch_ns + self._grid.ns(tick))
         if self.waits and self._go_tick == NO_GO and self._landing_began():
             self._go_tick = tick
         return deck

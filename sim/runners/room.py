@@ -12,15 +12,15 @@ from collections.abc import Sequence
 from itertools import combinations
 from typing import Any, TypeVar
 
-import msgspec
 import numpy as np
+from msgspec import msgpack
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, PAIR, wait_until
+from flightstack.common.pacing import COMPANION_SILENT_S, wait_until
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell
-from flightstack.onboard.lockstep import HEARD, OVER, TOLD
+from flightstack.onboard.lockstep import HEARD, TOLD
 from logs.recorder.feed import Feed
 from logs.schema.events import Severity
 from logs.schema.rows import FleetPairRow
@@ -235,7 +235,7 @@ class MemberWords:
 
     def hear(self, words: list[bytes]) -> None:
         """Send the messages that the member receives with the next tick."""
-        self._heard.put(msgspec.msgpack.encode(words), attachment=PAIR.pack(self.tick + 1, len(words)))
+        self._heard.put(msgpack.encode((self.tick + 1, words)))
 
     def await_listener(self, stop: Stop) -> None:
         """Wait until the member has subscribed, because messages without a subscriber are lost.
@@ -250,9 +250,8 @@ class MemberWords:
 
     def _poll(self) -> None:
         for sample in zenoh_link.drain(self._told):
-            tick, over = PAIR.unpack(sample.attachment.to_bytes())
-            if over == OVER:
+            tick, over, payload = msgpack.decode(sample.payload.to_bytes(), type=tuple[int, bool, bytes])
+            if over:
                 self._last = tick
             else:
-                self._tick, self._payload = tick, sample.payload.to_bytes()
-                self._silent = False
+                self._tick, self._payload, self._silent = tick, payload, False

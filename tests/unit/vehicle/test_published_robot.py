@@ -2,8 +2,8 @@
 
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
+from msgspec import msgpack
 
 import flightstack as fs
 from bridge.zenoh import zenoh_link
@@ -70,7 +70,7 @@ def test_it_drives_ahead_of_the_credit_by_a_fixed_number_of_ticks_and_waits_for_
         robot.take(tick)
         robot.run_ahead(tick)
     _, ahead = received(ends.marker, 2)  # tick 0, and all ticks that the first credit allows
-    first, *counts = np.frombuffer(ahead.payload.to_bytes(), "<i8").tolist()
+    first, counts = msgpack.decode(ahead.payload.to_bytes())
     assert (first, len(counts)) == (1, RUN_AHEAD_TICKS)
     monkeypatch.setattr(published_robot, "COMPANION_SILENT_S", 0.05)
     for tick in range(RUN_AHEAD_TICKS + 1, RUN_AHEAD_TICKS + 4):
