@@ -62,12 +62,9 @@ class VehicleTicks(LinkedVehicle):
         in_time = wait_until(self._requested, self._stopped, most_s, pause_s=0.0, what=what)
         if self._last_ns != last_ns:
             return self._tick()
-        never = not in_time and last_ns < 0
-        raise ClockStoppedError(
-            f"no vehicle requested a tick within {most_s:g} s (TIMESYNC)"
-            if never
-            else "no further message from the vehicle"
-        )
+        if last_ns < 0 and not in_time:
+            raise ClockStoppedError(f"no vehicle requested a tick within {most_s:g} s (TIMESYNC)")
+        raise ClockStoppedError("no further message from the vehicle")
 
     def _tick(self) -> Tick:
         """Return the tick of the newest request; its period is wall time."""

@@ -15,7 +15,7 @@ from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.transport.address import Peer
 from logs.schema.events import Severity
 from sim.autopilot.autopilot import Autopilot
-from sim.faults.link import LinkFaults, Way
+from sim.faults.link import Fate, LinkFaults, Way
 from sim.faults.schedule import Running
 from sim.runners.log import VehicleLog
 from sim.runners.robot import Robot
@@ -38,10 +38,15 @@ class Held(Generic[T]):
         """Number of waiting items."""
         return len(self._items)
 
-    def hold(self, item: T, due_ns: int, stall: Running | None) -> None:
-        """Store an item until ``due_ns``, or until the stall ends; a full queue drops it."""
-        if self.size < HELD_MAX:
-            self._items.append((due_ns, stall, item))
+    def passed(self, item: T, fate: Fate, now_ns: int) -> list[T]:
+        """Return the copies of an item that pass now; hold the delayed ones, up to ``HELD_MAX``."""
+        out = []
+        for due_ns in fate.due_ns:
+            if fate.stall is None and due_ns <= now_ns:
+                out.append(item)
+            elif self.size < HELD_MAX:
+                self._items.append((due_ns, fate.stall, item))
+        return out
 
     def due(self, now_ns: int) -> list[T]:
         """Remove and return the items whose wait is over: those of a stall in order, then those by time."""
@@ -79,21 +84,18 @@ class Wire:
 
         ``messages`` may be changed; ``peer`` None: all peers; ``last``: sent after them, without faults.
         """
-        if not self._leaving.size and not self._faults.active(Way.OUT):
+        if self.sound:
             self._endpoint.send([*messages, *last], peer)
             return
         peers = self._endpoint.peers if peer is None else (peer,)
-        for frame in self._leaving.due(now_ns):
-            self._ship(frame)
+        frames = self._leaving.due(now_ns)
         for message in messages:
             fate = self._faults.fate(Way.OUT, message, now_ns)
             raw = self._endpoint.pack(message)  # a lost frame also uses a sequence number, as on a real link
-            frame = (_damaged(raw) if fate.damaged else raw, peers)
-            for due_ns in fate.due_ns:
-                if fate.stall is not None or due_ns > now_ns:
-                    self._leaving.hold(frame, due_ns, fate.stall)
-                else:
-                    self._ship(frame)
+            frames += self._leaving.passed((_damaged(raw) if fate.damaged else raw, peers), fate, now_ns)
+        for frame, receivers in frames:
+            for each in receivers:
+                self._endpoint.repeat(frame, each)
         self._endpoint.send(last, peer)
 
     def receive(self, received: Received, now_ns: int) -> list[Received]:
@@ -101,22 +103,11 @@ class Wire:
         if not self._faults.active(Way.IN):
             return [received]
         fate = self._faults.fate(Way.IN, received.message, now_ns)
-        out = []
-        for due_ns in () if fate.damaged else fate.due_ns:
-            if fate.stall is not None or due_ns > now_ns:
-                self._coming.hold(received, due_ns, fate.stall)
-            else:
-                out.append(received)
-        return out
+        return [] if fate.damaged else self._coming.passed(received, fate, now_ns)
 
     def late(self, now_ns: int) -> list[Received]:
         """Return the delayed messages that the autopilot receives now."""
         return self._coming.due(now_ns) if self._coming.size else []
-
-    def _ship(self, frame: _Frame) -> None:
-        raw, peers = frame
-        for peer in peers:
-            self._endpoint.repeat(raw, peer)
 
 
 def _damaged(raw: bytes) -> bytes:
