@@ -35,7 +35,7 @@ NO_GO = -1  # value of a credit with which the target must not drive yet
 # computer a running process may wait for the processor for many seconds
 COMPANION_SILENT_S = 20.0
 _SAID_S = 10.0  # waiting time after which a text reports the wait, s
-_LOOK_MAX_S = 0.1  # maximum time that is counted between two calls of ``look``, s
+_LOOK_MAX_S = 0.1  # maximum time that a wait counts between two polls, s
 # priority under SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's threads
 PRIORITY = 10
 _DAY_NS = 86_400_000_000_000
@@ -44,6 +44,7 @@ _ZERO, _NOW, _FIRST = 0, 1, 2  # positions of the integers in the clock's file
 _ABSENT = -1  # value of a follower that has not started or is ignored
 _NS = 1_000_000_000
 _ROUNDING_NS = 1_000  # larger than the rounding of seconds as float, smaller than any step
+_YIELDS = 20  # number of polls without a sleep
 _PAUSE_S = 50e-6  # time between two polls, s; the system's timer slack makes it 0.1 ms
 _FOLLOWER_MAX_S = 0.5  # maximum wall time of a wait for a follower, which may have been killed, s
 _STALL_MAX_S = 2.5  # wall time without a step after which followers use wall time, s
@@ -82,55 +83,38 @@ class Tick(NamedTuple):
     overruns: int = 0  # number of missed deadlines so far
 
 
-class Silence:
-    """Time without a message of another process in lockstep; pauses of the machine do not count.
-
-    Each time between two calls of ``look`` counts, up to ``_LOOK_MAX_S``.
-    """
-
-    def __init__(self) -> None:
-        self._looked_s = time.monotonic()
-        self._silent_s = 0.0
-
-    def look(self) -> float:
-        """Return the seconds without a message; call this at least every 0.1 s."""
-        now_s = time.monotonic()
-        self._silent_s += min(now_s - self._looked_s, _LOOK_MAX_S)
-        self._looked_s = now_s
-        return self._silent_s
-
-
 def wait_until(
     done: Callable[[], bool],
     stopped: Callable[[], bool],
     timeout_s: float,
     *,
     pause_s: float = _PAUSE_S,
-    yields: int = 0,
     what: str = "",
 ) -> bool:
     """Poll ``done`` until it or ``stopped`` is true, or the time-out has passed.
 
-    Zenoh's handlers cannot wait with a time-out. This function polls, first without, then with short sleeps.
+    Zenoh's handlers cannot wait with a time-out. The first polls only yield the processor, since a message
+    usually arrives within them.
 
-    ``timeout_s``: wall time, not counting suspension of the machine; ``pause_s``: sleep between
-    two polls; ``yields``: number of polls that only yield the processor, before the first sleep; ``what``:
-    text on standard error during a long wait, if not empty. Returns False after the time-out; after True,
-    check ``stopped``.
+    ``timeout_s``: wall time; a pause of the machine counts at most ``_LOOK_MAX_S``; ``pause_s``: sleep between
+    two polls; ``what``: text on standard error during a long wait, if not empty. Returns False after the
+    time-out; after True, check ``stopped``.
     """
     if done() or stopped():
         return True
-    silence = Silence()
-    looks = 0
-    while (silent_s := silence.look()) < timeout_s:
+    waited_s, looks, looked_s = 0.0, 0, time.monotonic()
+    while waited_s < timeout_s:
         looks += 1
-        if what and silent_s > _SAID_S:
+        if what and waited_s > _SAID_S:
             with contextlib.suppress(OSError):  # standard error may be closed
                 print(f"waits for {what}", file=sys.stderr, flush=True)
             what = ""
-        time.sleep(0.0 if looks <= yields else pause_s)
+        time.sleep(0.0 if looks <= _YIELDS else pause_s)
         if done() or stopped():
             return True
+        now_s = time.monotonic()
+        waited_s += min(now_s - looked_s, _LOOK_MAX_S)
+        looked_s = now_s
     return False
 
 

@@ -119,7 +119,7 @@ class LockstepWires(VehicleTicks):
             self._give_credit(number)
         if not self._target_gone:
             most_s = WORLD_SILENT_S if number else FIRST_WAIT_MAX_S
-            came = wait_until(lambda: self._complete(number), stopped, most_s, pause_s=2e-5)
+            came = wait_until(lambda: self._complete(number), stopped, most_s)
             self._target_gone = not came or stopped()
         due = self._counts.pop(number, self._taken + len(self._pool)) - self._taken
         self._released, self._pool = self._pool[:due], self._pool[due:]
@@ -178,7 +178,7 @@ class LockstepStatuses(FleetWire):
         def come() -> bool:
             return zenoh_link.is_matched(self._told) if first else self._has(tick.number)
 
-        if not self._gone and (not wait_until(come, stopped, WORLD_SILENT_S, pause_s=2e-5) or stopped()):
+        if not self._gone and (not wait_until(come, stopped, WORLD_SILENT_S) or stopped()):
             self._gone = True
             self._texts.append("fleet: no messages arrived with this tick: continuing without")
 

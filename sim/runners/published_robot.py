@@ -51,7 +51,6 @@ from sim.vehicle.physics import Physics
 NODE = "flightstack_target"  # name of the ROS 2 node
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
 _LEFT_MIN = RUN_AHEAD_TICKS // 2  # number of computed future ticks below which the robot computes more
-_CREDIT_YIELDS = 20  # number of polls for credit without a pause; credit usually arrives within them
 
 
 class PublishedRobot(Robot):
@@ -141,9 +140,7 @@ class LockstepRobot(PublishedRobot):
         """
         if tick > self.tick and not self._silent:
             stop, most_s = self._stop, COMPANION_SILENT_S
-            self._silent = not wait_until(
-                lambda: self._limit() >= tick, lambda: stop.is_set, most_s, yields=_CREDIT_YIELDS
-            )
+            self._silent = not wait_until(lambda: self._limit() >= tick, lambda: stop.is_set, most_s)
             if self._silent:
                 waited = f"no credit from the onboard process for {most_s:g} s"
                 self._say(tick, Severity.WARN, f"{waited}: the robot continues without")

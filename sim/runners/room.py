@@ -66,7 +66,6 @@ T = TypeVar("T")
 TOPIC = "/fleet/pairs"
 NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
-_YIELDS = 20  # number of polls without a pause; the message usually arrives during these polls
 
 
 class Room:
@@ -230,7 +229,7 @@ class MemberWords:
         If a member answers its vehicle but sends no message, the next ticks do not wait for it.
         """
         waits = COMPANION_SILENT_S if not self._silent else 0.0
-        self._silent = not wait_until(self._told_now, lambda: stop.is_set, waits, yields=_YIELDS)
+        self._silent = not wait_until(self._told_now, lambda: stop.is_set, waits)
         return self._payload if self._tick == self.tick and self._payload else None
 
     def hear(self, words: list[bytes]) -> None:
