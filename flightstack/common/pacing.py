@@ -96,7 +96,7 @@ def wait_until(
     Zenoh's handlers cannot wait with a time-out. The first polls only yield the processor, since a message
     usually arrives within them.
 
-    ``timeout_s``: wall time; a pause of the machine counts at most ``_LOOK_MAX_S``; ``pause_s``: sleep between
+    ``timeout_s``: wall time, in which a pause of the machine counts at most 0.1 s; ``pause_s``: sleep between
     two polls; ``what``: text on standard error during a long wait, if not empty. Returns False after the
     time-out; after True, check ``stopped``.
     """
