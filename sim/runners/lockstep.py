@@ -180,8 +180,11 @@ class LockstepVehicle(VehicleNode):
                     self.endpoint.repeat(bytes(self._request.get_msgbuf()), self._companion)
                 return self.answered
 
+            def ended() -> bool:
+                return self.stop.is_set or self._leaves
+
             most_s = COMPANION_SILENT_S if self._companion else STARTUP_S
-            if not wait_until(answered, lambda: self.stop.is_set or self._leaves, most_s, pause_s=0.0):
+            if not (ended() or wait_until(answered, ended, most_s, pause_s=0.0)):
                 self._give_up()
             # handle frames that the companion sent before its end
             self.answered = self.answered or self._take(self.endpoint.receive(), now_ns)
