@@ -18,7 +18,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import ClassVar, TypeVar
 
-import numpy as np
 from msgspec import msgpack
 
 from bridge.frames import quaternion_from_yaw, world_from_body, yaw_from_quaternion
@@ -90,16 +89,18 @@ class PublishedRobot(Robot):
 
     def _keep(self, new: Ticks) -> None:
         """Publish the samples of the next ticks."""
-        epoch_ns, first = self.log.epoch_ns, self.tick + 1 - len(new.pads)
-        for n, sample in zip(new.due, new.samples.tolist(), strict=True):
-            payload = odometry(epoch_ns + round(sample[0] * 1e9), sample[1:])
-            sent_ns = epoch_ns + self._grid.ns(first + n)
-            self._odom.put(payload, sent_ns)
-            if self.shown is not None:
-                self.shown.put(payload, sent_ns)
+        epoch_ns, done, samples = self.log.epoch_ns, 0, new.samples.tolist()
         decks, poses = deck_rows(new.pads).tolist(), new.pads[:, MEASURED].tolist()
-        for n, (deck, pose) in enumerate(zip(decks, poses, strict=True), first):
-            self._poses.append((deck_of(deck), odometry(epoch_ns + self._grid.ns(n), pose)))
+        ticks = zip(new.come.tolist(), decks, poses, strict=True)
+        for tick, (come, deck, pose) in enumerate(ticks, self.tick + 1 - len(decks)):
+            now_ns = epoch_ns + self._grid.ns(tick)
+            for sample in samples[done:come]:
+                payload = odometry(epoch_ns + round(sample[0] * 1e9), sample[1:])
+                self._odom.put(payload, now_ns)
+                if self.shown is not None:
+                    self.shown.put(payload, now_ns)
+            self._poses.append((deck_of(deck), odometry(now_ns, pose)))
+            done = come
 
     def _say(self, tick: int, level: Severity, text: str) -> None:
         self.log.event(self._grid.ns(tick), level, text)
@@ -162,9 +163,8 @@ class LockstepRobot(PublishedRobot):
 
     def _keep(self, new: Ticks) -> None:
         super()._keep(new)
-        counts = self._published + np.searchsorted(new.due, np.arange(len(new.pads)), side="right")
-        self._published += len(new.due)
-        first = self.tick + 1 - len(new.pads)
+        first, counts = self.tick + 1 - len(new.pads), self._published + new.come
+        self._published += len(new.samples)
         self._ticks.put(msgpack.encode((first, counts.tolist())))
 
 

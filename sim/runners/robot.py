@@ -70,8 +70,8 @@ class Ticks(NamedTuple):
     """Motion and samples of the robot in n consecutive ticks."""
 
     pads: F64  # (n, PAD) motion of the pad at each tick
-    due: list[int]  # index of the tick at which each sample was released
-    samples: F64  # (m, 9) samples
+    come: I64  # (n,) number of samples that were released up to each tick
+    samples: F64  # (m, 9)
 
 
 class Robot:
@@ -101,7 +101,8 @@ class Robot:
     def first_tick(self) -> Ticks:
         """Return motion and samples at tick 0."""
         row = self.model.row()
-        return self._joined([row[0]], [(0, sample) for sample in self._measure(row)])
+        samples = self._measure(row)
+        return Ticks(row, np.array([len(samples)]), _rows(samples))
 
     def take(self, tick: int) -> Deck:
         """Advance to the next tick; return the true pose there."""
@@ -120,27 +121,25 @@ class Robot:
 
     def run(self, ticks: int, driving: bool) -> Ticks:
         """Advance by several ticks, in compiled calls as long as no fault is active."""
-        steps = ticks * self._substeps
+        every = self._substeps
+        steps = ticks * every
         if self.faults.quiet_until(self.model.time_ns + steps * round(self._step_s * NS)):
             pads = self.model.run(steps, self._step_s, driving)
             self.tick += ticks
             at, samples = self._odometry.run(pads)
-            every = self._substeps
-            return Ticks(np.ascontiguousarray(pads[every - 1 :: every]), [n // every for n in at], samples)
-        decks, due = list[F64](), list[tuple[int, Sample]]()
-        for n in range(ticks):
+            come = np.searchsorted(at, every * np.arange(1, ticks + 1))
+            return Ticks(np.ascontiguousarray(pads[every - 1 :: every]), come, samples)
+        rows, counts, due = list[F64](), list[int](), list[Sample]()
+        for _ in range(ticks):
             self.tick += 1
-            for _ in range(self._substeps):
+            for _ in range(every):
                 if self.faults.locked:
                     self.model.stop()
                 row = self.model.run(1, self._step_s, driving and not self.faults.locked)
-                due += [(n, sample) for sample in self._measure(row)]
-            decks.append(row[0])
-        return self._joined(decks, due)
-
-    def _joined(self, pads: list[F64], due: list[tuple[int, Sample]]) -> Ticks:
-        samples = np.array([sample for _, sample in due], dtype=np.float64).reshape(len(due), 9)
-        return Ticks(np.array(pads, dtype=np.float64), [n for n, _ in due], samples)
+                due += self._measure(row)
+            rows.append(row[0])
+            counts.append(len(due))
+        return Ticks(np.array(rows), np.array(counts), _rows(due))
 
     def _measure(self, row: F64) -> list[Sample]:
         _, samples = self._odometry.run(row)
@@ -168,6 +167,10 @@ class Robot:
 
     def _say(self, tick: int, level: Severity, text: str) -> None:
         """Log an event of this tick, if the robot has a log."""
+
+
+def _rows(samples: list[Sample]) -> F64:
+    return np.array(samples, dtype=np.float64).reshape(-1, 9)
 
 
 # compiled forms of the frame formulas of sender and receiver
@@ -274,8 +277,8 @@ class DirectTarget(Robot):
         decks = deck_rows(new.pads)
         before, left = self._come_before, self._ahead
         samples = left.samples[before:]
-        come = len(samples) + np.searchsorted(new.due, np.arange(len(decks)), side="right")
-        if new.due:
+        come = len(samples) + new.come
+        if len(new.samples):
             samples = np.concatenate((samples, sample_rows(new.samples)))
         if self._at < len(self._come):
             decks = np.concatenate((left.decks[self._at :], decks))

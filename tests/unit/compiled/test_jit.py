@@ -78,8 +78,8 @@ def drives():
     for each in (*map(scenario.load, scenario.names()), captured):
         robot = Robot(each, 3, TickGrid(100))
         for tick in range(STEPS):
-            _, at, samples = robot.run(1, driving=tick > 20)
-            out.append([*robot.model.row()[0].tolist(), at, samples.tolist()])
+            pads, come, samples = robot.run(1, driving=tick > 20)
+            out.append([*pads[0].tolist(), come.tolist(), samples.tolist()])
     return out
 
 
