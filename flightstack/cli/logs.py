@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from logs.replay.replay import Result
 
 DONE, BROKEN = 0, 1
-LANDED, NOT_LANDED = 0, 1
 DIFFERENCES_MAX = 20  # maximum number of printed differences; the first ones are the most useful
 
 Log = Annotated[Path, Option("LOG")]
@@ -112,7 +111,7 @@ def verdict(log_file: Log, as_json: JsonVerdict = False) -> None:
 
     values = result(*judged(log_file))
     show_verdict(values, as_json=as_json)
-    sys.exit(LANDED if values["outcome"] == "landed" else NOT_LANDED)
+    sys.exit(values["outcome"] != "landed")
 
 
 def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:

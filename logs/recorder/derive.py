@@ -20,7 +20,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import ZERO, Vec3
 from logs.reader.flight_data import ATTACHMENT, read_config, sizes_of
 from logs.recorder import markers
-from logs.schema import Names, split
+from logs.schema import split
 from logs.schema.events import pack_string
 from logs.schema.mavlink import Record, decoder, unpack_mavlink
 from logs.schema.rows import ControllerStepRow
@@ -180,8 +180,7 @@ class Derivers:
         if name == "run":
             self._member(member).configure(values)
         elif name == "onboard":  # it is sent before the first frame
-            first = Names(member, int(values.get("system_id", "1"))).frames("").strip("/")
-            self._spaces[first] = values.get("namespace", member).strip("/")
+            self._spaces[f"uas{values.get('system_id', '1')}"] = values.get("namespace", member)
 
     def attachment(self, name: str, data: bytes) -> None:
         member, name = split(name)

@@ -121,7 +121,6 @@ class McapFile(Writer):  # type: ignore[misc]
 FLUSH_LOG_TIME_NS = 250_000_000
 RECORDER_NAME = "flight_recorder"  # source of the recorder's events on /rosout; these depend on wall time
 RECORDER = "recorder"  # metadata: counts and failures of the recorder
-_TOLD = ("clients", "invalid", "unfinished_bytes", "crashed", "syncs", "sync_worst_s")
 # errors of records with invalid content; the recorder must survive them to keep the other records
 _NONSENSE = (ValueError, msgspec.MsgspecError, struct.error)
 
@@ -205,7 +204,8 @@ class Recorder:
         """Write the counts and the index, and close the file."""
         counts = self.statistics
         self._file.metadata(LOSSES, {name: str(n) for name, n in sorted(counts.dropped.items())})
-        self._file.metadata(RECORDER, {name: str(getattr(counts, name)) for name in _TOLD})
+        told = {name: str(n) for name, n in vars(counts).items() if name not in ("dropped", "failure")}
+        self._file.metadata(RECORDER, told)
         self._file.close()
 
     def _event(self, level: Severity, text: str) -> None:

@@ -31,7 +31,6 @@ from logs.schema.schemas import CONTROLLER_POWER, CONTROLLER_STEP
 __all__ = ["FlightInputs", "PhaseChange", "ReplayError", "Result", "replay"]
 
 _ACTING = (Phase.APPROACH, Phase.LAND)
-_CHANGES_MAX = 200  # maximum number of stored phase changes of the log, and of the replay
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +186,5 @@ class _Run:
 
 
 def _note_phase(changes: list[PhaseChange], tick: int, number: int) -> None:
-    name = phase_name(number)
-    if len(changes) < _CHANGES_MAX and (not changes or changes[-1].phase != name):
-        changes.append(PhaseChange(tick, name))
+    if not changes or changes[-1].phase != phase_name(number):
+        changes.append(PhaseChange(tick, phase_name(number)))

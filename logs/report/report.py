@@ -46,7 +46,8 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
     The key "" is the main page. Raises as ``logs.report.page.write``.
     """
     need_libraries()
-    target = _beside(fleet.path) if out is None else out
+    name = "report" if fleet.path.name == "flight.mcap" else fleet.path.stem  # as `sitl` and `fly` name it
+    target = fleet.path.with_name(f"{name}.html") if out is None else out
     if len(fleet.flights) == 1:
         return {"": write(target, page(fleet, verdict))}
     pages = {
@@ -61,11 +62,6 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
         )  # fmt: skip
         write(place, page(part_of, fleet_verdict({name: verdict.members[name]}), of=target.name))
     return {"": write(target, page(fleet, verdict, pages)), **pages}
-
-
-def _beside(log: Path) -> Path:
-    """Return the default path of a log's page: that of ``sitl`` and ``fly``, or the log's own name."""
-    return log.with_name(f"{'report' if log.name == 'flight.mcap' else log.stem}.html")
 
 
 def page(
