@@ -45,12 +45,6 @@ class Vehicle(Condition, Commander):
     """
 
     mark = CRAZYFLIE_MARK
-    sensors = (
-        dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
-        | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-        | dialect.MAV_SYS_STATUS_SENSOR_3D_MAG
-        | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
-    )
     height_range_m = limits.HEIGHT_RANGE_M
     stream_lost_s = limits.STREAM_S
 

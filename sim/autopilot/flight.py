@@ -118,13 +118,7 @@ _ESTIMATE_LOST_S = 0.5  # time without a valid estimate after which the vehicle 
 
 class Flight(Commander):
     mark = SITL_MARK
-    sensors = (
-        dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
-        | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-        | dialect.MAV_SYS_STATUS_SENSOR_3D_MAG
-        | dialect.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
-        | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
-    )
+    sensors = Commander.sensors | dialect.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
     height_range_m = HEIGHT_RANGE_M
 
     def __init__(self, vehicle: VehicleSim, parameters: Parameters, period_s: float) -> None:

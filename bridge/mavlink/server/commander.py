@@ -161,7 +161,13 @@ class Commander(ABC):
     """State and commands of one vehicle, as the server needs them."""
 
     mark: ClassVar[bytes]  # 8 bytes in AUTOPILOT_VERSION.flight_custom_version: the kind of vehicle
-    sensors: ClassVar[int]  # MAV_SYS_STATUS_SENSOR bits that are always healthy
+    # MAV_SYS_STATUS_SENSOR bits that are always healthy
+    sensors: ClassVar[int] = (
+        dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
+        | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+        | dialect.MAV_SYS_STATUS_SENSOR_3D_MAG
+        | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
+    )
     height_range_m: ClassVar[tuple[float, float]]  # allowed range of the take-off height above home
 
     def __init__(self) -> None:
