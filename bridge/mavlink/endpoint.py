@@ -13,7 +13,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.framing import FLAG_SIGNED, Framer, without_signature
-from bridge.mavlink.codec.messages import Message, decode
+from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.signing import Refusal, Signer, SigningKey, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
 from bridge.mavlink.transport.transport import ByteStream, DatagramTransport
@@ -74,7 +74,8 @@ class Endpoint:
         warning = check_policy(
             url, address, configured, signed=signing_key is not None, allow_unsigned=allow_unsigned
         )
-        # the recorder's callback: it receives every valid frame of both directions without the signature
+        # The recorder's callback: it receives every valid frame of both directions without the signature, and
+        # frames of unknown messages, whose checksum cannot be checked.
         self.tap: Tap | None = None
         self.counters = Counter[str]()  # numbers of frames and bytes by outcome, see docs/how_to/security.md
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
@@ -137,6 +138,10 @@ class Endpoint:
             return
         if signed:
             frame = without_signature(frame)
+        if message_id(frame) not in MESSAGES:  # only recorded; its sender does not become a peer
+            if self.tap is not None:
+                self.tap(Direction.IN, frame, peer)
+            return
         try:
             message = decode(frame)
         except Exception:  # an invalid frame from the network must never stop the loop

@@ -21,7 +21,7 @@ from bridge.mavlink.transport.address import Peer
 
 Chunk = tuple[bytes, Peer]  # data and their sender
 
-_PASSED = ("received", "sent", "bytes_in", "bytes_out", "stale_answered")
+_PASSED = ("received", "sent", "bytes_in", "bytes_out", "unknown_frames", "stale_answered")
 
 
 def dropped(counters: Counter[str]) -> str:

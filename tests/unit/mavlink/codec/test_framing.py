@@ -7,7 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.framing import Framer, split_frames
-from bridge.mavlink.codec.messages import decode
+from bridge.mavlink.codec.messages import MESSAGES, decode, message_id
 from tests.unit.mavlink.codec.frames_of_messages import UNKNOWN, frames_of, position, raw_frame
 
 
@@ -30,12 +30,31 @@ def test_version_1_frames_are_dropped_and_counted():
     assert counters["garbage_bytes"] == 0
 
 
-@pytest.mark.parametrize("stream", [False, True])
-def test_unknown_message_is_dropped_counted_and_delays_no_frame(stream):
-    counters, good = Counter(), frames_of(2)
-    framer = Framer(counters, stream=stream)
-    assert framer.push(good[0] + UNKNOWN + good[1] + UNKNOWN) == good
-    assert (counters["unknown_id"], counters["garbage_bytes"]) == (2, 2 * len(UNKNOWN))
+@pytest.mark.parametrize("before", [0, 1, 3])
+@pytest.mark.parametrize("behind", [0, 1])
+def test_unknown_message_is_kept_raw_where_the_frames_around_show_its_length(before, behind):
+    good, counters = frames_of(1)[0], Counter()
+    found = split_frames(good + UNKNOWN * (before + 1) + good * behind, counters)
+    assert found == [good, *[UNKNOWN] * (before + 1), *[good] * behind]
+    assert (counters["unknown_frames"], counters["unknown_id"], counters["garbage_bytes"]) == (
+        before + 1,
+        0,
+        0,
+    )
+
+
+@pytest.mark.parametrize(
+    "datagram",
+    [
+        pytest.param(UNKNOWN + b"\x00", id="something else behind"),
+        pytest.param(UNKNOWN[:-1], id="cut short"),
+        pytest.param(UNKNOWN[:5] + b"\x00" + UNKNOWN[6:], id="no sender"),
+    ],
+)
+def test_what_only_looks_like_an_unknown_message_is_garbage(datagram):
+    counters = Counter()
+    assert split_frames(datagram, counters) == []
+    assert counters["garbage_bytes"] == len(datagram)
 
 
 def test_signed_frame_is_kept_whole_and_unknown_flags_are_refused():
@@ -74,7 +93,8 @@ def test_fuzz_never_raises_and_never_loses_a_good_frame():
         remaining = iter(found)
         assert all(any(frame == other for other in remaining) for frame in good), datagram.hex()
         for frame in found:
-            decode(frame)
+            if message_id(frame) in MESSAGES:
+                decode(frame)
 
 
 def pieces_of(stream, rng, longest=40):
@@ -103,3 +123,12 @@ def test_hundred_thousand_bytes_of_noise_lose_no_frame():
     found = push_all(counters, pieces_of(bytes(stream), rng))
     assert found == frames + frames_of(12, seed=4)
     assert counters["garbage_bytes"] == noise
+
+
+@pytest.mark.parametrize("longest", [2, 9, 100])
+def test_unknown_message_is_kept_raw_once_the_next_frame_shows_its_length(longest):
+    frames, counters = frames_of(50, seed=12), Counter()
+    stream = b"".join(frame + UNKNOWN for frame in frames) + frames[0]
+    found = push_all(counters, pieces_of(stream, random.Random(13), longest))
+    assert found == [*(each for frame in frames for each in (frame, UNKNOWN)), frames[0]]
+    assert (counters["unknown_frames"], counters["garbage_bytes"]) == (50, 0)
