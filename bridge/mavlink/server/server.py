@@ -34,6 +34,11 @@ _LOG_MAX = 1024  # maximum number of texts that wait for the log
 _BROADCAST = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE})  # commands accepted with target system 0 (all)
 _NOTHING: frozenset[int] = frozenset()
 
+# Opcodes and errors of FILE_TRANSFER_PROTOCOL (mavlink.io, services/ftp).
+_FTP_NAK = 129
+_FTP_FAIL = 1
+_FTP_BYTES = 251
+_FTP_HEADER = 12  # bytes: sequence (2), session, opcode, size, requested opcode, burst, padding, offset (4)
 # Mission, fence and rally points: known types of items; the vehicle has no items.
 _TYPES = (dialect.MAV_MISSION_TYPE_MISSION, dialect.MAV_MISSION_TYPE_FENCE, dialect.MAV_MISSION_TYPE_RALLY)
 _ALL = dialect.MAV_MISSION_TYPE_ALL
@@ -268,7 +273,26 @@ def _mission(message: Any, sender: Sender, _now_s: float) -> list[Message]:
     return [dialect.MAVLink_mission_ack_message(*sender[:2], result, message.mission_type)]
 
 
-# Replies to other programs. Without a reply about missions, ground stations report an error after seconds.
-# REQUEST_DATA_STREAM has no handler, as in PX4: the rates that MAVProxy and dronekit request at their start
-# (4 Hz of every message) would slow down the companion's position stream.
-_REPLIES: dict[int, Handler] = {dialect.MAVLINK_MSG_ID_PING: _ping, **dict.fromkeys(_MISSIONS, _mission)}
+def _log_list(_message: Any, _sender: Sender, _now_s: float) -> list[Message]:
+    return [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)]
+
+
+def _file_transfer(message: Any, sender: Sender, _now_s: float) -> list[Message]:
+    request = bytes(message.payload)
+    sequence = (int.from_bytes(request[:2], "little") + 1) & 0xFFFF
+    reply = bytearray(_FTP_BYTES)
+    reply[:2] = sequence.to_bytes(2, "little")
+    reply[2:6] = bytes((request[2], _FTP_NAK, 1, request[3]))
+    reply[_FTP_HEADER] = _FTP_FAIL
+    return [dialect.MAVLink_file_transfer_protocol_message(0, *sender[:2], reply)]
+
+
+# Replies to other programs. Without a reply to an unsupported protocol, clients would wait and repeat their
+# request for seconds. REQUEST_DATA_STREAM has no handler, as in PX4: the rates that MAVProxy and dronekit
+# request at their start (4 Hz of every message) would slow down the companion's position stream.
+_REPLIES: dict[int, Handler] = {
+    dialect.MAVLINK_MSG_ID_PING: _ping,
+    **dict.fromkeys(_MISSIONS, _mission),
+    dialect.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _log_list,
+    dialect.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _file_transfer,
+}

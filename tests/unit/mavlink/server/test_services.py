@@ -86,7 +86,7 @@ def test_time_and_ping_are_answered(served) -> None:
     assert (ping.target_system, ping.target_component, ping.seq) == (*COMPANION, 2)
 
 
-def test_missions_are_refused_at_once(served) -> None:
+def test_missions_logs_and_files_are_refused_at_once(served) -> None:
     def first(message):
         return served.handle(message)[0]
 
@@ -110,6 +110,10 @@ def test_missions_are_refused_at_once(served) -> None:
         mav.MAVLink_mission_request_int_message(1, 1, 3),
     ):
         assert first(wanted).type == mav.MAV_MISSION_INVALID_SEQUENCE
+    assert first(mav.MAVLink_log_request_list_message(1, 1, 0, 0xFFFF)).num_logs == 0
+    nak = first(mav.MAVLink_file_transfer_protocol_message(0, 1, 1, [7, 0, 3, 4, 0, *[0] * 246]))
+    assert list(nak.payload[:6]) == [8, 0, 3, 129, 1, 4]
+    assert nak.payload[12] == 1
 
 
 def test_messages_from_itself_and_of_no_interest_do_nothing(served) -> None:
