@@ -7,7 +7,7 @@ a replay makes the decisions of the flight.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -79,11 +79,13 @@ def unpack_controller_input(data: bytes) -> TickInputs:
         status = VehicleStatus(
             row.status_arrival_s, row.armed, Mode(row.mode), Landed(row.landed), row.ready_to_arm
         )
-    samples = tuple(
-        [TargetSample(**dict(zip(_SAMPLE_FIELDS, values, strict=True))) for values in row.target_samples]
-    )
+    samples = tuple([_sample(values) for values in row.target_samples])
     inputs = Inputs(own, status, samples, Operator(row.operator))
     return TickInputs(row.stamp_ns, row.tick, row.now_s, inputs, row.command_failed)
+
+
+def _sample(values: Iterable[Any]) -> TargetSample:
+    return TargetSample(**dict(zip(_SAMPLE_FIELDS, values, strict=True)))
 
 
 def power_row(tick: Tick, power: Power | None, reserve: float) -> ControllerPowerRow:
