@@ -12,8 +12,9 @@ import click
 
 from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.mavlink.endpoint import open_endpoint
-from bridge.mavlink.preflight.examine import Examination, Report
+from bridge.mavlink.preflight.examine import Examination, Report, provision
 from bridge.mavlink.profiles import profile
+from bridge.mavlink.signing import load_key
 from bridge.mocap.checks import MocapOptions
 from flightstack.common.hangup import say
 from flightstack.common.options import Option, takes
@@ -41,6 +42,13 @@ class PreflightOptions(shared.Signing, shared.Piloted, shared.Vehicle):
     wait_s: Annotated[
         float, Option("--wait", "Longest wait for the vehicle's heartbeat.", metavar="S", span=(0.1, 600.0))
     ] = 10.0
+    provision_signing: Annotated[bool, Option(
+        "--provision-signing", "First send the key of --signing-key to the vehicle, over a cable or loopback."
+    )] = False  # fmt: skip
+    remove_signing: Annotated[bool, Option(
+        "--remove-signing",
+        "Remove the key of --signing-key from the vehicle and exit, over a cable or loopback."
+    )] = False  # fmt: skip
     as_json: shared.AsJson = False
 
 
@@ -49,9 +57,12 @@ class PreflightOptions(shared.Signing, shared.Piloted, shared.Vehicle):
 def preflight(options: PreflightOptions) -> None:
     """Read the vehicle's safety parameters and print what is unsafe, why, and what to set.
 
-    Nothing is changed on the vehicle. Exit status: 0 it may arm, 1 it must not arm, 2 wrong input.
+    Nothing is changed on the vehicle except its signing key, if one of the two options requests that. Exit
+    status: 0 it may arm, 1 it must not arm, 2 wrong input.
     """
     config = load(options.config_file) if options.config_file is not None else _PAPER
+    if options.provision_signing or options.remove_signing:
+        _set_up_signing(options)
     endpoint = open_endpoint("preflight", options.vehicle_url, options.system_id, _COMPONENT_ID, options)
     try:
         vehicle = Examination(
@@ -69,6 +80,22 @@ def preflight(options: PreflightOptions) -> None:
         for line in (*checks.lines(report, every=True), checks.verdict(report) or "may arm"):
             click.echo(plain(line))
     sys.exit(0 if report.safe else 1)
+
+
+def _set_up_signing(options: PreflightOptions) -> None:
+    """Set the vehicle's signing key, or remove it and exit."""
+    remove, file = options.remove_signing, options.signing_key
+    if file is None or options.provision_signing == remove:
+        raise click.UsageError(
+            "--provision-signing or --remove-signing, one of them, needs --signing-key FILE"
+        )
+    problem = provision(
+        options.vehicle_url, options.system_id, load_key(file), remove=remove, wait_s=options.wait_s
+    )
+    done = "no longer signs" if remove else f"signs, with the key of {file}"
+    print(f"preflight: signing: {problem or f'the vehicle {done}'}", file=sys.stderr)
+    if problem is not None or remove:
+        sys.exit(0 if problem is None else 1)
 
 
 def to_json(report: Report) -> dict[str, Any]:

@@ -1,4 +1,7 @@
-"""Before a flight: reads and checks a vehicle's parameters in bounded time; writes none."""
+"""Before a flight: reads and checks a vehicle's parameters, and sets its signing key, in bounded time.
+
+The check writes no parameter.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -18,6 +22,8 @@ from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import table as rules
 from bridge.mavlink.preflight.table import Asked, Choice, Finding, Level, Needs, Release
 from bridge.mavlink.profiles import OWN_SITL, Profile, found, marked, refusal
+from bridge.mavlink.signing import EPOCH_NS, KEY_BYTES, TICK_NS, SigningKey
+from bridge.mavlink.transport.address import is_local, parse_url, resolve
 
 _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s
 _HEARTBEAT_S = 1.0
@@ -26,6 +32,8 @@ _VERSION_TRIES = 12  # number of requests of the version; a busy line of 57,600 
 _SAY_S = 2.0  # time between two texts about the wait, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # time between two polls, s
+_COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
+_KEY_PERIOD_S, _KEY_TRIES = 0.5, 12  # time between two tries to change a signing key, s; number of tries
 _READ_MAX_S = 30.0  # time limit of the check after the first message of the vehicle, s
 
 _AT_ONCE = 5  # maximum number of parameter requests without a reply; a radio has a small buffer
@@ -269,3 +277,58 @@ class Examination:
             self._release, own = rules.release_of(message), marked(message)
             if own is not None and own.autopilot == self._profile.autopilot:
                 self._profile = own
+
+    def set_key(self, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
+        """Set or remove the vehicle's signing key; see ``provision``."""
+        counters = self.endpoint.counters
+
+        def changed() -> bool:
+            """Whether received frames show the change: they are signed, or unsigned after a removal."""
+            return bool(counters["unsigned"] if remove else counters["unchecked"])
+
+        self._until_s = time.monotonic() + wait_s
+        self._exchange(lambda: self._profile is not None or changed(), self._until_s)
+        if self._profile is None:
+            if changed():
+                return "the vehicle does not sign: there is no key to remove"
+            return f"no heartbeat of system {self.target[0]} within {wait_s:g} s"
+        if self._armed:
+            return "the vehicle is armed: its key can be changed on the ground only"
+        if changed():
+            return "the vehicle signs already: remove its key first, with that key (--remove-signing)"
+        secret = bytes(KEY_BYTES) if remove else key.secret
+        stamp = 0 if remove else (time.time_ns() - EPOCH_NS) // TICK_NS
+        message = dialect.MAVLink_setup_signing_message(*self.target, list(secret), stamp)
+        for _ in range(_KEY_TRIES):
+            self._turn([message])
+            self._exchange(changed, time.monotonic() + _KEY_PERIOD_S)
+            if changed():
+                return None
+        what = "still signs" if remove else "does not sign"
+        return (
+            f"the vehicle {what} after {_KEY_TRIES} tries in {_KEY_TRIES * _KEY_PERIOD_S:g} s: PX4 accepts "
+            "keys from 1.18 on, with an SD card; ArduPilot does not sign on USB"
+        )
+
+
+def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
+    """Set or remove the MAVLink signing key of a vehicle on the ground by SETUP_SIGNING.
+
+    The key is sent unencrypted, so only a cable or loopback is allowed. PX4 1.18 and later accepts a first
+    key unsigned on any link; a key of zeros, signed with the current key, ends signing. ArduPilot also
+    accepts a key but never signs on its first USB link. Both reject a key if armed.
+
+    ``key``: the new key, or the current key with ``remove``; ``wait_s``: time-out of the first heartbeat.
+    Returns the reason of a failure; None: the vehicle has shown the change.
+    """
+    kind, host, port = parse_url(url)
+    if kind != "serial" and not is_local(resolve(f"MAVLink URL {url!r}", host, port)):
+        raise ValueError(
+            f"{url!r} leads over a network, where the key could be read: set or remove it over a "
+            "cable (serial:DEVICE) or loopback"
+        )
+    with closing(Endpoint(url, system_id, _COMPONENT_ID, signing_key=key if remove else None)) as endpoint:
+        try:
+            return Examination(endpoint, system_id).set_key(key, remove=remove, wait_s=wait_s)
+        except _EndedError as ended:
+            return str(ended)
