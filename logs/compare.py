@@ -94,7 +94,8 @@ def _content(path: Path | str) -> _Content:
     log, topics, steps = LogFile(path), dict[str, list[Message]](), 0
     for message in log.messages():
         steps += message.schema == CONTROLLER_STEP
-        if not _wall_clock(message):
+        event = LogRow.unpack(message.data).name if message.schema == LOG else ""
+        if message.schema not in WALL_CLOCK_SCHEMAS and event not in WALL_CLOCK_EVENTS:
             topics.setdefault(message.topic, []).append(message)
     if not log.complete:
         raise LogError(
@@ -113,12 +114,6 @@ def _content(path: Path | str) -> _Content:
         content = f"{each.media_type}, {len(each.data)} bytes, sha256 {sha256(each.data).hexdigest()[:16]}"
         records[f"attachment {each.name}"] = {"content": content}
     return _Content(records, topics)
-
-
-def _wall_clock(message: Message) -> bool:
-    if message.schema in WALL_CLOCK_SCHEMAS:
-        return True
-    return message.schema == LOG and LogRow.unpack(message.data).name in WALL_CLOCK_EVENTS
 
 
 def _all(a: _Content, b: _Content) -> Iterator[Difference]:

@@ -148,7 +148,7 @@ def _chart(what: Chart, flight: Flight) -> go.Figure | None:
             if not curve.hidden:
                 shown.append((t_s, values))
         axes.append({"title_text": row.title, **(row.axis or {"range": value_range(axis, shown)})})
-    return chart(axis, what.height_px, traces, *axes, spacing=0.05) if traces else None
+    return chart(axis, what.height_px, traces, *axes) if traces else None
 
 
 def _trace(curve: Curve, t_s: Floats, values: Floats, *, first: bool) -> go.Scatter:

@@ -108,7 +108,7 @@ def page(
             Panel(
                 "events", "Events",
                 f"Times since the {'log' if several else 'landing'} began; each is a link.",
-                tables.events_table(fleet.events, None if several else -sides[0].offset_s), style=_EVENTS,
+                tables.events_table(fleet.events, 0.0 if several else -sides[0].offset_s), style=_EVENTS,
             ),
             repeat_section(fleet, label),
             Panel("run", "Run", "", tables.run_table(fleet.metadata)),

@@ -148,11 +148,11 @@ def _add_phases(figure: go.Figure, axis: Axis, flight: Flight) -> None:
 
 def chart(
     axis: Axis, height_px: int, traces: Iterable[tuple[int, go.Scatter]], *axes: dict[str, Any],
-    spacing: float = 0.0, hovermode: str = "x unified",
+    hovermode: str = "x unified",
 ) -> go.Figure:  # fmt: skip
     """Draw traces over time, each in its row (1 is the top); ``axes``: y axis of each row."""
     rows = len(axes)
-    figure = make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=spacing)
+    figure = make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=0.05)
     for row, trace in traces:
         figure.add_trace(trace, row=row, col=1)
     layout(figure, height_px)

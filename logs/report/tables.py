@@ -46,22 +46,16 @@ def run_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
     return part("table", ("run", "value"), rows, empty="The log has no metadata of the run.")
 
 
-def events_table(events: Sequence[Event], zero_s: float | None = None) -> str:
-    """Return the events in order, each with a link to its time since ``zero_s``, else since the log began."""
+def events_table(events: Sequence[Event], zero_s: float) -> str:
+    """Return the events in order, each with a link to its time since ``zero_s``."""
     rows = [
-        (part("at_link", e.t_s, f"{e.t_s:.2f}") if zero_s is None else _at(e.t_s - zero_s), severity(e.level),
-         e.source, e.text)
+        (part("at_link", e.t_s - zero_s, number(e.t_s - zero_s, 2)), severity(e.level), e.source, e.text)
         for e in events[:EVENTS_MAX]
-    ]  # fmt: skip
+    ]
     more = len(events) - len(rows)
     shown = part("table", ("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1,
                   empty="No events in this log.")  # fmt: skip
     return shown + part("paragraph", f"{more} later events are in the log only.") if more > 0 else shown
-
-
-def _at(t_s: float) -> str:
-    """Return a time since the start of the landing as an HTML link that moves the figures to it."""
-    return part("at_link", t_s, number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}")
 
 
 def severity(level: int) -> str:
