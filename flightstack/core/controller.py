@@ -46,6 +46,7 @@ RISE_FREE_S = 7.0
 FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
 ORDINARY = FLYING | {Phase.LANDED}  # phases that ``Controller.land`` may run
 INFO, WARN, ERROR = 20, 30, 40
+_LEVELS = {Phase.ABORT: ERROR, Phase.HOLD: WARN}  # of the transition to a phase; of all others: INFO
 
 
 class Event(NamedTuple):
@@ -72,12 +73,6 @@ class Outputs(NamedTuple):
     target_rejected: int  # number of rejected target samples
     reserve: float = math.nan  # ratio of maximum thrust to weight; NaN: unknown, or no table [reserve]
     member_status: MemberStatus | None = None  # message to the fleet; None: no table [fleet], or no position
-
-
-def _level(transition: Transition) -> int:
-    if transition.after is Phase.ABORT:
-        return ERROR
-    return WARN if transition.after is Phase.HOLD else INFO
 
 
 class Landing(NamedTuple):
@@ -148,7 +143,7 @@ class Controller:
         )  # fmt: skip
         transition = self._mission.step(seen, command_failed=command_failed, now_s=now_s)
         if transition is not None:
-            events.append(Event(_level(transition), transition.text))
+            events.append(Event(_LEVELS.get(transition.after, INFO), transition.text))
         nominal = velocity.beside(nominal_command(self._mission, seen), seen, now_s)
         barriers, wanted, gate, setpoint = velocity.setpoint(nominal, seen)
         in_phase_s = now_s - memory.phase_since_s

@@ -61,9 +61,11 @@ class Situation:
     config: FlightConfig
     strategy: Filter
     memory: Memory
+    times_s: PhaseTimes
 
     def __init__(self, config: FlightConfig, strategy: Filter, memory: Memory) -> None:
         self.config, self.strategy, self.memory = config, strategy, memory
+        self.times_s = phase_times_s(config)
 
 
 def high_enough_m(s: Situation) -> float:
@@ -111,9 +113,7 @@ def _landing_distance_m(s: Situation, own: OwnState, away_m: tuple[float, float]
     return math.hypot(x - tx * nearest_s, y - ty * nearest_s)
 
 
-def condition_flags(
-    s: Situation, times_s: PhaseTimes, snapshot: Snapshot, command_failed: bool, now_s: float
-) -> int:
+def condition_flags(s: Situation, snapshot: Snapshot, command_failed: bool, now_s: float) -> int:
     """Return the flags of this tick; ``memory`` already contains its timers and is not changed."""
     config, memory, phase = s.config, s.memory, s.memory.phase
     inputs, own, permissions = snapshot.inputs, snapshot.inputs.own, snapshot.permissions
@@ -131,8 +131,8 @@ def condition_flags(
     above_m = own.position_enu_m[2] if own is not None else -math.inf
     flags = (
         _ASKED[inputs.operator]
-        | lasting_flags(config.checks, memory, status.armed, external, standing)
-        | time_flags(config.checks, times_s, memory, now_s)
+        | lasting_flags(s, status.armed, external, standing)
+        | time_flags(s, now_s)
         | (C.NOT_FOLLOWING if not snapshot.follows else 0)
         | (C.OWN_LOST if not (snapshot.own_ok or blind) else 0)
         | (C.LINK_LOST if not snapshot.link_ok else 0)
@@ -156,13 +156,14 @@ def condition_flags(
     return flags | landing_flags(s, at, now_s, permissions.may_land, permissions.may_touch)
 
 
-def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float) -> int:
+def time_flags(s: Situation, now_s: float) -> int:
     """Return the flags of expired time limits and of detected contact."""
-    phase, started = memory.phase, memory.started_s < math.inf
+    memory, phase, started = s.memory, s.memory.phase, s.memory.started_s < math.inf
+    landing_time_max_s = s.config.checks.landing_time_max_s
     return (
         (C.STARTED if started else 0)
-        | (C.LANDING_TIME_OVER if started and now_s - memory.started_s > checks.landing_time_max_s else 0)
-        | (C.PHASE_TIME_OVER if now_s - memory.phase_since_s > times_s[phase.value] else 0)
+        | (C.LANDING_TIME_OVER if started and now_s - memory.started_s > landing_time_max_s else 0)
+        | (C.PHASE_TIME_OVER if now_s - memory.phase_since_s > s.times_s[phase.value] else 0)
         | (C.ON_PAD if phase is Phase.TOUCHDOWN and memory.contact else 0)
         # a vehicle that stands off the pad's centre has h < 0, where no touchdown rule applies
         | (C.TOUCH if phase is Phase.LAND and memory.contact else 0)
@@ -208,15 +209,16 @@ def _better_beside(s: Situation, at: Relative | None) -> bool:
     return s.memory.phase is not Phase.APPROACH or at is None or at.d_m > s.config.barrier.peak_distance_m
 
 
-def lasting_flags(checks: Checks, memory: Memory, armed: bool, external: bool, standing: bool) -> int:
+def lasting_flags(s: Situation, armed: bool, external: bool, standing: bool) -> int:
     """Return the flags that only the heartbeat or the phase changes in a landing without losses.
 
     Compiled ticks compute only these flags, ``time_flags`` and ``landing_flags``: each flag that a rule of
     APPROACH, LAND, TOUCHDOWN or LANDED uses must be in one of the three.
     """
+    memory = s.memory
     return (
         (C.TARGET_KNOWN if memory.target_position_enu_m is not None else 0)
-        | (C.RETRIES_LEFT if memory.retries < checks.retries_max else 0)
+        | (C.RETRIES_LEFT if memory.retries < s.config.checks.retries_max else 0)
         | (C.CLEAR if memory.clear else 0)
         | (C.ARMED if armed else 0)
         | (C.EXTERNAL if external else 0)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import (
     LANDED_SETTLE_S,
-    PhaseTimes,
     Situation,
     climbed,
     condition_flags,
@@ -26,7 +25,6 @@ from flightstack.core.mission.conditions import (
     high_enough_m,
     landing_flags,
     lasting_flags,
-    phase_times_s,
     target_below,
     time_flags,
 )
@@ -96,14 +94,11 @@ def aborts(text: str) -> bool:
 class Mission(Situation):
     """State machine of the phases of a flight; ``memory`` is its complete state."""
 
-    _times_s: PhaseTimes
-
     def __init__(
         self, config: FlightConfig, strategy: Filter, track: TargetTrack, plausibility: Plausibility,
         reserve: ReserveEstimate,
     ) -> None:  # fmt: skip
         super().__init__(config, strategy, Memory())
-        self._times_s = phase_times_s(config)
         self._track, self._plausibility, self._reserve = track, plausibility, reserve
 
     def step(self, snapshot: Snapshot, *, command_failed: bool, now_s: float) -> Transition | None:
@@ -127,7 +122,7 @@ class Mission(Situation):
             # a lost target is assumed to remain at its last height
             stopped = own_ok and not target_ok and at is not None and self._stopped(at, now_s)
             memory.contact = stopped or (standing and not (own_ok and target_ok))
-        return condition_flags(self, self._times_s, snapshot, command_failed, now_s)
+        return condition_flags(self, snapshot, command_failed, now_s)
 
     def watch_contact(self, at: Relative, standing: bool, now_s: float) -> None:
         """Detect whether the vehicle stands on the pad, or has stood there; all inputs are good."""
@@ -150,8 +145,7 @@ class Mission(Situation):
         memory.target_velocity_enu_m_s = at.target.velocity_enu_m_s
         memory.own_ok_s = now_s
         self.watch_contact(at, False, now_s)
-        flags = lasting_flags(self.config.checks, memory, flies, flies, False)
-        flags |= time_flags(self.config.checks, self._times_s, memory, now_s)
+        flags = lasting_flags(self, flies, flies, False) | time_flags(self, now_s)
         flags |= landing_flags(self, at, now_s, True, True)
         for rule in _MASKS[memory.phase.value]:
             if flags & rule[0] == rule[0] and not flags & rule[1]:
