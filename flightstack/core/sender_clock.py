@@ -18,10 +18,11 @@ One-way stamps cannot distinguish a delay that grows slower than ``FORGETS`` fro
 from __future__ import annotations
 
 import math
+from enum import IntEnum
+from typing import Self
 
 from flightstack.core.memory import ClockMemory
 from flightstack.core.numeric import rare
-from flightstack.core.types import TextEnum
 
 FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators may run 3 % slow
 HOLDS_S = 1.0  # time in which at least one message is assumed to have a short delay, s
@@ -37,8 +38,16 @@ QUEUE_MAX_S = 10.0  # longest delay by a queue after a pause, s; a longer queue 
 STAMP_MAX_S = 2.0**32  # largest valid stamp, s: the year 2106; ROS 2 and Unix times end before it
 
 
-class Reading(TextEnum):
+class Reading(IntEnum):
     """Result of the check of a time stamp; the last five belong to the other checks of a target sample."""
+
+    text: str
+
+    def __new__(cls, text: str) -> Self:
+        """Return a member numbered in the order of declaration."""
+        member = int.__new__(cls, len(cls.__members__))
+        member._value_, member.text = len(cls.__members__), text
+        return member
 
     FRESH = "accepted"
     STEPPED = "accepted: the sender's clock was set, or began anew"

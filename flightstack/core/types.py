@@ -9,22 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 Vec3 = tuple[float, float, float]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
-
-
-class TextEnum(IntEnum):
-    """Enumeration that declares each member by a text and numbers the members."""
-
-    text: str
-
-    def __new__(cls, text: str) -> Self:
-        """Return a member numbered in the order of declaration."""
-        member = int.__new__(cls, len(cls.__members__))
-        member._value_, member.text = len(cls.__members__), text
-        return member
 
 
 class Phase(IntEnum):

@@ -15,7 +15,6 @@ from bridge.frames import (
     yaw_ned_from_enu,
 )
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
-from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.server.commander import Setpoint
 from bridge.mavlink.server.profile import FlightMode
 from flightstack.compiled import core
@@ -60,26 +59,20 @@ def suited(controller: Controller, node: VehicleNode) -> bool:
 class Batches:
     """Flies batches of ticks of one landing.
 
-    ``link``, ``ticks``: link and clock of the companion; ``target``: the robot; ``loop``: the vehicle;
-    ``ends_s``: time limit of the flight.
+    ``ticks``: clock and link of the companion; ``target``: the robot; ``node``: the vehicle; ``ends_s``: time
+    limit of the flight.
     """
 
     def __init__(
-        self,
-        controller: Controller,
-        link: VehicleLink,
-        ticks: VehicleTicks,
-        target: DirectTarget,
-        loop: LockstepVehicle,
-        notes: Notes,
-        ends_s: float,
-    ) -> None:
-        node, grid, strategy = loop, loop.grid, controller.strategy
-        self._controller, self._link, self._ticks, self._target = controller, link, ticks, target
-        self._node, self._loop, self._notes, self._grid = node, loop, notes, grid
+        self, controller: Controller, ticks: VehicleTicks, target: DirectTarget, node: LockstepVehicle,
+        notes: Notes, ends_s: float,
+    ) -> None:  # fmt: skip
+        grid, strategy = node.grid, controller.strategy
+        self._controller, self._link, self._ticks, self._target = controller, ticks.link, ticks, target
+        self._node, self._notes, self._grid = node, notes, grid
         self._strategy, self._reserve = strategy, controller.reserve
         self._batch = batch = new(BatchRecord)
-        batch.rate_hz, batch.radio_ms, batch.ends_s = grid.rate_hz, loop.radio_ms, ends_s
+        batch.rate_hz, batch.radio_ms, batch.ends_s = grid.rate_hz, node.radio_ms, ends_s
         strategy.exchange.agent = strategy.ask is not None
         if strategy.ask is not None or strategy.replaces_program:
             self._function = ctypes.CFUNCTYPE(ctypes.c_int)(self._ask)  # compiled code has only its address
@@ -135,7 +128,7 @@ class Batches:
         request = Request.EXTERNAL if self._controller.memory.phase in FLYING else Request.NONE
         now_s = self._grid.ns(tick) / 1e9
         until_s = self._link.silent_until_s(request) - _SOON_S
-        if not now_s < until_s or not self._loop.undisturbed:
+        if not now_s < until_s or not self._node.undisturbed:
             return None
         until_s = min(until_s, self._node.autopilot.silent_until_s(now_s, self._link.heeded) - _SOON_S)
         return until_s if now_s < until_s else None
@@ -147,7 +140,7 @@ class Batches:
         controller's step, or have no effect on the autopilot, as in a tick in Python.
         """
         node, now_s = self._node, self._grid.ns(tick) / 1e9
-        if self._controller.memory.phase not in ORDINARY or not self._loop.undisturbed:
+        if self._controller.memory.phase not in ORDINARY or not self._node.undisturbed:
             return False
         messages = node.autopilot.brief(now_s, self._link.heeded)
         if messages is None:
@@ -238,7 +231,7 @@ class Batches:
         self._link.took(OwnState(now_s, source_s, (x, y, z), (vx, vy, vz), yaw_rad), done, setpoints=flies)
         ux, uy, uz = batch.setpoint.tolist()
         setpoint = Setpoint((ux, uy, uz), float(batch.yaw_rad), 0.0) if flies else None
-        ahead_ms = min(grid.ms(last + 1) - grid.ms(last), self._loop.radio_ms)
+        ahead_ms = min(grid.ms(last + 1) - grid.ms(last), node.radio_ms)
         node.vehicle.sent_before_ms = ahead_ms
         if how != MIDDLE:
             flight.flown(now_s, setpoint, self._sender)

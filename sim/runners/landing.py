@@ -108,9 +108,7 @@ class Companion(Leaving):
         """Return the runner of batches; None: this landing cannot fly in batches, or ``on_step`` is set."""
         if self._on_step is not None or not suited(self.controller, self.node):
             return None
-        return Batches(
-            self.controller, self._link, self._wires, self.target, self.node, self._notes, self._ends_s
-        )
+        return Batches(self.controller, self._wires, self.target, self.node, self._notes, self._ends_s)
 
     @property
     def left(self) -> bool:

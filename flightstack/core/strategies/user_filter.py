@@ -130,7 +130,7 @@ _STATE = frozenset(
 def compiled_as(cls: type) -> type | None:
     """Return the packaged class whose flights differ from this class only in ``filter``.
 
-    Return None if the class overrides more, or may read estimators, whose state exists only in compiled code.
+    Return None if the class overrides more, or may change estimators, of which compiled code has a copy.
     """
     own = [*takewhile(lambda each: not each.__module__.startswith("flightstack."), cls.__mro__)]
     base = cls.__mro__[len(own)]
