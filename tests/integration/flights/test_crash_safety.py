@@ -22,7 +22,9 @@ NS = 1e9
 PAST_APPROACH_BYTES = 1_200_000  # log size at the kill; the approach starts at 980,000 bytes
 WHEN_S = {False: (0.7, 8.0), True: (0.3, 0.8)}
 # A topic that each victim logs. None: any topic, for the recorder and the launcher, which kills all others.
-OWN_TOPIC = {"world": "/cf1/sim/truth", "onboard": "/cf1/controller/step", "record": None, "launcher": None}
+OWN_TOPIC = {
+    "world": "/cf1/sim/truth", "onboard-cf1": "/cf1/controller/step", "record": None, "launcher": None,
+}  # fmt: skip
 
 
 class FlightOverError(Exception):
@@ -47,7 +49,7 @@ def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float
         log = folder / "flight.mcap"  # on a busy machine the recorder is behind the flight
         wait_for(lambda: log.stat().st_size > PAST_APPROACH_BYTES, "a log that grows")
         children = run.children()
-        assert set(children) == {"record", "world", "onboard"}
+        assert set(children) == {"record", "world", "onboard-cf1"}
         # the moment is random on purpose; this sleep waits for no event
         time.sleep(sooner * random.Random(f"{victim} {seed} {lockstep}").uniform(*WHEN_S[lockstep]))
         pid = run.process.pid if victim == "launcher" else children[victim]
@@ -89,7 +91,7 @@ MISSING_MAX_S = 0.5
 REAL_TIME = pytest.mark.xdist_group("real-time")  # repeated after a pause of the machine
 CASES = [
     pytest.param("record", False, marks=REAL_TIME),
-    pytest.param("onboard", False, marks=REAL_TIME),
+    pytest.param("onboard-cf1", False, marks=REAL_TIME),
     pytest.param("record", True, marks=REAL_TIME),
     ("launcher", True),
 ]

@@ -68,11 +68,11 @@ def test_an_interrupted_run_ends_everything_and_says_what_was_reached(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
     run.until("-> TAKEOFF")
     children = run.children()
-    assert set(children) == {"record", "world", "onboard"}
+    assert set(children) == {"record", "world", "onboard-cf1"}
     run.process.send_signal(signal.SIGINT)
     assert run.end() == 1
     # the abort comes after arming, so the process must command a landing before it ends
-    assert any(re.match(r"\W*(aborted|timeout)\b", line) for line in run.lines), run.lines
+    assert any(re.match(r"\W*cf1\W+(aborted|timeout)\b", line) for line in run.lines), run.lines
     assert all(gone(pid) for pid in children.values())
     flight = load_flight(tmp_path / "flight.mcap")
     assert flight.complete

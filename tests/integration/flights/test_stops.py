@@ -132,7 +132,7 @@ def test_an_onboard_process_whose_terminal_closes_flies_clear_and_lands(tmp_path
     run = Flying(tmp_path, "--scenario", "paper_static_1", "--lockstep")
     run.until("-> APPROACH")
     for _ in range(3):  # repeated signals do not count as a second Ctrl-C
-        os.kill(run.children()["onboard"], signal.SIGHUP)
+        os.kill(run.children()["onboard-cf1"], signal.SIGHUP)
     run.until("-> ABORT")
     assert run.end() == 1
     truth = load_flight(tmp_path / "flight.mcap").truth
