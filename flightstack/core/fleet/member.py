@@ -246,8 +246,6 @@ class FleetMember:
 
     def texts(self, permissions: Permissions, in_phase_s: float, why: str, now_s: float) -> list[str]:
         """Return the event texts after the filter; ``why``: reason why the vehicle cannot take off again."""
-        if self._is_alone:
-            return []
         return self._crowded(now_s) + self.remains_on_pad(permissions, in_phase_s, why)
 
     def _crowded(self, now_s: float) -> list[str]:
