@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import click
 
 from flightstack.common.options import Option, arguments
+from flightstack.common.strict_toml import ConfigError, decoded
 from flightstack.config import options as shared
 
 
@@ -22,8 +23,10 @@ def config(name: Annotated[str | None, Option("[NAME]")] = None) -> None:
     """List the packaged configurations of the onboard process, or print the one with the given NAME."""
     from flightstack import config as known
 
-    # the first line of a file is a comment with its purpose
-    _show(known, name, lambda each: _text(known.path_of(each)).partition("\n")[0].removeprefix("#").strip())
+    def purpose(each: str) -> str:  # the first line of a file is a comment with it
+        return known.path_of(each).read_text("utf-8").partition("\n")[0].removeprefix("# ")
+
+    _show(known, name, purpose)
 
 
 @click.command()
@@ -38,7 +41,7 @@ def scenarios(name: Annotated[str | None, Option("[NAME]")] = None) -> None:
 def _show(files: Any, name: str | None, purpose: Callable[[str], str]) -> None:
     """Print the file of this name; without a name, list all with their purposes."""
     if name is not None:
-        click.echo(_text(files.path_of(name)), nl=False)
+        click.echo(decoded(files.path_of(name).read_bytes()), nl=False)
         return
     listed = {known: purpose(known) for known in files.names()}
     wide = max(map(len, listed)) + 2
@@ -46,12 +49,6 @@ def _show(files: Any, name: str | None, purpose: Callable[[str], str]) -> None:
     for known, text in listed.items():
         lines = textwrap.wrap(text, columns - wide)
         click.echo("\n".join([f"{known:{wide}}{lines[0]}", *(" " * wide + line for line in lines[1:])]))
-
-
-def _text(path: Path) -> str:
-    from flightstack.common.strict_toml import decoded
-
-    return decoded(path.read_bytes())
 
 
 @click.command()
@@ -66,7 +63,6 @@ def new(
     Exit status: 0 written, 2 wrong name, or the file exists.
     """
     del what
-    from flightstack.common.strict_toml import ConfigError
     from sim.scenarios.keys import commented
 
     file, text = Path(f"{name}.toml"), commented(name, base)

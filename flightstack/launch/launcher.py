@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.live import Live
 
@@ -26,9 +25,6 @@ from flightstack.config.options import WatchOptions
 from flightstack.core.mission.machine import aborts
 from flightstack.onboard.recording import end_recorder, start_recorder
 from flightstack.watch import REFRESH_HZ, Watch, draw
-
-if TYPE_CHECKING:
-    pass
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
 # maximum wall time from the end of the onboard process to the end of the autopilot's landing, s

@@ -118,15 +118,15 @@ class Runner:
         the controller as long as ticks can run, or directly after an exception, whose text ``failed``
         receives.
         """
-        memory, ended, works = self._controller.memory, None, True
+        controller, ended, works = self._controller, None, True
         try:
             while ended is None:
                 ended = self.tick()
         except ClockStoppedError as error:
-            ended, works = Ended(memory.phase, str(error), 1), False
+            ended, works = Ended(controller.memory.phase, str(error), 1), False
         except BaseException as error:  # any exception: a library may even raise SystemExit
-            reason = failed_in(self._controller.config.filter, error) or f"internal error: {error!r}"
-            ended, works = Ended(memory.phase, reason, 1), False
+            reason = failed_in(controller.config.filter, error) or f"internal error: {error!r}"
+            ended, works = Ended(controller.memory.phase, reason, 1), False
             with contextlib.suppress(Exception):
                 failed(f"{reason}\n{traceback.format_exc()}")
         return self._leave(ended, works=works)
