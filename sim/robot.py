@@ -128,9 +128,7 @@ PAD = 12
 class MotionRecord(Record):
     """Commands of the robot, the state of its axle, and the resulting motion of the pad."""
 
-    demand: Annotated[F64, 4]
-    speed: float  # maximum commanded speed, m/s
-    turn_rate: float
+    demand: Annotated[F64, 4]  # commanded speed and turn rate in both sections of the path
     phase_s: float
     period_s: float
     speed_max: float
@@ -201,7 +199,7 @@ def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
     demand_v = demand_w = 0.0
     if driving:
         first = 2 * (int((m.driven_s + m.phase_s) / m.period_s) % 2)
-        demand_v, demand_w = m.demand[first] * m.speed, m.demand[first + 1] * m.turn_rate
+        demand_v, demand_w = m.demand[first], m.demand[first + 1]
         m.driven_s += dt_s
     lag = -math.expm1(-dt_s / DRIVE_LAG_S)
     dv = _clip(lag * (demand_v - m.v), m.accel_max * dt_s)
@@ -241,13 +239,11 @@ class TargetModel:
         turn_rate_rad_s = float(_clip(spec.turn_rate_rad_s * turn_share, spec.turn_rate_max_rad_s))
         self._record = m = new(MotionRecord)
         m.demand[:] = DEMANDS.get(spec.path, (0.0, 0.0, 0.0, 0.0))
-        m.speed, m.turn_rate = speed_m_s, turn_rate_rad_s
+        m.demand *= (speed_m_s, turn_rate_rad_s, speed_m_s, turn_rate_rad_s)
         m.phase_s, m.period_s = phase * spec.stop_period_s, spec.stop_period_s
         if spec.path is PathKind.FIGURE_OF_EIGHT and turn_rate_rad_s:
             m.phase_s, m.period_s = 0.0, 2.0 * math.pi / abs(turn_rate_rad_s)
         self._course = course(spec, speed_m_s, turn_rate_rad_s)
-        if self._course is not None:  # a course: it commands speed and turn rate directly
-            m.speed = m.turn_rate = 1.0
         m.speed_max, m.turn_rate_max = spec.speed_max_m_s, spec.turn_rate_max_rad_s
         m.accel_max = spec.acceleration_max_m_s2
         m.turn_accel_max = spec.acceleration_max_m_s2 / load().robot.wheel_half_track_m
@@ -270,11 +266,6 @@ class TargetModel:
         """Motion of the pad now."""
         _, x, y, z, yaw, _, _, _, vx, vy, vz, rate = self._record.pad.tolist()
         return Deck((x, y, z), yaw, (vx, vy, vz), rate)
-
-    @property
-    def time_ns(self) -> int:
-        """Time of the motion."""
-        return int(self._record.pad[0])
 
     def row(self) -> F64:
         """Return the motion of the pad now, in the form of ``run``."""

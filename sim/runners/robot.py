@@ -123,7 +123,7 @@ class Robot:
         """Advance by several ticks, in compiled calls as long as no fault is active."""
         every = self._substeps
         steps = ticks * every
-        if self.faults.quiet_until(self.model.time_ns + steps * round(self._step_s * NS)):
+        if self.faults.quiet_until(int(self.model.row()[0, 0]) + steps * round(self._step_s * NS)):
             pads = self.model.run(steps, self._step_s, driving)
             self.tick += ticks
             at, samples = self._odometry.run(pads)
