@@ -17,7 +17,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles import OWN_SITL
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import EPOCH_NS, Tick
+from flightstack.common.pacing import Tick
 from flightstack.compiled.jit import compiling
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import MemberStatus, Phase
@@ -197,7 +197,7 @@ class Flights:
         """Fly until all flights are over."""
         loops, batches = [member.node for member in self.members], self.batches
         world = LockstepWorld(
-            loops, self.room, self._exchange, Stop(), EPOCH_NS, batches.fly if batches is not None else None
+            loops, self.room, self._exchange, Stop(), batches.fly if batches is not None else None
         )
         world.run(max(member.ticks_max for member in self.members))
 

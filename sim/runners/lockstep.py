@@ -18,7 +18,7 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Received
 from bridge.mavlink.transport.address import Peer
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, wait_until
+from flightstack.common.pacing import COMPANION_SILENT_S, EPOCH_NS, wait_until
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid
 from sim.runners.robot import Robot
 from sim.runners.room import Room
@@ -228,8 +228,8 @@ class LockstepVehicle(VehicleNode):
 class LockstepWorld:
     """Runs the ticks of all vehicles up to a number of ticks or a stop, or until all flights of a fleet end.
 
-    ``exchange``: transmits the messages of a fleet; None: no fleet; ``epoch_ns``: Unix time of tick 0;
-    ``batch``: flies a batch of ticks that starts with the given one, and returns their number (0: none).
+    ``exchange``: transmits the messages of a fleet; None: no fleet; ``batch``: flies a batch of ticks that
+    starts with the given one, and returns their number (0: none).
     """
 
     def __init__(
@@ -238,11 +238,10 @@ class LockstepWorld:
         room: Room,
         exchange: Exchange | None,
         stop: Stop,
-        epoch_ns: int,
         batch: Callable[[int], int] | None = None,
     ) -> None:
         self._vehicles, self._room, self._exchange = vehicles, room, exchange
-        self._stop, self._epoch_ns, self._batch = stop, epoch_ns, batch
+        self._stop, self._batch = stop, batch
 
     def run(self, ticks: int | None) -> None:
         """Run the simulation until a stop request, or until all flights of a fleet are over.
@@ -259,7 +258,7 @@ class LockstepWorld:
                 self._tick(tick)
             tick += flown or 1
         if tick:
-            self._room.write(tick - 1, self._epoch_ns)
+            self._room.write(tick - 1, EPOCH_NS)
 
     def _ended(self) -> bool:
         """Whether the run must end; after a stop request, the answered tick's true state is still logged."""
@@ -274,7 +273,7 @@ class LockstepWorld:
             vehicle.ask(tick)
         for vehicle in vehicles:
             vehicle.act(tick)
-        self._room.end(tick, self._epoch_ns)
+        self._room.end(tick, EPOCH_NS)
         if self._exchange is None:
             return
         fleet = [(each, each.words) for each in vehicles if each.words is not None]

@@ -264,7 +264,7 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
     _ready([url for _, url in endpoints.values()], stop)
     for each in ends.values():
         each.await_listener(stop)
-    LockstepWorld(loops, room, words, stop, epoch_ns).run(ticks)
+    LockstepWorld(loops, room, words, stop).run(ticks)
     feed.flush()
     while words is not None and not stop.is_set:  # continue until the parent process ends this process
         time.sleep(_PAUSE_S)
