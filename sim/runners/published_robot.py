@@ -174,23 +174,13 @@ class RealTimeRobot(PublishedRobot):
     lockstep = False
 
     def _open(self) -> None:
-        self._truth: OdometryPublisher | None = None
+        self._truth = OdometryPublisher(self._session, truth_key(self.namespace))
         self._steps = zenoh_link.ring_subscriber(self._session, f"{self.namespace}/controller/step")
 
-    @property
-    def followed(self) -> bool:
-        """Whether the robot publishes true poses for a vehicle that another process simulates."""
-        return self._truth is not None
-
-    def be_followed(self) -> None:
-        """Start to publish the true pose for a vehicle that another process simulates."""
-        self._truth = OdometryPublisher(self._session, truth_key(self.namespace))
-
     def take(self, tick: int) -> Deck:
-        """Advance to the next tick; return the true pose there."""
+        """Advance to the next tick; return the true pose there, and publish it for other processes."""
         deck = super().take(tick)
-        if self._truth is not None:
-            self._truth.put(self.payload, self.log.epoch_ns + self._grid.ns(tick))
+        self._truth.put(self.payload, self.log.epoch_ns + self._grid.ns(tick))
         if self.waits and self._go_tick == NO_GO and self._landing_began():
             self._go_tick = tick
         return deck

@@ -101,7 +101,8 @@ class RealTimeVehicle(VehicleNode):
 class RealTimeWorld:
     """Runs the ticks of vehicles and robots in real time, or at the speed of ``clock``.
 
-    ``robots``: all robots of this process, also those without a vehicle here; ``stop``: ends the process.
+    ``robots``: all robots of this process; vehicles of other processes follow those without a vehicle here;
+    ``stop``: ends the process.
     """
 
     def __init__(
@@ -120,7 +121,7 @@ class RealTimeWorld:
     def run(self, ticks: int | None) -> None:
         """Run the simulation. ``ticks``: number of ticks; None: no end."""
         vehicles, grid, room, clock = self._vehicles, self._grid, self._room, self._clock
-        followed = [robot for robot in self._robots if robot.followed]
+        loose = [robot for robot in self._robots if robot not in [each.robot for each in vehicles]]
         run_promptly()  # the physics must not wait for other programs, as in a real vehicle
         self._start_s = clock.monotonic()
         self._set_epoch(clock.unix_ns())  # set here, because the creation of the vehicles took time
@@ -142,7 +143,7 @@ class RealTimeWorld:
             room.begin()
             for vehicle in vehicles:
                 vehicle.tick(tick)
-            for robot in followed:
+            for robot in loose:
                 robot.take(tick)
                 robot.log.feed.flush()
             tick += 1
@@ -194,8 +195,6 @@ def _drive(team: Scenario, options: TargetOptions, stop: Stop, stack: ExitStack)
     feed = Feed.connect(options.recorder, "target", lossless=False, vehicles=len(team.members))
     stack.callback(feed.close)
     robots = robots_of(team, options, feed, partial(RealTimeRobot, grid, session, stop), stack)
-    for robot in robots.values():
-        robot.be_followed()
     _ready((), stop)
     world = RealTimeWorld((), list(robots.values()), Room((), grid, feed), grid, stop, clock)
     world.run(grid.count(options.duration_s))
@@ -244,8 +243,6 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
 
     if not lockstep:
         driven = robots(RealTimeRobot)
-        for number in options.leave_out if driven else ():
-            driven[number].be_followed()
         followed: dict[int, RealTimeRobot | RealTimeDeck] = {**driven}
         if session is not None and not driven:
             followed = {n: RealTimeDeck(session, names[n]) for n in here}
