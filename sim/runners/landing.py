@@ -33,7 +33,7 @@ from sim.autopilot.autopilot import Autopilot
 from sim.clock import NS_PER_S, TickGrid
 from sim.runners.batches import Batches, suited
 from sim.runners.landing_wire import wires
-from sim.runners.lockstep import Exchange, LockstepVehicle, LockstepWorld
+from sim.runners.lockstep import Exchange, LockstepVehicle, fly_in_lockstep
 from sim.runners.log import Notes, Seen
 from sim.runners.robot import DirectTarget
 from sim.runners.room import Room, Words, warm_up_room
@@ -196,10 +196,8 @@ class Flights:
     def fly(self) -> None:
         """Fly until all flights are over."""
         loops, batches = [member.node for member in self.members], self.batches
-        world = LockstepWorld(
-            loops, self.room, self._exchange, Stop(), batches.fly if batches is not None else None
-        )
-        world.run(max(member.ticks_max for member in self.members))
+        ticks, batch = max(member.ticks_max for member in self.members), batches.fly if batches else None
+        fly_in_lockstep(loops, self.room, self._exchange, Stop(), ticks, batch)
 
 
 def land(

@@ -225,59 +225,52 @@ class LockstepVehicle(VehicleNode):
         self.report(dialect.MAV_SEVERITY_CRITICAL, text)
 
 
-class LockstepWorld:
-    """Runs the ticks of all vehicles up to a number of ticks or a stop, or until all flights of a fleet end.
+def fly_in_lockstep(
+    vehicles: Sequence[LockstepVehicle],
+    room: Room,
+    exchange: Exchange | None,
+    stop: Stop,
+    ticks: int | None,
+    batch: Callable[[int], int] | None = None,
+) -> None:
+    """Run the ticks of all vehicles until a stop request, or until all flights of a fleet are over.
 
-    ``exchange``: transmits the messages of a fleet; None: no fleet; ``batch``: flies a batch of ticks that
-    starts with the given one, and returns their number (0: none).
+    ``exchange``: transmits the messages of a fleet; None: no fleet; ``ticks``: largest number of ticks; None:
+    no limit; ``batch``: flies a batch of ticks that starts with the given one, and returns their number (0:
+    none).
+    Raises NoAnswerError: time-out of a companion.
     """
 
-    def __init__(
-        self,
-        vehicles: Sequence[LockstepVehicle],
-        room: Room,
-        exchange: Exchange | None,
-        stop: Stop,
-        batch: Callable[[int], int] | None = None,
-    ) -> None:
-        self._vehicles, self._room, self._exchange = vehicles, room, exchange
-        self._stop, self._batch = stop, batch
+    def ended() -> bool:
+        if stop.is_set:  # the true state of the answered tick is still logged
+            return all(each.over or not each.answered for each in vehicles)
+        return exchange is not None and all(each.rests for each in vehicles)
 
-    def run(self, ticks: int | None) -> None:
-        """Run the simulation until a stop request, or until all flights of a fleet are over.
+    for vehicle in vehicles:
+        vehicle.begin()
+    tick = 0
+    while tick != ticks and not ended():
+        flown = batch(tick) if batch is not None else 0
+        if not flown:
+            _tick(vehicles, room, exchange, stop, tick)
+        tick += flown or 1
+    if tick:
+        room.write(tick - 1, EPOCH_NS)
 
-        ``ticks``: largest number of ticks; None: no limit.
-        Raises NoAnswerError: time-out of a companion.
-        """
-        for vehicle in self._vehicles:
-            vehicle.begin()
-        tick = 0
-        while tick != ticks and not self._ended():
-            flown = self._batch(tick) if self._batch is not None else 0
-            if not flown:
-                self._tick(tick)
-            tick += flown or 1
-        if tick:
-            self._room.write(tick - 1, EPOCH_NS)
 
-    def _ended(self) -> bool:
-        """Whether the run must end; after a stop request, the answered tick's true state is still logged."""
-        if self._stop.is_set:
-            return all(each.over or not each.answered for each in self._vehicles)
-        return self._exchange is not None and all(each.rests for each in self._vehicles)
-
-    def _tick(self, tick: int) -> None:
-        vehicles = self._vehicles
-        self._room.begin()
-        for vehicle in vehicles:
-            vehicle.ask(tick)
-        for vehicle in vehicles:
-            vehicle.act(tick)
-        self._room.end(tick, EPOCH_NS)
-        if self._exchange is None:
-            return
-        fleet = [(each, each.words) for each in vehicles if each.words is not None]
-        sent = [end.take(self._stop) if each.answers else None for each, end in fleet]
-        for (vehicle, end), received in zip(fleet, self._exchange(tick, sent), strict=True):
-            if vehicle.answers:
-                end.hear(received)
+def _tick(
+    vehicles: Sequence[LockstepVehicle], room: Room, exchange: Exchange | None, stop: Stop, tick: int
+) -> None:
+    room.begin()
+    for vehicle in vehicles:
+        vehicle.ask(tick)
+    for vehicle in vehicles:
+        vehicle.act(tick)
+    room.end(tick, EPOCH_NS)
+    if exchange is None:
+        return
+    fleet = [(each, each.words) for each in vehicles if each.words is not None]
+    sent = [end.take(stop) if each.answers else None for each, end in fleet]
+    for (vehicle, end), received in zip(fleet, exchange(tick, sent), strict=True):
+        if vehicle.answers:
+            end.hear(received)

@@ -39,8 +39,8 @@ from logs.schema import Names
 from sim.autopilot.autopilot import Autopilot
 from sim.clock import TickGrid, run_process
 from sim.options import TargetOptions, VehicleOptions, WorldOptions
-from sim.runners.lockstep import LockstepVehicle, LockstepWorld
-from sim.runners.log import VehicleLog
+from sim.runners.lockstep import LockstepVehicle, fly_in_lockstep
+from sim.runners.log import EventLog, VehicleLog
 from sim.runners.published_robot import LockstepRobot, R, RealTimeDeck, RealTimeRobot, robots_of
 from sim.runners.room import MemberWords, Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
@@ -98,80 +98,70 @@ class RealTimeVehicle(VehicleNode):
         self.report(dialect.MAV_SEVERITY_WARNING, text)
 
 
-class RealTimeWorld:
-    """Runs the ticks of vehicles and robots in real time, or at the speed of ``clock``.
+def fly_in_real_time(
+    vehicles: Sequence[RealTimeVehicle],
+    robots: Sequence[RealTimeRobot],
+    room: Room,
+    grid: TickGrid,
+    stop: Stop,
+    clock: Clock,
+    ticks: int | None,
+) -> None:
+    """Run the ticks of vehicles and robots in real time, or at the speed of ``clock``.
 
     ``robots``: all robots of this process; vehicles of other processes follow those without a vehicle here;
-    ``stop``: ends the process.
+    ``stop``: ends the process; ``ticks``: number of ticks; None: no end.
     """
-
-    def __init__(
-        self,
-        vehicles: Sequence[RealTimeVehicle],
-        robots: Sequence[RealTimeRobot],
-        room: Room,
-        grid: TickGrid,
-        stop: Stop,
-        clock: Clock,
-    ) -> None:
-        self._vehicles, self._robots, self._room = vehicles, robots, room
-        self._grid, self._stop, self._clock = grid, stop, clock
-        self._start_s, self._epoch_ns = 0.0, 0
-
-    def run(self, ticks: int | None) -> None:
-        """Run the simulation. ``ticks``: number of ticks; None: no end."""
-        vehicles, grid, room, clock = self._vehicles, self._grid, self._room, self._clock
-        loose = [robot for robot in self._robots if robot not in [each.robot for each in vehicles]]
-        run_promptly()  # the physics must not wait for other programs, as in a real vehicle
-        self._start_s = clock.monotonic()
-        self._set_epoch(clock.unix_ns())  # set here, because the creation of the vehicles took time
-        for robot in self._robots:
-            robot.begin()
-        tick = 0
-        while not self._stop.is_set and tick != ticks:
-            deadline_s = self._start_s + grid.ns(tick) / 1e9
-            while (left_s := deadline_s - clock.monotonic()) > 0.0 and not self._stop.is_set:
-                for vehicle in self._heard(left_s):
-                    since_start_ms = int((clock.monotonic() - self._start_s) / _MS)
-                    vehicle.advance_to(min(since_start_ms, grid.ms(tick)))
-                    vehicle.receive()
-            self._resync_clock(clock.monotonic() - deadline_s)
-            for vehicle in vehicles:
-                vehicle.advance_to(grid.ms(tick))
-            if tick > 0:
-                room.end(tick - 1, self._epoch_ns)
-            room.begin()
-            for vehicle in vehicles:
-                vehicle.tick(tick)
-            for robot in loose:
-                robot.take(tick)
-                robot.log.feed.flush()
-            tick += 1
-        if tick > 1:
-            room.write(tick - 2, self._epoch_ns)
-
-    def _heard(self, within_s: float) -> Sequence[RealTimeVehicle]:
-        """Wait at most ``within_s`` for frames; return the vehicles that received some."""
-        if not self._vehicles:
-            self._clock.sleep(within_s)
-            return ()
-        by_number = {vehicle.endpoint.fileno(): vehicle for vehicle in self._vehicles}
-        ready, _, _ = select.select(list(by_number), (), (), within_s)
-        return [by_number[number] for number in ready]
-
-    def _set_epoch(self, epoch_ns: int) -> None:
-        self._epoch_ns = epoch_ns
-        for log in (*(each.log for each in self._vehicles), *(each.log for each in self._robots)):
-            log.epoch_ns = epoch_ns
-
-    def _resync_clock(self, late_s: float) -> None:
-        """After a long pause of simulated time, shift the log's clock instead of catching up."""
-        if late_s > _BEHIND_MAX_S:
+    loose = [robot for robot in robots if robot not in [each.robot for each in vehicles]]
+    logs: list[EventLog] = [*(each.log for each in vehicles), *(each.log for each in robots)]
+    run_promptly()  # the physics must not wait for other programs, as in a real vehicle
+    start_s = clock.monotonic()
+    epoch_ns = _set_epoch(logs, clock.unix_ns())  # set here, because the creation of the vehicles took time
+    for robot in robots:
+        robot.begin()
+    tick = 0
+    while not stop.is_set and tick != ticks:
+        deadline_s = start_s + grid.ns(tick) / 1e9
+        while (left_s := deadline_s - clock.monotonic()) > 0.0 and not stop.is_set:
+            if not vehicles:
+                clock.sleep(left_s)
+            for vehicle in _heard(vehicles, left_s):
+                since_start_ms = int((clock.monotonic() - start_s) / _MS)
+                vehicle.advance_to(min(since_start_ms, grid.ms(tick)))
+                vehicle.receive()
+        late_s = clock.monotonic() - deadline_s
+        if late_s > _BEHIND_MAX_S:  # a long pause shifts the log's clock; simulated time does not catch up
             give_up_priority()
-            self._start_s += late_s
-            self._set_epoch(self._epoch_ns + round(late_s * 1e9))
-            for vehicle in self._vehicles:
+            start_s += late_s
+            epoch_ns = _set_epoch(logs, epoch_ns + round(late_s * 1e9))
+            for vehicle in vehicles:
                 vehicle.warn(f"Machine paused {late_s:.2f} s: simulation too")
+        for vehicle in vehicles:
+            vehicle.advance_to(grid.ms(tick))
+        if tick > 0:
+            room.end(tick - 1, epoch_ns)
+        room.begin()
+        for vehicle in vehicles:
+            vehicle.tick(tick)
+        for robot in loose:
+            robot.take(tick)
+            robot.log.feed.flush()
+        tick += 1
+    if tick > 1:
+        room.write(tick - 2, epoch_ns)
+
+
+def _heard(vehicles: Sequence[RealTimeVehicle], within_s: float) -> list[RealTimeVehicle]:
+    """Wait at most ``within_s`` for frames; return the vehicles that received some."""
+    by_number = {vehicle.endpoint.fileno(): vehicle for vehicle in vehicles}
+    ready = select.select(list(by_number), (), (), within_s)[0] if by_number else ()
+    return [by_number[number] for number in ready]
+
+
+def _set_epoch(logs: Sequence[EventLog], epoch_ns: int) -> int:
+    for log in logs:
+        log.epoch_ns = epoch_ns
+    return epoch_ns
 
 
 _PAUSE_S = 0.1  # wall time between two checks for signals when all flights are over, s
@@ -196,8 +186,8 @@ def _drive(team: Scenario, options: TargetOptions, stop: Stop, stack: ExitStack)
     stack.callback(feed.close)
     robots = robots_of(team, options, feed, partial(RealTimeRobot, grid, session, stop), stack)
     _ready((), stop)
-    world = RealTimeWorld((), list(robots.values()), Room((), grid, feed), grid, stop, clock)
-    world.run(grid.count(options.duration_s))
+    room, ticks = Room((), grid, feed), grid.count(options.duration_s)
+    fly_in_real_time((), list(robots.values()), room, grid, stop, clock, ticks)
 
 
 def world_main(team: Scenario, options: VehicleOptions) -> int:
@@ -249,7 +239,7 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
         vehicles = [RealTimeVehicle(*parts(n), robot=followed.get(n), grid=grid) for n in here]
         room = Room(vehicles, grid, feed)
         _ready([url for _, url in endpoints.values()], stop)
-        RealTimeWorld(vehicles, list(driven.values()), room, grid, stop, FastClock()).run(ticks)
+        fly_in_real_time(vehicles, list(driven.values()), room, grid, stop, FastClock(), ticks)
         return
     ahead = robots(LockstepRobot)
     words = Words(team, options.seed) if team.exchanges else None
@@ -261,7 +251,7 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
     _ready([url for _, url in endpoints.values()], stop)
     for each in ends.values():
         each.await_listener(stop)
-    LockstepWorld(loops, room, words, stop).run(ticks)
+    fly_in_lockstep(loops, room, words, stop, ticks)
     feed.flush()
     while words is not None and not stop.is_set:  # continue until the parent process ends this process
         time.sleep(_PAUSE_S)
