@@ -20,7 +20,7 @@ from bridge.mavlink.server.profile import FlightMode
 from flightstack.compiled import core
 from flightstack.compiled.jit import is_off
 from flightstack.compiled.objects import Objects
-from flightstack.compiled.records import cell, new
+from flightstack.compiled.records import cell, new, scalars
 from flightstack.core.controller import FLYING, ORDINARY, Controller
 from flightstack.core.numeric import NotOrdinary, hypot_is_known
 from flightstack.core.strategies.strategy import strategy_class
@@ -85,6 +85,10 @@ class Batches:
         )  # fmt: skip
         self._most = max(1, min(TICKS, int(SPAN_S * grid.rate_hz)))
         self._ages = np.zeros(TICKS)
+        # views of fields: attributes of a record are slow
+        self._plan, self._own_sent, self._setpoint = batch.plan, batch.own_sent, batch.setpoint
+        (self._stream_until_s,) = scalars(batch, "stream_until_s")
+        self._flies, self._yaw_rad = False, 0.0
         self._off = False  # whether Python runs all ticks from now on
         self._asked_s = math.nan  # newest tick in which compiled code called an agent or a user's filter
         self._raised: BaseException | None = None  # exception of the agent
@@ -93,7 +97,7 @@ class Batches:
 
     def warm_up(self) -> None:
         """Compile the code, or load it from the cache."""
-        self._batch.count = 0
+        self._plan[1] = 0
         decks, samples, _, come = self._target.ahead(0, 0)
         flown: Any = fly_ticks
         flown(*self._given, decks, samples, come, np.empty((0, TRUTH)), self._ages)
@@ -174,8 +178,9 @@ class Batches:
             return False
         if flies and (flight.mode is not FlightMode.OFFBOARD or clip is None):
             return False
-        batch.flies, batch.status_s, batch.supervisor = flies, status.arrival_s, vehicle.supervisor_state
-        batch.yaw_rad = yaw_rad = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
+        self._flies = batch.flies = flies
+        batch.status_s, batch.supervisor = status.arrival_s, vehicle.supervisor_state
+        self._yaw_rad = batch.yaw_rad = yaw_rad = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
         batch.cos_yaw, batch.sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
         if clip is not None:
             batch.speeds[:] = clip
@@ -195,7 +200,7 @@ class Batches:
 
     def _call(self, tick: int, until_s: float) -> tuple[int, int]:
         """Fly ticks in one compiled call; return the number of ticks, and the reason why the call ended."""
-        node, grid, flight, batch = self._node, self._grid, self._node.autopilot.flight, self._batch
+        node, grid, flight, flies = self._node, self._grid, self._node.autopilot.flight, self._flies
         count = min(self._most, max(0, math.ceil((until_s - grid.ns(tick) / 1e9) * grid.rate_hz)))
         while count and not grid.ns(tick + count - 1) / 1e9 < until_s:
             count -= 1
@@ -203,10 +208,9 @@ class Batches:
         count = len(come)
         if count == 0 or not node.vehicle.supplied_until(grid.ms(tick + count)):
             return 0, BEFORE
-        flies = bool(batch.flies)
         waits = not flies and flight.mode is FlightMode.OFFBOARD
-        batch.stream_until_s = flight.stream_ends_s if waits else math.inf
-        batch.first, batch.count, batch.samples_before = tick, count, come_before
+        self._stream_until_s[0] = flight.stream_ends_s if waits else math.inf
+        self._plan[:3] = tick, count, come_before
         truths = np.empty((count, TRUTH))
         try:
             flown: Any = fly_ticks
@@ -217,7 +221,7 @@ class Batches:
             how = BEFORE
             self._objects.state[:] = self._objects.spare
             self._objects.read()
-        done = int(batch.done)
+        done = int(self._plan[3])
         if done == 0:
             return 0, how
         last = tick + done - 1
@@ -227,10 +231,10 @@ class Batches:
         self._target.skip(done)
         self._ticks.passed(times_ns[-1])
         node.autopilot.streams.skip([each / 1e9 for each in times_ns])
-        source_s, x, y, z, vx, vy, vz, yaw_rad = batch.own_sent.tolist()
+        source_s, x, y, z, vx, vy, vz, yaw_rad = self._own_sent.tolist()
         self._link.took(OwnState(now_s, source_s, (x, y, z), (vx, vy, vz), yaw_rad), done, setpoints=flies)
-        ux, uy, uz = batch.setpoint.tolist()
-        setpoint = Setpoint((ux, uy, uz), float(batch.yaw_rad), 0.0) if flies else None
+        ux, uy, uz = self._setpoint.tolist()
+        setpoint = Setpoint((ux, uy, uz), self._yaw_rad, 0.0) if flies else None
         ahead_ms = min(grid.ms(last + 1) - grid.ms(last), node.radio_ms)
         node.vehicle.sent_before_ms = ahead_ms
         if how != MIDDLE:

@@ -31,9 +31,9 @@ from sim.world.bodies import arc_of_step
 class BatchRecord(Record):
     """Plan, constants and results of a batch of ticks; times are on the controller's clock."""
 
-    first: int  # first tick
-    count: int  # number of ticks to fly
-    samples_before: int  # number of target samples that arrived before the first tick
+    # first tick, number of ticks to fly, number of target samples before the first tick; the last element
+    # receives the number of ticks flown, a tick whose second part is missing included
+    plan: Annotated[I64, 4]
     rate_hz: int
     radio_ms: int  # delay of set-points by the radio
     # whether the controller sends set-points to an armed vehicle in the air; if not, the vehicle stands
@@ -48,7 +48,6 @@ class BatchRecord(Record):
     supervisor: int  # state of the firmware's supervisor
     stream_until_s: float  # time at which the autopilot stops waiting for set-points
     # results
-    done: int  # number of ticks flown; a tick whose second part is missing counts
     own_sent: Annotated[F64, 8]  # newest vehicle state as sent: boot clock, position, velocity, yaw
     setpoint: Vector  # newest set-point, as the autopilot received it
 
@@ -193,11 +192,11 @@ def fly_ticks(
     Raises NotOrdinary: Python has to run the next tick, with the state in ``spare``.
     """
     v, p = vehicle[0], batch[0]
-    rate, before = p.rate_hz, p.samples_before
-    p.done = 0
-    for n in range(p.count):
+    rate, before, plan = p.rate_hz, p.plan[2], p.plan
+    plan[3] = 0
+    for n in range(plan[1]):
         spare[:] = state
-        tick = p.first + n
+        tick = plan[0] + n
         now_s = tick * NS_PER_S // rate / 1e9
         now_ms, end_ms = (2000 * tick + rate) // (2 * rate), (2000 * (tick + 1) + rate) // (2 * rate)
         own, landing = _decided(v, p, kernel, samples[before : come[n]], now_s)
@@ -210,7 +209,7 @@ def fly_ticks(
             p.own_sent[1 + i], p.own_sent[4 + i] = own.position_enu_m[i], own.velocity_enu_m_s[i]
             p.setpoint[i] = setpoint[i]
         p.own_sent[0], p.own_sent[7] = own.source_time_s, own.yaw_rad
-        p.done = n + 1
+        plan[3] = n + 1
         _place_deck(v, decks[n])
         write_truth(vehicle, now_ms, truths[n])
         ahead_ms = min(end_ms - now_ms, p.radio_ms)
