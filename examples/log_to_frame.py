@@ -23,4 +23,4 @@ if landing.truth is not None:  # the log of a real vehicle contains no true stat
 table = fs.frame(steps)  # DataFrame of pandas or polars; a vector has a column for each axis, e.g. e_m_x
 print("columns:", ", ".join(list(table)[:8]), "...")  # d_m is the horizontal distance
 if len(sys.argv) > 2:
-    table.to_csv(sys.argv[2], index=False)  # pandas; with a polars DataFrame call ``write_csv``
+    table.to_csv(sys.argv[2], index=False)  # method of pandas; that of polars is ``write_csv``

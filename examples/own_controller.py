@@ -1,4 +1,4 @@
-"""Your own controller, tick by tick: it computes the velocity, and the safety filter enforces the barrier.
+"""Your own controller: it computes a velocity in each tick, and the safety filter enforces the barrier.
 
 python examples/own_controller.py [SEEDS]
 """

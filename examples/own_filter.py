@@ -15,7 +15,7 @@ import flightstack as fs
 
 
 class Smooth(fs.Filter):
-    """First-order low-pass of the nominal velocity, then the nearest velocity that keeps the barrier."""
+    """Filter the nominal velocity by a low-pass; return the nearest velocity that meets all constraints."""
 
     @dataclass
     class State:

@@ -20,9 +20,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import flightstack as fs
 
-TICKS = 10  # ticks of 0.01 s for each decision
+TICKS = 10  # number of ticks (0.01 s each) for which a decision is applied
 TRAINING = {"duration_max_s": 25.0}  # maximum duration of an episode; a landing takes 5 to 10 s
-GAMMA = 0.95  # discount of a decision (0.1 s); small, because the vehicle responds within 0.5 s
+GAMMA = 0.95  # discount factor for each decision (0.1 s); small, because the vehicle responds within 0.5 s
 
 
 class Decisions(gymnasium.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarray]):
