@@ -18,16 +18,16 @@ from tests.examples import QUICK
 from tests.real_time import in_real_time, repeated_after_a_pause
 from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 
-# number of workers that fly in real time; two cores run three, because other workers have lower priority
+# number of workers that fly in real time; two cores suffice for three, as other workers have lower priority
 STREAMS = int(os.environ.get("FLIGHTSTACK_TEST_STREAMS", "3"))
 STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # "stream 0" flies the real PX4
 
-# A shell starts background jobs with Ctrl-C ignored, and the processes of the tests would inherit this.
+# In background jobs of a shell, SIGINT is ignored; the processes of the tests would inherit this.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup lets processes ignore a closed terminal
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup makes processes ignore SIGHUP
 
-# A busy machine must not cause failures, and runs must be reproducible. New examples: pytest
-# --hypothesis-profile="new examples"
+# No deadline, because a busy machine must not cause failures; the same examples in each run. New examples:
+# pytest --hypothesis-profile="new examples"
 hypothesis.settings.register_profile("new examples", deadline=None)
 hypothesis.settings.register_profile("same examples", deadline=None, derandomize=True)
 hypothesis.settings.register_profile(QUICK, deadline=None, derandomize=True, max_examples=25)
@@ -39,7 +39,7 @@ STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 @pytest.fixture(autouse=True)
 def process_as_before() -> Iterator[None]:
-    """Undo what a test changes in its process, because the worker's later tests run in any order."""
+    """Undo what a test changes in the worker's process, because later tests run in it in any order."""
     variables, folder, path = dict(os.environ), Path.cwd(), list(sys.path)
     handlers = [(number, signal.getsignal(number)) for number in STOPS]
     yield
@@ -98,10 +98,10 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 @pytest.hookimpl(tryfirst=True)  # runs before pytest-xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """If a vehicle is given, run only the tests made for it; tests that arm need ``--arm-ok``."""
+    """With ``--vehicle`` or ``--px4``, run only tests for any vehicle; tests that arm need ``--arm-ok``."""
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
-        if config.getoption("--flights") == 1:  # 1: other tests fly this number of flights
+        if config.getoption("--flights") == 1:  # above 1: only named tests run, in one process
             items[:] = [item for item in items if not _marked(item, "given")]
             _deal_out(items)
         return

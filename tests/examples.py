@@ -1,4 +1,4 @@
-"""Sets how many random examples a property test runs: the stated number; in `make quick` a quarter."""
+"""Sets the number of random examples of a property test: the stated number, in `make quick` a quarter."""
 
 from typing import Any
 

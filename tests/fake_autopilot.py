@@ -1,4 +1,4 @@
-"""Imitates ArduCopter, or the parameters of PX4, of any release with any parameters, for companion tests.
+"""Imitates ArduCopter, or PX4's parameter protocol, with any release and parameters, for companion tests.
 
 In mode GUIDED the vehicle is a point that follows velocities in NED. It shares no code with the simulator.
 """
@@ -18,7 +18,7 @@ PERIOD_S = 0.01
 
 
 class FakeAutopilot:
-    """Computes replies from messages and times; ``says_unknown``: it replies to unknown parameter names."""
+    """Computes replies from messages and times; ``says_unknown``: unknown parameter names get PARAM_ERROR."""
 
     def __init__(self, autopilot, version, parameters, *, says_unknown=True):
         self._px4 = autopilot == "px4"
@@ -27,7 +27,7 @@ class FakeAutopilot:
         self.mode, self.armed, self.origin = 0, False, False
         self.position, self.velocity = [0.0, 0.0, -FEET_M], [0.0, 0.0, 0.0]
         self._wanted, self._until_s, self._climb_to_m = [0.0] * 3, -math.inf, None
-        self._streams = {0: [1.0, 0.0]}  # message id -> interval, s, and next due time
+        self._streams = {0: [1.0, 0.0]}  # message id: interval and next due time, s
 
     @property
     def standing(self):
@@ -100,7 +100,7 @@ class FakeAutopilot:
             answer = (0, self._version, 0, 0, 0, zeros, zeros, zeros, 0, 0, 0)
             return [dialect.MAVLink_autopilot_version_message(*answer)] if known else []
         if self._px4:
-            return []  # the vehicle is not flying
+            return []  # the imitation of PX4 takes no other command and does not fly
         if number == dialect.MAV_CMD_REQUEST_MESSAGE:
             return self._telemetry(round(one))
         done = True
@@ -140,7 +140,7 @@ class Served:
         self._thread.start()
 
     def _run(self):
-        begin_s = None  # time of the first message; no client receives earlier heartbeats
+        begin_s = None  # time of the first message; before it, no heartbeat is sent
         while not self._over.is_set():
             if begin_s is not None:
                 self.endpoint.send(self.step(time.monotonic() - begin_s))

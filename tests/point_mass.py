@@ -1,4 +1,4 @@
-"""Connects the controller to a point-mass vehicle and to a robot on a circle, for tests of decisions."""
+"""Connects the controller to a point-mass vehicle and a robot on a circle, for tests of its decisions."""
 
 import math
 from dataclasses import dataclass, field
@@ -24,8 +24,8 @@ STREAM_LOSS_S = 0.5  # time without set-points after which the vehicle lands by 
 
 @dataclass
 class World:
-    """Simulated world; faults: functions ``(world, inputs) -> inputs`` for ``fault_from_s <= t <
-    fault_to_s``."""
+    """Simulated world; ``fault``: a function ``(world, inputs) -> inputs`` that is active for
+    ``fault_from_s <= t < fault_to_s``."""
 
     config: FlightConfig
     fault: object = None

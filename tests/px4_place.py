@@ -1,4 +1,4 @@
-"""Location of a real PX4 for the tests."""
+"""Finds the real PX4 program for the tests."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A virtual machine stops for tenths of a second if its host uses the processors for other machines; then states
 are too old, and the stack rightly aborts. A thread on each processor measures how late it wakes. A failure
-without such a pause counts immediately. All other tests run with a lower priority.
+without such a pause is not repeated. Tests that do not run in real time have a lower priority.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from flightstack.common.processes import hand_on_niceness
 REPEATS = 4
 PAUSE_S = 0.1  # a longer delay is a pause, s: half of the age limit of a vehicle state (checks.own_age_max_s)
 CALM_S = 2.0  # time between two attempts of a test, s
-GIVES_WAY = 15  # niceness of a worker and its children, from its first test that is not in real time
+GIVES_WAY = 15  # niceness of a worker and its children from its first test without real time
 _SLEEP_S = 0.01
 
 
 class Pauses:
-    """Longest delay with which a thread of any processor woke since ``begin``, s."""
+    """Measures ``worst_s``: the longest delay with which a thread on any processor woke since ``begin``."""
 
     def __init__(self) -> None:
         self.worst_s = 0.0
@@ -69,7 +69,7 @@ def repeated_after_a_pause() -> pytest.MarkDecorator:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Measure pauses during a test in real time; lower the priority of other tests."""
     if in_real_time(item):
-        keep_memory()  # relays run in this process and must not wait for memory
+        keep_memory()  # serial relays run in this process and must not wait for evicted memory pages
         PAUSES.begin()
     elif "PYTEST_XDIST_WORKER" in os.environ and os.getpriority(os.PRIO_PROCESS, 0) < GIVES_WAY:
         # a new session, because Linux compares the niceness of sessions first (sched(7), autogroup)

@@ -13,7 +13,7 @@ VARIABLE = "FLIGHTSTACK_FLIGHTS"
 
 
 def folder() -> Path | None:
-    """Return the folder of recorded flights: named by the environment, or else next to the checkout."""
+    """Return the folder of all recorded flights, from the environment or else near the checkout; or None."""
     named = os.environ.get(VARIABLE)
     places = [Path(named)] if named else [above / "shared" / "flights" for above in ROOT.parents[:3]]
     return next((place for place in places if any(place.glob("*.parquet"))), None)

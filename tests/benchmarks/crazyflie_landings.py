@@ -33,7 +33,7 @@ from tests.integration.wires.bridge_processes import KEY, Mocap, verb
 from tests.processes.ports import free_endpoint
 
 FLIGHT_MAX_S = 120.0
-REST_S = 2.5  # time from the end of the flight to the verdict, s
+REST_S = 2.5  # time from motors off on a surface to the verdict, s
 DOWN_MAX_S = 30.0  # longest time from the end of the onboard process to motors off, s
 SPEED_MAX_M_S = 0.3
 PATHS = (PathKind.STRAIGHT, PathKind.CIRCLE, PathKind.STOP_AND_GO, PathKind.REVERSING)
@@ -79,7 +79,7 @@ def scenario(seed: int) -> Scenario:
 
 
 def fly(one: Scenario, seed: int, *options: str, flights: int = 1) -> list[Landing]:
-    """Fly consecutive flights with the same firmware and bridge; ``options``: of ``bridge crazyflie``."""
+    """Fly in a row with the same firmware and bridge; ``options``: options of ``bridge crazyflie``."""
     here, there = free_endpoint(), free_endpoint()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.toml"

@@ -23,7 +23,7 @@ NAMES = [
 
 @cache
 def scenario(name: str) -> Scenario:
-    """Return the tier with its filter, with all code compiled."""
+    """Return the scenario of a tier and a filter, after all its code has been compiled."""
     tier, _, kind = name.rpartition("_")
     found = load(tier).with_filter(kind)
     warm_up(found)
@@ -49,7 +49,7 @@ def main() -> None:
     seeds = range(asked.seed, asked.seed + asked.runs)
     with multiprocessing.get_context("spawn").Pool(asked.workers) as pool:
         for name in asked.names or NAMES:
-            scenario(name)  # compiled once for all workers
+            scenario(name)  # the workers load the code that is compiled here
             pairs = pool.map(partial(both, name), seeds, chunksize=10)
             others = [one.seed for one, other in pairs if repr(one) != repr(other)]
             differ |= bool(others)

@@ -20,7 +20,7 @@ from sim.scenarios.tables import ExchangeLink
 from tests.fault_grid.fleet import Way, broken
 
 TEAM = "fleet_3"
-FROM_S, UNTIL_S = 0.5, 6.5  # range of the time at which the member fails
+FROM_S, UNTIL_S = 0.5, 6.5  # range of the time at which the member fails, s
 KINDS: dict[str, Way | None] = {"killed": Way.KILLED, "silent": Way.SILENT, "cut": Way.CUT, "late": None}
 NAMES = {"late": "10 % of the messages lost, 0.1 s late"}
 ENDS = (Outcome.LANDED, Outcome.ABORTED, Outcome.CRASHED)
@@ -33,7 +33,7 @@ COLUMNS = (
 
 
 def failing(whole: Scenario, kind: str, seed: int) -> tuple[Scenario, Exchange | None, int]:
-    """Return team and messages of a seed, and the number of the failed member; 0: no member failed."""
+    """Return team, exchange of its messages, and number of the failing member (0: none) for a seed."""
     way = KINDS[kind]
     if way is None:
         return replace(whole, exchange=LATE), None, 0
@@ -44,7 +44,7 @@ def failing(whole: Scenario, kind: str, seed: int) -> tuple[Scenario, Exchange |
 
 
 def line(kind: str, found: list[tuple[FleetVerdict, int]]) -> str:
-    """Return the row of a kind; ``found``: verdict on each team, and the number of its failed member."""
+    """Return the table row of a kind of fault; ``found``: (verdict, number of failing member) by team."""
     ends = [(n == who, each) for verdict, who in found for n, each in enumerate(verdict.members.values(), 1)]
     own, others = ([each for failed, each in ends if failed is wanted] for wanted in (True, False))
     own_ends, ended = Counter(each.outcome for each in own), Counter(each.outcome for each in others)

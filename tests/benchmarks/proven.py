@@ -1,8 +1,8 @@
-"""Tests the certificate by flight: changes each parameter over its span and flies what `check` proves.
+"""Tests the certificate: changes each parameter over its range, and flies what `check` proves.
 
 ``python -m tests.benchmarks proven [KEY ...] [--scenario NAME[+VARIANT] ...] [--filter NAME ...]``
 
-KEY: start of a parameter's name, for example ``velocity_loop.`` or ``robust.gain_1_s``. A configuration is
+KEY: beginning of a parameter's name, e.g. ``velocity_loop.`` or ``robust.gain_1_s``. A configuration is
 rejected, not proven, or proven. A proven one that crashes or violates the barrier is a failure. Exit status 1
 after a failure. The scenario's environment does not change. A variant (``deck+feedback``) adds an optional
 part of the configuration, so that the parameters of this part are tested, too.
@@ -35,7 +35,7 @@ DURATION_MAX_S = 60.0
 
 
 def base(name: str, kind: str) -> Scenario:
-    """Return a scenario with a filter; a variant ("+") adds velocity feedback or another touchdown rule."""
+    """Return a scenario with a filter; NAME+VARIANT adds velocity feedback or another touchdown rule."""
     name, _, variant = name.partition("+")
     scenario = load(name).with_filter(kind)
     if not variant:
@@ -61,7 +61,7 @@ class Parameter(NamedTuple):
 
 
 def parameters(cls: type = FlightConfig, path: tuple[str, ...] = ()) -> Iterator[Parameter]:
-    """Yield every number with a span in a dataclass and its nested dataclasses, from the fields' metadata."""
+    """Yield every number whose metadata contain a range, from a dataclass and its nested dataclasses."""
     hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
         kind, below = hints[field.name], (*path, field.name)
@@ -77,7 +77,7 @@ def parameters(cls: type = FlightConfig, path: tuple[str, ...] = ()) -> Iterator
 
 
 def values(parameter: Parameter, count: int) -> list[Any]:
-    """Return values over the span, including its ends; in logarithmic steps if the span is logarithmic."""
+    """Return ``count`` values from the lower to the upper limit, in logarithmic steps."""
     low, high = parameter.low, parameter.high
     least = low or high / 100.0
     found = [least * (high / least) ** (k / (count - 1)) for k in range(count)]
@@ -118,7 +118,7 @@ class Result(NamedTuple):
 
 
 def fly(case: Case, first_seed: int, runs: int, stop: int = 3) -> Result:
-    """Check one changed configuration; if it is proven, fly it until three failures."""
+    """Check one changed configuration; if it is proven, fly it ``runs`` times or until ``stop`` failures."""
     name, kind, path, value = case
     key = ".".join(path)
     try:

@@ -1,6 +1,6 @@
-"""Flies a real PX4 on the simulated vehicle, with failures.
+"""Flies the real PX4 program on the simulated vehicle, with one fault in each flight.
 
-``python -m tests.benchmarks px4_faults [WORD]``: faults with this part in their name; the table is in
+``python -m tests.benchmarks px4_faults [WORD]``: only faults whose name contains WORD. The table is in
 docs/reference/results.md.
 """
 
@@ -25,10 +25,10 @@ from tests.processes.started import StartedChild
 from tests.px4_place import PX4_PLACE, px4_place
 
 SCENARIO = "large"
-PHASE_MAX_S = 90.0  # time-out for the phase of the fault, s
-DOWN_MAX_S = 180.0  # time-out for motors off after the fault, s
-REST_M_S = 0.1  # largest vertical velocity that PX4 estimates for a vehicle on the ground
-FLOOR_M = 0.25  # largest height on the floor (feet at 0.12 m, plus drift); on the robot it is 0.62 m
+PHASE_MAX_S = 90.0  # time-out until the phase of the fault begins, s
+DOWN_MAX_S = 180.0  # time-out from the fault to motors off, s
+REST_M_S = 0.1  # largest vertical speed that PX4 estimates for a vehicle on the ground, m/s
+FLOOR_M = 0.25  # largest estimated height on the floor, m: 0.12 m plus drift; on the robot 0.62 m
 LOOK_S = 0.02
 
 
@@ -67,7 +67,7 @@ def _cut(seconds: float) -> Act:
     return act
 
 
-FAULTS: list[tuple[str, str, Act]] = [  # name of the fault, phase in which it starts, and effect
+FAULTS: list[tuple[str, str, Act]] = [  # name of the fault, phase in which it starts, function
     *(
         ("onboard process killed", phase, _signal(signal.SIGKILL))
         for phase in ("TAKEOFF", "APPROACH", "LAND", "TOUCHDOWN")
@@ -85,7 +85,7 @@ FAULTS: list[tuple[str, str, Act]] = [  # name of the fault, phase in which it s
 
 
 def fly(place: Path, phase: str, act: Act, folder: Path) -> str:
-    """Fly with a fault; return the flight's end, the time to motors off, and later phases as table cells.
+    """Fly with a fault; return table cells: where the vehicle ended, time to motors off, later phases.
 
     Raises LaunchError or AssertionError: a process did not start, or the flight did not reach the phase.
     """

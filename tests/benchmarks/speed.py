@@ -1,4 +1,4 @@
-"""Measures the time of a control step, its solver, a lockstep run, a campaign, the environment.
+"""Measures the speed of a control step, a lockstep run, a campaign and the environment.
 
 ``paper_runs`` flies the paper's four runs for docs/reference/paper_runs.md.
 """
@@ -54,7 +54,7 @@ def inputs(tick: int, position_enu_m: Vec3 = (1.1, 0.0, 0.76), velocity_enu_m_s:
 
 
 def approach(controller: Controller, azimuth_rad: float) -> list[float]:
-    """Fly from near the boundary to above the pad; return the duration of each step, us."""
+    """Fly from near the boundary to above the pad; return the durations of the steps after warm-up, us."""
     p, v = (1.6 * math.cos(azimuth_rad), 1.6 * math.sin(azimuth_rad), 1.0), ZERO
     took = []
     for tick in range(STEPS_MAX):
@@ -107,7 +107,7 @@ def sitl(folder: str | Path, scenario: str, seed: int = 0, *more: str) -> dict:
 
 
 def lockstep() -> None:
-    """Measure lockstep with recording as a multiple of real time: whole runs over MAVLink and Zenoh."""
+    """Print the speed of whole recorded lockstep runs over MAVLink and Zenoh as a multiple of real time."""
     factors = []
     for seed in range(3):
         with tempfile.TemporaryDirectory() as folder:
@@ -187,7 +187,7 @@ def paper_row(scenario: str, seeds: int, filter_name: str) -> str:
 
 
 def paper_runs() -> None:
-    """Fly the paper's four runs in lockstep for docs/reference/paper_runs.md: [SEEDS [FILTER ...]]."""
+    """Fly the paper's four runs for docs/reference/paper_runs.md; arguments: [SEEDS [FILTER ...]]."""
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     for filter_name in sys.argv[2:] or ("paper", "robust"):
         print(f"filter {filter_name}")
@@ -196,12 +196,12 @@ def paper_runs() -> None:
 
 
 def flown_s(scenario: Scenario, seed: int) -> float:
-    """Fly a landing or a team; return the simulated time of all its vehicles."""
+    """Fly a landing or a team; return the sum of the simulated times of its vehicles, s."""
     return sum(each.simulated_s for each in land(scenario, seed).members)
 
 
 def campaign_speed(scenario_name: str = "lab") -> None:
-    """Fly, measure, print; arguments: the scenario, and a filter that replaces the scenario's filter."""
+    """Print the speed of campaign flights; arguments: a scenario, and a filter that replaces its filter."""
     if len(sys.argv) > 1:
         scenario_name = sys.argv[1]
     scenario = load(scenario_name)

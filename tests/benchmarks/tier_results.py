@@ -61,7 +61,7 @@ def known(folder: Path) -> list[Row]:
 
 
 def asked_row(tier: str, out: Path) -> str:
-    """Return the limits of a tier, and the limits that are not met."""
+    """Return the table row with the limits of a tier and those that its campaign does not meet."""
     limits = LIMITS[Tier(tier)]
     robust, paper = (known(out / f"{tier}_{kind}") for kind in FILTERS)
     found = misses(Tier(tier), robust, paper or None)

@@ -26,9 +26,9 @@ class Limits:
 
     landed_min: float  # smallest fraction of flights that land
     violations_max: float  # largest fraction of flights that violate the barrier
-    error_m: tuple[float, float]  # largest touchdown error, median and 95th percentile, m
-    vertical_m_s: float  # largest vertical touchdown speed relative to the pad, 95th percentile
-    horizontal_m_s: float  # largest horizontal touchdown speed relative to the pad, 95th percentile
+    error_m: tuple[float, float]  # largest median and 95th percentile of the touchdown error, m
+    vertical_m_s: float  # largest 95th percentile of the vertical touchdown speed relative to the pad
+    horizontal_m_s: float  # largest 95th percentile of the horizontal touchdown speed relative to the pad
     slower_max: float | None  # largest median landing time over that of the paper's filter; None: no limit
 
 
@@ -45,7 +45,7 @@ def misses(tier: Tier, rows: Sequence[Row], paper: Sequence[Row] | None) -> list
     """Return the limits that a campaign does not meet, as text; empty if it meets all.
 
     ``tier``: tier of the limits; ``rows``: campaign rows; ``paper``: rows of the paper's filter on the same
-    scenario; without them a limit on the time counts as not met.
+    scenario; without these rows, a limit on the landing time counts as not met.
     """
     limits, counts = LIMITS[tier], count(rows)
     n = counts["runs"]

@@ -1,6 +1,6 @@
 """Model of the Crazyflie's CRTP interface: computes the answers to cflib from packets and times.
 
-Its unexpected behaviour was measured on firmware 2026.08, compiled for a host.
+Undocumented behaviour was measured on firmware 2026.08, compiled for a PC.
 """
 
 import struct
@@ -31,7 +31,7 @@ class Firmware:
     """Model of the firmware of one Crazyflie: receives and returns CRTP packets.
 
     ``protocol``: CRTP protocol version; below 12: CrazySim's firmware of 2024, without the supervisor port;
-    ``tables``: entries of the tables of logs and parameters; the real ones have 567 and 334.
+    ``tables``: numbers of log variables and of parameters; the real firmware has 567 and 334.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Firmware:
         self._start()
 
     def _start(self) -> None:
-        """Reset all state except the flash."""
+        """Set the state that the firmware has after a start."""
         self.supervisor = Supervisor(self._auto_arm)
         self.params: dict[str, Param] = params(self._tables[1])
         self._log_toc, self._param_toc = log_toc(self.protocol, self._tables[0]), param_toc(self.params)
@@ -68,7 +68,7 @@ class Firmware:
         self._setpoint_s = -1e9
         self._priority = 0
         self._heard_s = self._supervised_s = self._now_s
-        self._boot_s = self._now_s  # time at which the reported time is zero
+        self._boot_s = self._now_s  # time of the start, from which log data count their time, s
 
     def restart(self) -> None:
         """Restart now, also in the air: the firmware sends nothing for some seconds, then it arms itself."""
@@ -78,7 +78,7 @@ class Firmware:
         self.plant.restart()
 
     def stall(self, seconds: float) -> None:
-        """Freeze vehicle and clock for a time, like a simulator that gets no processor time."""
+        """Freeze vehicle and clock for this time, like a simulator that gets no processor time."""
         self._stalled_until_s = self._host_s + seconds
 
     def _clock(self, host_s: float) -> float:
@@ -125,7 +125,7 @@ class Firmware:
         dt_s, self._stepped_s = now_s - self._stepped_s, now_s
         while now_s - self._supervised_s >= PERIOD_S:
             self._supervised_s += PERIOD_S  # fixed period of the supervisor, also if the host is late
-            # with priority 0 the planner sends the set-points, so the watchdog does not act
+            # with priority 0 the firmware's planner makes the set-points, so the watchdog does not act
             age_s = self._supervised_s - self._setpoint_s if self._priority else 0.0
             self.supervisor.setpoints_rule = self._priority > 0
             self.supervisor.step(self._supervised_s, age_s, self.plant.motors)
@@ -165,7 +165,7 @@ class Firmware:
             ids = [struct.unpack_from("<H", data, at)[0] for at in range(3, len(data), 3)]
             names = [*self._blocks[number].names, *(self._log_toc.name(i) for i in ids)]
             if sum(struct.calcsize(CODE[LOGS[name]]) for name in names) > 26:
-                return [bytes((command, number, 7))]  # errno E2BIG, which a repeated request gets
+                return [bytes((command, number, 7))]  # errno E2BIG: reply to a repeated request
             self._blocks[number].names = names
         elif command == 3:
             block = self._blocks[number]
@@ -190,7 +190,7 @@ class Firmware:
     def _values(self) -> dict[str, Any]:
         plant = self.plant
         position, velocity = plant.estimate
-        # truncated towards zero, and to 16 bits (stabilizer.c, compressState)
+        # mm, mm/s, mrad/s, truncated towards zero and to 16 bits (stabilizer.c, compressState)
         (x, y, z), (vx, vy, vz), (p, q, r) = (
             [(int(1000 * e) + (1 << 15)) % (1 << 16) - (1 << 15) for e in vector]
             for vector in (position, velocity, plant.rates)
@@ -229,7 +229,7 @@ class Firmware:
         return [data[:2] + struct.pack(CODE[param.kind], param.value)]
 
     def written(self) -> None:
-        """Apply the parameters after a write."""
+        """Pass the estimator's parameters to the plant after a write."""
         drag = [self.params.get(f"kalman.dragB_{axis}") for axis in "xyz"]
         if self.params["kalman.resetEstimation"].value:
             self.plant.reset(*(self.params[f"kalman.initial{name}"].value for name in ("X", "Y", "Z", "Yaw")))

@@ -5,11 +5,11 @@ from collections.abc import Callable
 
 TAU_S = 0.12  # time constant of the firmware's PID velocity loop, s
 G = 9.81
-DRAG_1_S = 0.46  # deceleration at level attitude by drag alone
+DRAG_1_S = 0.46  # deceleration by drag at level attitude, divided by the speed, 1/s
 
 
 def variance_m2(pose_age_s: float) -> float:
-    """Return the position variance of the filter of firmware 2026.08 after this time without a pose."""
+    """Return the position variance of firmware 2026.08's filter, m^2, at this age of the last pose."""
     t = pose_age_s
     if t == math.inf:
         return 100.0
@@ -58,7 +58,7 @@ class Point:
         """Ignore ``kalman.resetEstimation``: the filter here has no lasting error."""
 
     def restart(self) -> None:
-        """Ignore the restart: the filter here has no state."""
+        """Forget the last pose; the filter here has no other state."""
         self._pose_age_s = math.inf
 
     @property
@@ -69,7 +69,7 @@ class Point:
         """Ignore a new set-point, because ``command`` gets the set-point at every step."""
 
     def command(self, velocity: tuple[float, float, float], yaw_rate: float, level: bool) -> None:
-        """Advance the vehicle; ``level``: it keeps zero tilt and controls only its height."""
+        """Set the commanded velocity; ``level``: keep zero tilt, follow only the vertical velocity."""
         self._wanted, self._level, self.motors = list(velocity), level, True
         self.yaw_rate = 0.0 if level else yaw_rate
 

@@ -22,7 +22,7 @@ MS_MAX = 50  # longest step, ms; during a longer pause of the machine simulated 
 
 
 def take_pose(vehicle, position, quaternion):
-    """Correct the estimate with an external pose; unlike motion capture, also correct roll and pitch."""
+    """Correct the estimate with an external pose, also in roll and pitch, unlike motion capture."""
     estimator = vehicle.record.firmware.estimator
     correct(estimator, *position, yaw_from_quaternion(quaternion))
     correct_tilt(estimator, np.array(quaternion))
@@ -31,9 +31,9 @@ def take_pose(vehicle, position, quaternion):
 class SimPlant:
     """A ``VehicleSim`` with the interface of ``plant.Point``; its deck follows the robot's true pose.
 
-    The simulated firmware levels out and stops by its own watchdog, so only new set-points are passed to it.
+    Its simulated firmware has its own set-point watchdog, so only new set-points are passed to it.
 
-    ``session``: Zenoh session of the poses of the robot in ``namespace``; None: the deck stays at its start;
+    ``session``: Zenoh session that receives the robot's pose in ``namespace``; None: the deck does not move;
     ``by_poses``: the vehicle receives external poses instead of the scenario's motion capture.
     """
 

@@ -9,7 +9,7 @@ PARAM_TYPES = {"u8": 8, "u16": 9, "u32": 0xA, "i8": 0, "i16": 1, "i32": 2, "f": 
 CODE = {"u8": "<B", "u16": "<H", "u32": "<I", "i8": "<b", "i16": "<h", "i32": "<i", "f": "<f"}
 READ_ONLY = 0x40
 
-SENT_SINCE = {"pm.vbatMV": 8}  # minimum CRTP protocol version; CrazySim's firmware of 2024 has 7
+SENT_SINCE = {"pm.vbatMV": 8}  # first CRTP version with this variable; CrazySim's firmware of 2024 has 7
 LOGS = {
     **{f"stateEstimateZ.{name}": "i16" for name in ("x", "y", "z", "vx", "vy", "vz")},
     "stateEstimateZ.quat": "u32",
@@ -33,7 +33,7 @@ class Param:
 
 
 def params(entries: int) -> dict[str, Param]:
-    """Return a parameter table with the entries that the bridge uses and this number of entries."""
+    """Return a parameter table of this size, at least the parameters that the bridge uses."""
     known = {
         "stabilizer.estimator": Param("u8", 1),
         "stabilizer.controller": Param("u8", 1),
@@ -69,7 +69,7 @@ class Toc:
 
 
 def log_toc(protocol: int, entries: int) -> Toc:
-    """Return the log table of a firmware with this protocol and this number of entries."""
+    """Return the log table of this size for a CRTP protocol version."""
     names = [name for name in LOGS if protocol >= SENT_SINCE.get(name, 0)]
     filled = [(f"other.log{i}", LOG_TYPES["f"]) for i in range(entries - len(names))]
     return Toc([(name, LOG_TYPES[LOGS[name]]) for name in names] + filled)

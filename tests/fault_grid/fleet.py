@@ -35,7 +35,7 @@ def fly(way: Way, at_s: float, seed: int) -> FleetVerdict:
 
 
 def broken(team: Scenario, seed: int, way: Way, who: int, at_s: float) -> tuple[Scenario, Exchange]:
-    """Return the team in which one member fails permanently, and the exchange of its messages."""
+    """Return the team with a permanent fault of one member, and the function that exchanges its messages."""
     if way is Way.STOPS:
         team = _with_fault(team, who, Fault(What.ROBOT, Kind.STUCK, start_s=at_s))
     if way is Way.KILLED:  # the member's autopilot ends the flight by its fail-safe

@@ -1,8 +1,8 @@
-"""Flies a landing in one process with a fault at a chosen moment, and simulates it until the vehicle is down.
+"""Flies a landing in one process with a fault at a chosen moment, and simulates until the vehicle is down.
 
 The vehicle's lockstep loop, its autopilot, the robot, the companion's link and ``Runner`` are those of a real
 run (as in ``sim.runners.landing``); target samples are CDR bytes. When the companion ends, nothing more is
-sent, as after the end of its process; the vehicle is simulated until it is down.
+sent, as after the end of its process, but the simulation continues until the vehicle is down.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from sim.runners.robot import DirectTarget, Ticks
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario
 
-REST_S = 2.5  # simulated time after the motors stop, s; the verdict needs 2 s
+REST_S = 2.5  # simulated time after motors off, s; the verdict needs 2 s
 WATCH_MAX_S = 30.0  # longest flight after the disturbance, s
 CLIMB_M = 0.2  # height above the ground at which the vehicle counts as climbing
 
 TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
-Mangle = Callable[[list[bytes], float], list[bytes]]  # (payloads, time) -> payloads passed on
+Mangle = Callable[[list[bytes], float], list[bytes]]  # (payloads, time in s) -> payloads that arrive
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Flown:
     """Result of the flight; simulated times in s, NaN for events that did not occur."""
 
     seen: Seen  # the flight's data, as in a log
-    disturbed_at_s: float  # start of the disturbance; the other times are relative to this start
-    noticed_s: float  # start of the first phase HOLD, CLIMB or ABORT, or of the autopilot's fail-safe
+    disturbed_at_s: float  # start of the disturbance; the times below count from it
+    noticed_s: float  # first of: start of HOLD, CLIMB or ABORT; start of a fail-safe
     down_s: float  # time at which the motors stopped for the last time
     failsafe_s: float  # start of the autopilot's first fail-safe
     phases: tuple[Phase, ...]  # phases of the companion, in order
@@ -67,9 +67,9 @@ class Flown:
 
 
 class _Target(DirectTarget):
-    """Robot whose samples are serialised as over Zenoh, and which is simulated few ticks in advance.
+    """Robot that serialises its samples as for Zenoh, and that is simulated only up to the current tick.
 
-    Therefore a fault starts immediately, not after the ticks that are already simulated.
+    Therefore a fault starts immediately, not after ticks that are already simulated.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
@@ -189,7 +189,7 @@ class Flight(Companion):
         return self.asked
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """Whether the controller has finished, or the time limit, which acts like a kill, is reached."""
+        """Return the companion's end when it has finished or, like a kill, at the time limit; else None."""
         return Ended(out.phase, memory.reason, 1) if out.finished or now_s >= self._duration_s else None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:

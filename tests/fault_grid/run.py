@@ -75,16 +75,16 @@ def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
                 return first * len(payloads)
             case Way.GARBAGE:  # change one byte of each payload
                 return [damaged(payload) for payload in payloads]
-            case Way.WRONG:  # replace the samples by those of another robot, under the same key
+            case Way.WRONG:  # change the target's frame name to that of another robot, under the same key
                 return [payload.replace(b"target\0", b"nearby\0") for payload in payloads]
             case Way.SLOW:
                 return [payload for payload in payloads if next(number) % 10 == 0]
-            case Way.DELAYED:  # delay by 0.2 s, and every tenth by 30 ms more, so that later ones overtake it
+            case Way.DELAYED:  # delay all by 0.2 s, a random tenth by 0.23 s, so that later ones arrive first
                 held += [(now_s + 0.2 + (0.03 if rng.random() < 0.1 else 0.0), each) for each in payloads]
                 due = [payload for at_s, payload in held if at_s <= now_s]
                 held = [one for one in held if one[0] > now_s]
                 return due
-            case Way.INTERMITTENT:  # lose payloads in bursts of 0.3 s every 1.3 s on average
+            case Way.INTERMITTENT:  # lose payloads for 0.3 s, pass them on for 1 s (means of random times)
                 while now_s >= until_s:
                     lost = not lost
                     until_s = max(until_s, now_s) + rng.exponential(0.3 if lost else 1.0)
@@ -96,7 +96,7 @@ def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
 
 SCENARIO = "grid"
 SEED = 1
-UPRIGHT = 0.9  # smallest cosine of the tilt of a standing vehicle
+UPRIGHT = 0.9  # smallest cosine of the tilt of an upright vehicle
 
 
 @dataclass(frozen=True)
@@ -104,9 +104,9 @@ class Result:
     """Result of a cell; times in s since the fault, NaN for events that did not occur."""
 
     end: End
-    noticed_s: float  # time until the abort, the detection of lost inputs, or a fail-safe
+    noticed_s: float  # time until the first of: phase HOLD, CLIMB or ABORT; fail-safe of the autopilot
     down_s: float  # time until the motors were finally off
-    h_min_m: float  # lowest h outside the pad as long as the companion flew; NaN: no landing
+    h_min_m: float  # lowest true h outside the pad while the companion flew; NaN: no landing started
     flown: Flown
 
 

@@ -35,7 +35,7 @@ class Way(StrEnum):
 
 
 class Moment(Enum):
-    TAKEOFF = Phase.TAKEOFF  # the vehicle climbs at 0.2 m, because a vehicle on the ground cannot fall
+    TAKEOFF = Phase.TAKEOFF  # 0.2 m above the ground, because a vehicle on the ground cannot fall
     APPROACH = Phase.APPROACH
     LAND = Phase.LAND
     TOUCHDOWN = Phase.TOUCHDOWN
@@ -50,8 +50,8 @@ class End(StrEnum):
     FLYING = "FLYING"  # the motors still run at the end
 
 
-WITHIN_S = 2.0  # longest time from the fault to the abort, where an abort is required, s
-H_MIN_M = -0.005  # lowest allowed h outside the pad as long as the companion flies
+WITHIN_S = 2.0  # default of ``Need.within_s``, s
+H_MIN_M = -0.005  # lowest allowed value of the barrier h outside the pad while the companion flies
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Need:
     # longest time from the fault to the abort or to motors off, s; None: the flight may continue, because the
     # fault does no harm
     within_s: float | None = WITHIN_S
-    h_min_m: float = H_MIN_M  # lowest h outside the pad while the companion flies
+    h_min_m: float = H_MIN_M  # lowest allowed h outside the pad while the companion flies
     undetectable: bool = False  # no process on board can detect the fault; only the harm is limited
     falls_short: str = ""  # reason of a failure that is known to occur by chance; empty: no such failure
     short_ends: frozenset[End] = frozenset()  # ends of the flight in this known failure

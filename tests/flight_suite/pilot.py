@@ -19,11 +19,11 @@ from tests.flight_suite.room import LIMITS, Limits, Room
 
 RATE_HZ = 50
 STATE_AGE_MAX_S = 2.0  # maximum state age, s; large, because the vehicle holds position by its own estimate
-WALL_FACTOR = 5.0  # ratio of wall time to a limit; a simulated vehicle's clock pauses with its machine
+WALL_FACTOR = 5.0  # factor from a time-out to wall time; a simulated vehicle's clock pauses with its machine
 HEARTBEAT_AGE_MAX_S = 3.5
-CONNECT_MAX_S = 60.0  # time-out from boot to a valid position estimate, s
-DOWN_MAX_S = 30.0  # time-out from the end of a step to standing with motors off, s
-KILL_AFTER_S = 20.0  # time-out of a landing near the ground, s
+CONNECT_MAX_S = 60.0  # time-out from the start to a valid position estimate, s
+DOWN_MAX_S = 30.0  # time-out from the end of a step to motors off, s
+KILL_AFTER_S = 20.0  # time from which a landing below LOW_M ends by stopping the motors, s
 LOW_M = 0.1
 CLIMB_M_S = 0.5
 
@@ -35,7 +35,7 @@ class Setpoint:
 
 
 class Pilot:
-    """Flies as a context manager; at its end the vehicle is landed in every case."""
+    """Context manager of a pilot; at the end of the context, an armed vehicle is landed in every case."""
 
     def __init__(self, room: Room) -> None:
         self._room = room
@@ -108,7 +108,7 @@ class Pilot:
         return self.ask(step, Request.NONE, done, limit_s)
 
     def ask(self, step: str, request: Request, done: Callable[[], bool], limit_s: float) -> float:
-        """Send the MAVLink commands that a request of the operator needs."""
+        """Send the MAVLink commands of this request until the condition holds; return the duration, s."""
         return self._run(step, lambda: self.link.command(request, self.now_s), done, limit_s)
 
     def fly(self, step: str, velocity_enu_m_s: Vec3, done: Callable[[], bool], limit_s: float) -> float:

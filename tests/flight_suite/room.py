@@ -1,4 +1,4 @@
-"""Places where the suite flies, with their limits: simulated vehicle, PX4, or a vehicle named by the user."""
+"""Vehicles that the suite flies, with their limits: simulated, PX4, or one named by the user."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Lost(Enum):
 
 @dataclass(frozen=True)
 class Limits:
-    settle_s: float  # settling time at zero velocity before the evaluation
-    still_m_s: float  # largest speed of a vehicle that holds position
-    drift_m: float  # largest allowed displacement in five seconds with a zero velocity set-point
+    settle_s: float  # wait at zero velocity before the drift is measured
+    still_m_s: float  # largest speed with a zero velocity set-point
+    drift_m: float  # largest allowed displacement in 5 s with a zero velocity set-point
     step_m_s: float  # speed of the step to the north and back
     step_s: float  # duration of each direction of the step
     moved_share: tuple[float, float]  # range of the step's distance, as a fraction of speed times duration
@@ -67,7 +67,7 @@ LIMITS: Mapping[str, Limits] = MappingProxyType(
 
 
 SCENARIO = "grid"  # scenario that starts on the ground and lands by contact on a driving robot
-ORIGIN_WGS84 = (47.397742, 8.545594, 10.0)  # origin for ArduPilot without satellites
+ORIGIN_WGS84 = (47.397742, 8.545594, 10.0)  # degrees, degrees, m: origin for ArduPilot without satellites
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Room:
     listen: str  # Zenoh endpoint of the onboard process
     config: Path  # configuration of the onboard process
     folder: Path  # folder for output of processes
-    fence: Fence = field(default_factory=Fence)  # geofence during the step
+    fence: Fence = field(default_factory=Fence)  # limits of the vehicle's position during the step
     system_id: int = 1  # system id of the vehicle
     signing_key: Path | None = None  # MAVLink signing key; None: unsigned
     takeoff_height_m: float = 0.5  # height of the pilot's climb
@@ -104,8 +104,8 @@ class Room:
 
 
 def configured(scenario: Scenario, folder: Path) -> Path:
-    """Write a scenario's onboard configuration with a short climb: a lost target never returns here."""
-    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # the wait for a lost target is short
+    """Write a scenario's onboard configuration with a short CLIMB: a lost target never returns here."""
+    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # wait for a lost target, s
     side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     file = folder / "onboard.toml"
     file.write_text(dumps(replace(scenario.onboard, checks=checks, vehicle=side)))

@@ -43,7 +43,7 @@ def report(name: str) -> bool:
 
 
 def update(name: str) -> None:
-    """Fly a golden log again; replace the old one if it replays equally, has all its phases, and is small."""
+    """Fly a golden log again; it replaces the old one if it replays equally, has all phases and is small."""
     flight = FLIGHTS[name]
     with tempfile.TemporaryDirectory(dir=path_of(name).parent) as folder:
         fresh = Path(folder) / "fresh.mcap"

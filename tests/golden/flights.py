@@ -19,14 +19,14 @@ TOPICS = (
     "target/odom",
 )  # fmt: skip
 WIRE = ("mavlink_source", "mavlink_sink")
-CHUNK_BYTES = 16 * 2**20  # size of a chunk; a whole flight fits into one, so that it compresses better
+CHUNK_BYTES = 16 * 2**20  # chunk size; a whole flight fits into one chunk, which compresses better
 METADATA = ("onboard", "run")
 
 
 def write_kept(
     source: Path, target: Path, *, member: str | None = None, wire: bool = True, when=None, change=None
 ) -> Path:
-    """Copy a log's topics of interest.
+    """Copy the topics of a log that a replay needs.
 
     Args:
         source: a complete or broken log.
@@ -34,7 +34,7 @@ def write_kept(
         member: vehicle whose flight is kept; None: the log has one flight.
         wire: also keep MAVLink frames and odometry.
         when: condition for keeping a message; None: all.
-        change: returns a message's new data; None: unchanged.
+        change: function that returns the new data of a message; None: unchanged.
     """
     log = LogFile(source, member).single()
     names = log.names
@@ -51,7 +51,7 @@ def write_kept(
         for name in METADATA:
             values = dict(log.metadata().get(name, {}))
             if name == "onboard" and not wire:
-                values.pop("lockstep", None)  # without frames the wire cannot be replayed
+                values.pop("lockstep", None)  # without MAVLink frames their exchange cannot be replayed
             writer.add_metadata(names.record(name), values)
         channels: dict[str, int] = {}
         for message in log.messages(topics):
@@ -110,7 +110,7 @@ def path_of(name: str) -> Path:
 
 
 def fly(flight: Flight, target: Path) -> None:
-    """Fly the scenario and store what a replay needs."""
+    """Fly the scenario, and write the golden log to ``target``."""
     table = parse_toml(text(load(flight.scenario)).encode())
     for each in table.get("member", [table]):
         _change(each, flight.changes)

@@ -1,4 +1,4 @@
-"""Golden landings: stored results of landings in one process, which notice any change of the simulator.
+"""Golden landings: stored results of landings in one process; the test shows any change of the simulator.
 
 ``python -m tests.golden.landings [NAME ...]`` flies these or all again and writes ``landings.json``. Do so
 after a change of the simulated vehicle, autopilot, robot, links or faults that is meant to change flights.
@@ -48,7 +48,7 @@ VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "late states": ("lab", {"vehicle.own": {"delay_s": 0.05, "delay_shared": True, "tilt_rad": 0.03},
                             "odometry.error": {"delay_s": 0.05, "delay_shared": True}}),
 }  # fmt: skip
-# columns of the true states; a result contains the mean of each
+# columns of the true states; a result contains the mean absolute value of each
 COLUMNS = (
     "position_enu_m", "velocity_enu_m_s", "orientation", "angular_velocity_flu_rad_s", "rotor_rpm",
     "pad_position_enu_m", "pad_velocity_enu_m_s", "pad_yaw_rad", "h_m", "contacts", "battery_v",
@@ -58,7 +58,7 @@ OMITTED = ("cells", "wall_s", "seed")  # fields of a campaign row that are not c
 
 
 def faulty(what: What, kind: Kind) -> Scenario:
-    """Return the scenario of the fault grid with one fault, in the approach."""
+    """Return scenario ``grid`` with one fault that starts in the approach."""
     grid = fs.scenario("grid", {"duration_max_s": 15.0, "retreat.abort_time_max_s": 10.0})
     of_robot = what in (What.TARGET_ODOMETRY, What.ROBOT)
     given: dict[str, Any] = {"motor": 2} if what is What.MOTOR else {}
@@ -70,7 +70,7 @@ def faulty(what: What, kind: Kind) -> Scenario:
 
 
 def of_one(landing: Landing) -> dict[str, Any]:
-    """Return the campaign row of a landing, the means of its true states, and the texts of its events."""
+    """Return campaign row, means of the absolute true states, and event texts of a landing."""
     row, truth = row_of(landing), landing.seen.truth
     means = {name: rounded(np.abs(np.asarray(getattr(truth, name), float)).mean(axis=0)) for name in COLUMNS}
     found = {name: getattr(row, name) for name in row.__slots__ if name not in OMITTED}

@@ -19,8 +19,8 @@ from tests.processes.bounded import PATIENCE_S, killed
 from tests.processes.started import Started, run_verb
 
 WALL_MAX_S = 240.0
-# Verbs that start no process and handle no signal run in this process, because loading their packages takes
-# one to three seconds.
+# Subcommands that start no process and handle no signal run in this process, because a new process needs one
+# to three seconds to load their packages.
 CALLED = {
     "check",
     "compare",
@@ -49,7 +49,7 @@ class Result:
 
 
 def flightstack(*arguments, cwd=None, apart=False) -> Result:
-    """Run a subcommand to its end; ``apart``: always in a separate process."""
+    """Run a subcommand to its end; ``apart``: in a separate process in any case."""
     words = [str(one) for one in arguments]
     if not apart and (words[0] in CALLED or "--help" in words):
         return called(*words, cwd=cwd)
@@ -62,7 +62,7 @@ def flightstack(*arguments, cwd=None, apart=False) -> Result:
 
 
 def called(*arguments, cwd=None) -> Result:
-    """Run a subcommand in this process; it must only read, or reject its arguments."""
+    """Run a subcommand in this process; it must start no process, or reject its arguments."""
     with contextlib.chdir(cwd or Path.cwd()):
         done = CliRunner().invoke(main, [str(one) for one in arguments])
     if done.exception is not None and not isinstance(done.exception, SystemExit):

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from tests.processes.started import Started
 
 PATIENCE_S = 60.0  # time-out of the start of a process on an overloaded machine, s
-AT_ONCE_S = 10.0  # time-out of an immediate action, s; the end of a process took up to 3.2 s
+AT_ONCE_S = 10.0  # time-out of an immediate action, s; a process took up to 3.2 s to end
 
 
 T = TypeVar("T")
 
 
 def wait_for(done: Callable[[], T], what: str = "it", within_s: float = PATIENCE_S) -> T:
-    """Poll until a condition of another thread or process holds; return its value."""
+    """Poll until ``done()`` is true because of another thread or process; return its value."""
     until_s = time.monotonic() + within_s
     while not (found := done()):
         assert time.monotonic() < until_s, f"{what} did not come"
@@ -51,7 +51,7 @@ def line_of(stream: IO[Any], within_s: float = PATIENCE_S) -> str:
 def lines_of(stream: IO[Any], within_s: float) -> Iterator[str]:
     """Yield the lines that a process writes, until its end.
 
-    Raises AssertionError: the process has not ended within this time since the call.
+    Raises AssertionError: the process has not ended within this time after the call.
     """
     until_s = time.monotonic() + within_s
     while line := line_of(stream, until_s - time.monotonic()):
@@ -61,7 +61,7 @@ def lines_of(stream: IO[Any], within_s: float) -> Iterator[str]:
 def killed(child: subprocess.Popen[Any] | Started, within_s: float = PATIENCE_S) -> str:
     """Kill a process unless it has ended; return its unread output.
 
-    If a child of the process holds the pipes open, reading would not end; therefore they are closed.
+    If a child of the process keeps the pipes open, the reading ends by a time-out and the pipes are closed.
     """
     child.kill()
     said = None
@@ -75,7 +75,7 @@ def killed(child: subprocess.Popen[Any] | Started, within_s: float = PATIENCE_S)
 
 
 def gone(pid: int, within_s: float = PATIENCE_S) -> bool:
-    """Whether a process has ended; the call waits for the end at most this time."""
+    """Wait at most this time for the end of a process; return whether it has ended."""
 
     def ended() -> bool:
         try:

@@ -12,7 +12,7 @@ _KEPT: list[Port | socket.socket] = []  # reserved until this worker ends, becau
 def free_port(*, udp: bool = False) -> int:
     port = Port()
     _KEPT.append(port)
-    if udp:  # a TCP port with this number is reserved instead
+    if udp:  # the UDP port is freed for the server; a TCP port with the same number is reserved instead
         _KEPT[-1] = socket.create_server(("127.0.0.1", port.number))
         port.close()
     return port.number

@@ -1,4 +1,4 @@
-"""Starts processes of tests by a fork of a process that has loaded all modules, which saves the loading.
+"""Starts processes of tests by forks of a process that has loaded all modules, which saves their start time.
 
 ``Flying``, the commands of the docs and ``subprocess`` start new programs, as users do.
 """
@@ -24,10 +24,11 @@ SERVER.set_forkserver_preload(["tests.processes.loaded"])
 
 
 class Started:
-    """A process with those methods of ``subprocess.Popen`` that tests use; its output is read from pipes.
+    """A process with the methods of ``subprocess.Popen`` that tests use; pipes carry its output.
 
     Args:
-        run: function to run, and its arguments.
+        run: function that the process runs.
+        given: arguments of the function.
         cwd: working folder.
         text: whether its output is read as text.
         errors: file for its standard error; None: a pipe.
@@ -104,7 +105,7 @@ class Started:
 
 
 class StartedChild(Child):
-    """A ``Child`` of a process with threads, like the workers of the tests."""
+    """A ``Child`` that is started as ``Started``, because test workers have threads and must not fork."""
 
     def _program(self, arguments, program, works_in, errors):
         if program is not None:
@@ -125,7 +126,7 @@ def _begin(
     os.setpriority(os.PRIO_PROCESS, 0, nice)
     leave_parent(output.fileno(), errors.fileno())
     os.chdir(folder)
-    sys.path.insert(0, str(folder))  # ``python -m`` also adds this folder
+    sys.path.insert(0, str(folder))  # as ``python -m`` does
     os.environ.clear()
     os.environ.update(environment)
     run(*given)

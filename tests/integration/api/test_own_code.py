@@ -44,7 +44,7 @@ random_heading = false
 
 @pytest.fixture(autouse=True)
 def forgotten(monkeypatch):
-    """Remove the imported module of the previous test, and its folder, before each test."""
+    """Remove the test's module and its folder from the interpreter after each test."""
     monkeypatch.setattr(sys, "path", list(sys.path))
     yield
     sys.modules.pop("failing", None)

@@ -1,4 +1,4 @@
-"""Tests that fly any vehicle: the simulated one by default, another one with ``--vehicle URL --target KEY``.
+"""Tests for any vehicle: the simulated one, or another one by ``--vehicle URL --target KEY``, or ``--px4``.
 
 Each step limits height, distance and time; a vehicle outside the limits is landed. A given vehicle is armed
 only with ``--arm-ok``; see docs/how_to/hardware.md.
@@ -118,7 +118,7 @@ def test_a_companion_that_falls_silent_leaves_a_safe_vehicle(pilot):
 
 
 def safe(pilot) -> bool:
-    """Whether the vehicle has started its fail-safe and has left the last set-point."""
+    """Whether the fail-safe has acted: the vehicle lands, is disarmed, or stands still (``Lost.STOPS``)."""
     if not pilot.status.armed or pilot.status.mode is Mode.LAND:
         return True
     return pilot.limits.lost is Lost.STOPS and speed_m_s(pilot) < pilot.limits.still_m_s
@@ -166,7 +166,7 @@ def test_a_killed_companion_leaves_a_safe_vehicle(room, phase):
 
 
 def left_alone(room) -> None:
-    """Observe a vehicle without a pilot until it has reached a safe state."""
+    """Observe a vehicle that gets no set-points until it has reached a safe state."""
     with Pilot(room) as pilot:
         pilot.connect()
         pilot.watch("safe state", lambda: safe(pilot), pilot.limits.lost_s)
@@ -175,7 +175,7 @@ def left_alone(room) -> None:
 
 
 def down(room) -> bool:
-    """Wait a short time; return whether the vehicle stands with its motors off."""
+    """Wait until the motors are off; return whether the vehicle is on the ground."""
     with Pilot(room) as pilot:
         pilot.connect()
         pilot.watch("motors off", lambda: not pilot.status.armed, 20.0)

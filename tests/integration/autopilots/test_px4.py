@@ -1,4 +1,4 @@
-"""Tests a real PX4, if there is one: its program as a child process, and flights to a driving robot.
+"""Tests the real PX4 program, if it is found, as a child process, and its flights to a driving robot.
 
 One PX4 flies all of them, because its start takes as long as a flight; after a landing the vehicle takes off
 from the robot's pad. The position comes from motion capture: with satellites PX4 does
@@ -88,7 +88,7 @@ def test_places_without_a_px4_are_refused_with_what_is_missing(tmp_path):
 
 
 FLIGHTS = 2
-SPEED = 4.0  # largest ratio to real time
+SPEED = 4.0  # largest ratio of simulated to real time
 FLIGHT_MAX_S = 120.0  # time-out of a flight, s of wall time, also on slow machines
 LOST_S = 10.0  # time-out of PX4's fail-safe, s of wall time; COM_OF_LOSS_T = 1.0 s simulated, heartbeat 1 Hz
 LANDED_MAX_S = 60.0
@@ -96,12 +96,12 @@ RECORDED_MAX_S = 60.0
 ROBOT_M_S = 0.2
 DRIVEN_M = 2.0  # smallest distance that the robot must drive during the flights
 TAKEOFF_M = 1.2
-KILLED_M = 0.2  # height above the ground, in the climb: PX4 climbs about 0.8 m more until its fail-safe acts
+KILLED_M = 0.2  # height of the kill in the climb, m: PX4 climbs about 0.8 m more until its fail-safe acts
 ERROR_M = 0.25  # allowed touchdown error on a pad of 0.5 m
-STANDS_M = 0.12  # height of the vehicle's reference point on the pad
+STANDS_M = 0.12  # height of the reference point above the pad
 NEAR_M = 0.05
 TWITCH_S = 0.1  # duration below which a run of the motors is no flight, s; 12 ms was observed once
-CARRIED_S = 2.0  # time after motors off in which the robot carries the vehicle, s
+CARRIED_S = 2.0  # time after motors off for which the vehicle must remain on the pad, s
 
 
 def scenario_file(folder):

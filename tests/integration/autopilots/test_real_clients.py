@@ -29,7 +29,7 @@ OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000  
 LEG_M, SPEED_M_S = 0.5, 0.3
 WEST, NORTH = (lambda m: -m.y), (lambda m: m.x)  # the nose points east: west is back, north is left
 OFFBOARD_LINE = "long DO_SET_MODE 157 6 0"
-# typed line; output to wait for, or the coordinate that grows by LEG_M; line typed repeatedly meanwhile
+# typed line; awaited output, or coordinate that must grow by LEG_M; line typed repeatedly meanwhile
 STEPS = (
     ("param set COM_OF_LOSS_T 2", r"COM_OF_LOSS_T = 2\.0", "param fetch COM_OF_LOSS_T"),
     ("param set MPC_XY_P 55", "AP: MPC_XY_P: 55, allowed 0.1 to 2", None),
@@ -128,7 +128,7 @@ class Program:
 
 
 def shape(line: str) -> str:
-    """Return a printed line with its numbers removed."""
+    """Return a line with # for each number."""
     return re.sub(r"-?\b[\d.]+", "#", line)
 
 

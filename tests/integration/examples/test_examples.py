@@ -60,8 +60,7 @@ def running(name, *words):
 
 
 def imports():
-    """Return (module, name) for imports of this project in the examples; ``fs.NAME`` is one of
-    flightstack."""
+    """Return (module, name) of each import from this project in the examples, also of each ``fs.NAME``."""
     found = set()
     for file in EXAMPLES.glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
@@ -145,7 +144,7 @@ def test_the_target_drives_a_circle_and_says_so():
             wait_for(enough, "60 samples")
         finally:
             session.close()
-    messages = [decode(ODOMETRY, sample.payload) for sample in samples]  # an independent codec decodes it
+    messages = [decode(ODOMETRY, sample.payload) for sample in samples]  # an independent codec
     assert {b.sequence - a.sequence for a, b in pairwise(samples)} == {1}
     times_s = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages]
     places = [(m.pose.pose.position.x, m.pose.pose.position.y) for m in messages]
@@ -172,7 +171,7 @@ def test_the_target_is_landed_on(tmp_path):
         words += ("--config", "crazyflie", "--no-record", "--json", "--out", tmp_path)
         done = flightstack("fly", *words)
     assert (done.code, done.json["outcome"]) == (0, "landed"), done.out + done.err
-    # without a log the onboard process's estimate is used, and nothing is measured
+    # without a log, only the outcome that the onboard process reports is available
     assert (done.json["log"], done.json["touchdown_error_m"]) == (None, None)
     assert not list(tmp_path.glob("*.mcap"))
 

@@ -1,4 +1,4 @@
-"""Tests campaigns: rows equal single runs, also if workers fail; filters of users; limits of the tiers."""
+"""Tests campaigns: rows equal single runs, also if workers fail; users' filters; limits of the tiers."""
 
 import contextlib
 import json
@@ -99,7 +99,7 @@ def test_a_killed_worker_costs_no_row(whole, tmp_path):
 @shared
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
-    longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # more landings than are flown before the signal arrives
+    longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # more landings than can end before the signal
     running = begun(tmp_path, *longer, "--workers", 2)
     workers = running.pids()
     # otherwise the campaign could end before the second campaign starts
@@ -197,7 +197,7 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.fixture
 def elsewhere(tmp_path):
-    """Change to a working folder in which a module with another name contains the filter."""
+    """Return a working folder with a copy of the example's filter under another module name."""
     shutil.copy(ROOT / "examples" / "own_boundary.py", tmp_path / "mine.py")
     return tmp_path
 

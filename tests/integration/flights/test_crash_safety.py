@@ -17,11 +17,11 @@ from tests.integration.runs import Flying, flightstack, kill
 from tests.processes.bounded import gone, wait_for
 
 NS = 1e9
-# ``WHEN_S``: range of the wall time from the start of the approach to the kill; key: lockstep. The kill is
-# late enough for a replay, and before the end of the flight.
-PAST_APPROACH_BYTES = 1_200_000  # log size at the kill; the approach starts at 980,000 bytes
+# ``WHEN_S``: range of the wall time from log size PAST_APPROACH_BYTES to the kill, s; key: lockstep. The kill
+# is late enough for a replay, and before the end of the flight.
+PAST_APPROACH_BYTES = 1_200_000  # smallest log size at the kill; the approach starts at 980,000 bytes
 WHEN_S = {False: (0.7, 8.0), True: (0.3, 0.8)}
-# A topic that each victim logs. None: any topic, for the recorder and the launcher, which kills all others.
+# Topic that a victim logs. None: any topic, because the end of recorder or launcher ends all logging.
 OWN_TOPIC = {
     "world": "/cf1/sim/truth", "onboard-cf1": "/cf1/controller/step", "record": None, "launcher": None,
 }  # fmt: skip
@@ -37,11 +37,11 @@ class Crash:
     lockstep: bool
     complete: bool
     messages: int
-    missing_s: float  # wall time between the kill and the victim's last message in the log
+    missing_s: float  # wall time from the last logged message of the victim to the kill
 
 
 def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float = 1.0) -> Crash:
-    """Fly, kill after this fraction of the random wait, and read the log."""
+    """Fly, kill the victim after a random wait times ``sooner``, and read the log."""
     wires = ["--lockstep"] if lockstep else []
     run = Flying(folder, "--scenario", "paper_moving_1", "--seed", seed, *wires)
     try:

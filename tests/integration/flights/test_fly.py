@@ -1,4 +1,4 @@
-"""Tests ``flightstack fly`` with an external vehicle and target, and its messages while it waits for both."""
+"""Tests ``flightstack fly`` with external vehicle and target, and its messages while it waits for them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_lands_records_judges_and_reports(tmp_path):
     assert done.code == 0, done.err
     found = done.json
     assert LogFile(found["log"]).single().metadata()["onboard"]["core"] == "compiled"
-    assert replayed(found["log"])["compared"] > 500  # number of ticks that interpreted Python replays
+    assert replayed(found["log"])["compared"] > 500  # ticks, replayed by interpreted Python
     assert found["outcome"] == "landed"
     assert found["judged_from"] == "estimate"
     assert found["touchdown_error_m"] <= 0.10

@@ -58,7 +58,7 @@ def compiled():
 
 
 def fly_and_ask(asked: Operator, phase: Phase, after_s: float):
-    """Fly with an operator's request at this time after the start of a phase."""
+    """Fly, and make the operator's request this time after the start of a phase."""
     since = []
 
     def moment(flight: Flight) -> bool:
@@ -79,7 +79,7 @@ def named(moments):
 
 @pytest.mark.parametrize(("phase", "after_s"), MOMENTS[2::2], ids=named(MOMENTS[2::2]))
 def test_the_emergency_stop_stops_the_motors_in_flight(phase, after_s):
-    """One phase is tested in flight; tests/unit/core/mission/test_phases.py tests every phase."""
+    """Some phases are tested in flight; tests/unit/core/mission/test_phases.py tests every phase."""
     flown = fly_and_ask(Operator.EMERGENCY_STOP, phase, after_s)
     assert flown.phases[-1] is (Phase.LANDED if phase is Phase.LANDED else Phase.ABORT)
     assert not flown.truth.motors_running[-1]
@@ -131,7 +131,7 @@ ARMED = 128
 def test_an_onboard_process_whose_terminal_closes_flies_clear_and_lands(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_1", "--lockstep")
     run.until("-> APPROACH")
-    for _ in range(3):  # repeated signals do not count as a second Ctrl-C
+    for _ in range(3):  # repeated SIGHUP does not count as a second Ctrl-C
         os.kill(run.children()["onboard-cf1"], signal.SIGHUP)
     run.until("-> ABORT")
     assert run.end() == 1
@@ -148,7 +148,7 @@ TAKES_ITS_TERMINAL = (
 
 
 def on_a_terminal(arguments):
-    """Start a subcommand as leader of a session on a new terminal; return process and other terminal end."""
+    """Start a subcommand as session leader on a new terminal; return the process and the test's end."""
     ours, theirs = pty.openpty()
     child = subprocess.Popen(
         [sys.executable, "-c", TAKES_ITS_TERMINAL, *COMMAND, *arguments],
