@@ -46,7 +46,9 @@ class Difference:
     """A value that differs between two logs, or between a log and its replay."""
 
     topic: str  # topic, or ``metadata NAME`` / ``attachment NAME``
-    index: int  # number of the message in its topic, by log time and sequence, or of the tick; -1: none
+    # position of the message in its topic, ordered by log time and sequence number, or number of the replayed
+    # tick; -1: neither
+    index: int
     field: str  # dotted name of the field, for example ``own_position_enu_m.x``
     a: str  # value in the first log, as text
     b: str  # value in the second log or in the replay, as text
@@ -57,10 +59,9 @@ class Difference:
 
 
 class Compared(NamedTuple):
-    differences: list[Difference]  # the first ``limit`` ones; empty: the logs are equal
-    first_tick: (
-        int | None
-    )  # number of the first tick with a difference in a message; None: no message differs
+    differences: list[Difference]  # first ``limit`` differences; empty: the logs are equal
+    # number of the first controller step at or after the first different message; None: there is none
+    first_tick: int | None
 
 
 def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> Compared:
@@ -87,7 +88,7 @@ def _first_tick(a: dict[str, list[Message]], b: dict[str, list[Message]]) -> int
 
 class _Content(NamedTuple):
     records: dict[str, dict[str, str]]  # values of each metadata record, and summary of each attachment
-    messages: dict[str, list[Message]]  # messages by topic, by log time and sequence
+    messages: dict[str, list[Message]]  # messages by topic, each ordered by log time and sequence number
 
 
 def _content(path: Path | str) -> _Content:
@@ -134,7 +135,7 @@ def _all(a: _Content, b: _Content) -> Iterator[Difference]:
 
 
 def messages_of(schema: str, a: bytes, b: bytes) -> Iterator[tuple[str, str, str]]:
-    """Yield (field, a, b) for each different field of two CDR messages; the bytes if all fields are equal."""
+    """Yield (field, a, b) for each different field of two CDR messages, or their bytes."""
     if a == b:
         return
     found: list[tuple[str, str, str]] = []
@@ -145,7 +146,7 @@ def messages_of(schema: str, a: bytes, b: bytes) -> Iterator[tuple[str, str, str
 
 
 def values_of(a: Any, b: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
-    """Yield (field, a, b) of each difference, bit by bit: NaNs of equal bits are equal, 0.0 and -0.0 not."""
+    """Yield (field, a, b) of each difference in bits: NaNs with equal bits are equal, 0.0 and -0.0 differ."""
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         a, b = a.tolist(), b.tolist()
     if type(a) is not type(b):
@@ -184,7 +185,7 @@ SHOWN_MAX = 10  # maximum number of stored differences; further differences are 
 
 @dataclass
 class Tally:
-    """Differences of a replay of one kind: their number, and the first ones."""
+    """Differences of one kind that a replay found: their number, and the first ``SHOWN_MAX`` of them."""
 
     count: int = 0
     ticks: int = 0  # number of ticks with a difference

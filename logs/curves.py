@@ -1,7 +1,7 @@
-"""Curves of a flight over time, for report and Rerun: charts of rows of curves, each with its source.
+"""Curves of a flight over time, for the report and Rerun: a chart has rows, and a row has curves.
 
-The colours are from Okabe and Ito (2008): colour-blind readers and grey prints can distinguish them. A colour
-has the same meaning in every chart; true and estimated values also differ by dash.
+The colours are from Okabe and Ito (2008): colour-blind readers can distinguish them, also in a grey-scale
+print. A colour has the same meaning in every chart; true and estimated values also differ by dash.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _RAN = (
     FilterStatus.OWN,
 )
 _NEAR_S = 0.02  # maximum time between a step and its true state, s: two ticks
-_MARGIN_SEEN_M = 1e-4  # smallest drawn margin, m; without a margin only rounding remains
+_MARGIN_SEEN_M = 1e-4  # smallest margin that is drawn, m; a smaller one is a rounding error
 _WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # tick labels of the wall time axis, us
 
 Values = tuple[Floats, Floats]  # times since the origin of the flight, s, and values; NaN: a gap
@@ -50,15 +50,15 @@ class Curve(NamedTuple):
     values: Callable[[Flight], Values | None]  # None: the log has no such data
     width: float = 1.5
     dash: str = "solid"
-    symbol: str = ""  # symbol of markers, which only the report draws, instead of a line
-    hidden: bool = False  # whether the report shows it only after a touch of its name in the legend
+    symbol: str = ""  # symbol of the markers that replace the line; only the report draws them
+    hidden: bool = False  # whether the report shows the curve only after a click on its name in the legend
 
 
 class Row(NamedTuple):
     key: str
     title: str  # quantity and unit
     curves: tuple[Curve, ...]
-    axis: Any = MappingProxyType({})  # of the y axis in plotly; by default its range holds zero and all shown
+    axis: Any = MappingProxyType({})  # plotly options of the y axis; empty: zero and all values are visible
     lowest: bool = False  # whether a thinned curve keeps the smallest value of each block of samples
 
 
@@ -93,7 +93,7 @@ def held_margin_m(flight: Flight) -> Floats | None:
 def estimate_errors(flight: Flight) -> dict[str, Floats] | None:
     """Return estimates minus true states at the n controller steps, m, by name; ``None`` without true states.
 
-    Values are (n, 3) for "vehicle" and "target", (n, 1) for "h"; unknown ones are NaN. True states are
+    Arrays are (n, 3) for "vehicle" and "target", (n, 1) for "h"; unknown values are NaN. True states are
     interpolated linearly.
     """
     steps, truth = flight.steps, flight.truth
@@ -122,7 +122,7 @@ def flown_m_s(steps: Steps) -> Floats:
 
 
 def _of(part: str, value: Callable[[Any], Any]) -> Callable[[Flight], Values | None]:
-    """Return the source of a curve: a value of each step, true state or timing of a flight."""
+    """Return the source of a curve: a function that gets a value from each row of this part of a flight."""
 
     def values(flight: Flight) -> Values | None:
         rows = getattr(flight, part)
@@ -174,7 +174,7 @@ def _status(status: FilterStatus, name: str, symbol: str) -> Curve:
 
 
 def _rises(values: Any, at: Any) -> Floats:
-    """Return ``at`` where a count has risen, else NaN."""
+    """Return the values of ``at`` where a count has increased, else NaN."""
     return np.where(np.diff(values, prepend=values[:1]) > 0, at, np.nan)
 
 
@@ -285,7 +285,7 @@ CHARTS = (
         )),
         Row("wall", "wall time [µs]", (
             Curve("exec", "whole tick", COMMAND, _of("timing", lambda s: 1e6 * s.exec_s)),
-            Curve("solve", "quadratic program", NOMINAL,  # 0: the program did not run
+            Curve("solve", "quadratic program", NOMINAL,  # 0: it did not run
                   _of("timing", lambda s: np.where(s.solve_s > 0.0, 1e6 * s.solve_s, np.nan))),
             Curve("late", "start after deadline", LIMIT, _of("timing", lambda s: 1e6 * s.lateness_s),
                   1.0, hidden=True),

@@ -19,7 +19,7 @@ _NS = 1e-9
 
 
 class Found(NamedTuple):
-    """All identified parameters; ``None`` if the logs do not determine one; ``missing`` has the reason."""
+    """All identified parameters; ``None``: the logs do not determine it, for a reason in ``missing``."""
 
     horizontal: Loop
     vertical: Loop
@@ -81,7 +81,7 @@ def _try(what: str, missing: list[str], find: Callable[[], T]) -> T | None:
 
 
 def _segments(steps: Steps) -> list[list[Segment]]:
-    """Return, for each axis, the spans without gaps in which the vehicle follows the set-points."""
+    """Return, for each axis, the intervals in flight with a set-point and a valid state in every tick."""
     command, flown = steps.command_enu_m_s, steps.own_velocity_enu_m_s
     good = steps.setpoint_sent & steps.own_valid & np.isin(steps.phase, FLYING)
     good &= np.isfinite(flown).all(1) & np.isfinite(command).all(1)
@@ -91,7 +91,7 @@ def _segments(steps: Steps) -> list[list[Segment]]:
 
 
 def _own_noise_m(steps: Steps) -> float:
-    """Return the noise of the vehicle's positions in flight; a slow link repeats states."""
+    """Return the noise of the vehicle's positions in flight, m, without states that a slow link repeats."""
     known = steps.own_valid & np.isin(steps.phase, FLYING) & np.isfinite(steps.own_position_enu_m).all(1)
     moved = np.any(np.diff(steps.own_position_enu_m, axis=0) != 0.0, axis=1)
     fresh = known & np.concatenate(([True], moved))
@@ -99,7 +99,7 @@ def _own_noise_m(steps: Steps) -> float:
 
 
 def _target(flights: list[Flight]) -> list[tuple[Floats, Floats, Floats, Floats]]:
-    """Return stamp, arrival, position and velocity of each log's samples, in the order of measurement."""
+    """Return, for each log, stamps, arrivals, positions and velocities of its samples, ordered by stamp."""
     rows = []
     for target, origin_ns in ((each.target, each.origin_ns) for each in flights if each.target is not None):
         stamps, first = np.unique(target.stamp_ns, return_index=True)
@@ -113,7 +113,7 @@ def _target(flights: list[Flight]) -> list[tuple[Floats, Floats, Floats, Floats]
 
 
 def _tracking_error_m_s(steps: list[Steps]) -> float:
-    """Return the 95 % quantile of the vertical velocity error (commanded minus flown) in filtered ticks."""
+    """Return the 95 % quantile of filtered minus flown vertical velocity in filtered ticks, m/s."""
     filtered = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
     short = []
     for s in steps:

@@ -1,7 +1,7 @@
 """Summarises a log, repairs a damaged log, and writes one topic of a log as a table.
 
-All three read logs of other programs too, by the definitions in the file, and use the readable part of a
-damaged log.
+All three also read logs of other programs, with the message definitions in the file, and use the readable
+part of a damaged log.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def summary_lines(found: dict[str, Any]) -> list[str]:
 
 def recover(log: LogFile, out: Path) -> int:
     """Write a complete file with an index and all readable records; return the number of messages."""
-    schemas, channels = {0: 0}, dict[int, int]()  # ids in the new file; 0: a channel without a schema
+    schemas, channels = {0: 0}, dict[int, int]()  # ids in the new file by ids in the log; 0: no schema
     messages = 0
     with log.path.open("rb") as source, out.open("wb") as stream:
         records = iter(Records(source, messages=True))
@@ -116,7 +116,7 @@ def recover(log: LogFile, out: Path) -> int:
 
 
 def rows(log: LogFile, topic: str, refused: Counter[str]) -> Iterator[dict[str, Any]]:
-    """Yield a row for each message of a topic; nested fields have dotted names, and a list is one JSON text.
+    """Yield a row for each message of a topic; nested fields have dotted names, a list is one JSON text.
 
     Reasons why messages cannot be decoded are counted in ``refused``. Raises ValueError: there is no such
     topic, or it is not CDR.
@@ -160,7 +160,7 @@ def _schema(log: LogFile, topic: str) -> Schema:
 
 
 def export_csv(table: Iterator[dict[str, Any]], out: Path) -> int:
-    """Write rows as CSV with a header line; return their number. Floats keep every bit."""
+    """Write rows as CSV with a header line; return their number. Floats are written without rounding."""
     number = 0
     with out.open("w", newline="", encoding="utf-8") as stream:
         for number, row in enumerate(table, 1):

@@ -1,7 +1,7 @@
 """Reads a flight log into numpy arrays.
 
-Reading three thousand steps with all other messages takes a fraction of a second. If a log is damaged,
-its readable part is returned, with a description of the damage.
+Reading a flight of three thousand steps takes a fraction of a second. The readable part of a damaged log is
+returned, with a description of the damage.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def load_flight(path: Path | str, member: str | None = None) -> Flight:
         member: name of the vehicle whose flight is read; None if the log has one flight.
 
     Raises:
-        LogError: the file is no log, holds neither controller steps nor true states, or has no such
-        member, or it is the log of a fleet and no member is given.
+        LogError: the file is no log, has neither controller steps nor true states, or has no such member; or
+        it is the log of a fleet and no member is given.
     """
     return next(iter(_read(LogFile(path, member).single()).flights.values()))
 
@@ -90,7 +90,7 @@ def _read(log: LogFile) -> Fleet:
     log.need(CONTROLLER_STEP, TRUE_STATE, FLEET_PAIR)
     found: dict[str, dict[str, list[Message]]] = {name: defaultdict(list) for name in log.members}
     pairs: dict[tuple[int, int], FleetPairRow] = {}
-    said: list[Message] = []  # events of all processes
+    said: list[Message] = []  # events of all members and of shared processes
     for message in log.messages():
         topic, schema = message.topic, message.schema
         if schema == FLEET_PAIR:
@@ -166,7 +166,7 @@ def _flight(log: LogFile, by_schema: Mapping[str, list[Message]]) -> Flight:
 def _unpacked(
     messages: Sequence[Message], unpack: Unpack, origin_ns: int, damage: list[str]
 ) -> tuple[list[Any], Floats]:
-    """Return the readable messages and their times since the origin, s, (n,); report how many are not."""
+    """Return the decoded rows and their times since ``origin_ns``, s, (n,); report undecodable messages."""
     rows, times_ns, refused = [], [], []
     for message in messages:
         try:
@@ -202,7 +202,7 @@ def _target(rows: Sequence[Any], t_s: Floats) -> TargetOdometry:
 
 
 def _status(data: bytes) -> tuple[Intent, bytes]:
-    """Return intent and ``yields_to`` of a vehicle's message. Raises ValueError: it is not readable."""
+    """Return intent and ``yields_to`` of a status message. Raises ValueError: it cannot be decoded."""
     row = MemberStatusRow.unpack(data)
     return Intent(row.intent), row.yields_to
 
@@ -219,7 +219,7 @@ def _spans(names: Mapping[int, str], told: Sequence[tuple[Intent, bytes]], t_s: 
 def _events(
     messages: Sequence[Message], origin_ns: int, damage: list[str], log: LogFile
 ) -> tuple[Event, ...]:
-    """Return the events in order, from the loggers under their names in a log or a part of it."""
+    """Return the events in order of time; in the part of a member, sources lack the member's name."""
     in_order = sorted(messages, key=lambda message: message.log_time_ns)
     rows, times_s = _unpacked(in_order, LogRow.unpack, origin_ns, damage)
     return tuple(
@@ -240,7 +240,7 @@ def _config(attachments: dict[str, bytes]) -> tuple[FlightConfig | None, tuple[s
 
 
 def _barrier(run: Mapping[str, str], config: FlightConfig | None) -> Barrier | None:
-    """Return the barrier for the verdict: that of the scenario's ``[judge]``, or else the controller's."""
+    """Return the barrier for the verdict: of the scenario's ``[judge]``, or else of the configuration."""
     alpha_1_m, beta_m = number(run, "judge_alpha_1_m"), number(run, "judge_beta_m")
     if alpha_1_m is not None and beta_m is not None:
         return Barrier(alpha_1_m, beta_m)

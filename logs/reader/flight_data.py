@@ -34,7 +34,7 @@ class Steps(ControllerStepColumns):
 
     @cached_property
     def both_valid(self) -> Bools:
-        """Whether vehicle and target state were present, fresh and finite, (n,)."""
+        """Whether the states of both vehicle and target were valid, with finite positions, (n,)."""
         finite = np.isfinite(self.own_position_enu_m).all(1) & np.isfinite(self.target_position_enu_m).all(1)
         return self.own_valid & self.target_valid & finite
 
@@ -72,7 +72,7 @@ class Truth(TrueStateColumns):
 
     @cached_property
     def relative_velocity_m_s(self) -> Floats:
-        """Velocity relative to the pad's surface below the vehicle, with the pad's rotation, m/s, (n, 3)."""
+        """True velocity relative to the rotating pad's surface below the vehicle, m/s, (n, 3)."""
         turn_rad_s = _rate(np.unwrap(self.pad_yaw_rad), self.t_s)
         carried = np.column_stack(
             (-turn_rad_s * self.e_m[:, 1], turn_rad_s * self.e_m[:, 0], np.zeros(len(self.t_s)))
@@ -89,9 +89,9 @@ class TargetOdometry:
     """All n received samples of the target odometry, including those that the controller rejected."""
 
     t_s: Floats  # arrival times, s, (n,)
-    stamp_ns: Ints  # measurement times on the sender's clock, (n,)
-    position_enu_m: Floats  # centre of the pad's top, (n, 3)
-    velocity_child_m_s: Floats  # velocity in the robot's frame, as sent, (n, 3)
+    stamp_ns: Ints  # measurement times on the sender's clock, ns, (n,)
+    position_enu_m: Floats  # position of the centre of the pad's top, m, (n, 3)
+    velocity_child_m_s: Floats  # velocity in the robot's frame, as sent, m/s, (n, 3)
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Span(NamedTuple):
 
 
 class JudgedSteps(Protocol):
-    """The fields of controller steps that a verdict by true states needs."""
+    """Fields of the controller steps that are needed for a verdict by true states."""
 
     @property
     def t_s(self) -> Floats: ...
@@ -128,11 +128,11 @@ class JudgedSteps(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """The data that a verdict by true states needs, from a log or from a landing in a campaign."""
+    """Data that are needed for a verdict by true states, from a log or from a landing in a campaign."""
 
-    steps: JudgedSteps | None = None  # ``None`` if there are no such messages
-    truth: Truth | None = None
-    events: tuple[Event, ...] = ()  # events of /rosout in order
+    steps: JudgedSteps | None = None  # controller steps; ``None``: there are none
+    truth: Truth | None = None  # true states; ``None``: there are none
+    events: tuple[Event, ...] = ()  # events of /rosout in order of time
     config: FlightConfig | None = None  # configuration of the onboard process; ``None`` if not in the log
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # metadata records by name
     complete: bool = True  # whether the recorder closed the file and every byte could be read
@@ -156,18 +156,18 @@ class Flight(Judged):
     """All data of one flight in a log."""
 
     path: Path  # log file
-    origin_ns: int  # log time of ``t_s = 0``
+    origin_ns: int  # log time at ``t_s = 0``, ns
     duration_s: float  # time from the first to the last step or true state, s
-    # texts of unreadable parts of the log, and of a configuration in it that this version cannot read
+    # descriptions of unreadable parts of the log, and the reason why its configuration cannot be read
     problems: tuple[str, ...] = ()
     steps: Steps | None = None
     timing: Timing | None = None
     target: TargetOdometry | None = None
-    spans: tuple[Span, ...] = ()  # messages to the other members, in order; empty for a vehicle alone
+    spans: tuple[Span, ...] = ()  # status messages to the other members, in order of time; empty: none
     attachments: dict[str, bytes] = field(default_factory=dict)  # files stored in the log, by name
-    barrier: Barrier | None = None  # barrier of the verdict; ``None`` if the log does not hold it
+    barrier: Barrier | None = None  # barrier of the verdict; ``None``: the log does not contain it
     member: str = ""  # name of the vehicle in the log; empty for a flight without a log
-    pad_carries: bool = True  # whether the vehicle can stand on the pad; False only if the log says so
+    pad_carries: bool = True  # whether the vehicle can stand on the pad; False: the physics has no pad
 
     def phase_spans(self) -> list[tuple[Phase | int, float, float]]:
         """Return the phases in order, each with its start time and its end time, s."""
@@ -189,7 +189,7 @@ class Fleet:
     flights: dict[str, Flight]  # flights by member; the times of each flight start at its ``origin_ns``
     pairs: dict[tuple[int, int], FleetPairRow]  # newest simulator record of each pair of ids
     ids: dict[int, str]  # members by vehicle id, which is also the MAVLink system id
-    # events of /rosout in order, times since ``origin_ns``; in a fleet, sources start with the member's name
+    # events of /rosout in order, with times since ``origin_ns``; in a fleet, sources start with a member name
     events: tuple[Event, ...]
     metadata: dict[str, dict[str, str]]  # metadata records that belong to all members, by name
     attachments: dict[str, bytes]  # attachments that belong to all members, by name
@@ -215,7 +215,7 @@ def _phase(number: int) -> Phase | int:
 
 
 def _rate(values: Floats, t_s: Floats) -> Floats:
-    """Return the time derivative of values, (n,); NaN if there are fewer than two or repeated times."""
+    """Return the time derivative of values, (n,); NaN at repeated times, or with fewer than two values."""
     if len(t_s) < 2:
         return np.full(len(t_s), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -229,12 +229,12 @@ def read_config(data: bytes) -> FlightConfig:
 class Sizes(NamedTuple):
     barrier: Barrier | None  # None: unknown
     pad_radius_m: float
-    # semi-axes of the ellipsoid around a vehicle pair, m: horizontal, vertical; None: no fleet
+    # semi-axes of the ellipsoid that separates two vehicles, m: horizontal, vertical; None: no fleet
     ellipsoid_m: tuple[float, float] | None
 
 
 def sizes_of(config: FlightConfig | None, run: Mapping[str, str]) -> Sizes:
-    """Return the sizes of a flight; the pad of a simulated robot is in the metadata of the run."""
+    """Return the sizes of a flight; the metadata of a simulated run contain the pad radius."""
     radius_m = number(run, "pad_radius_m")
     if config is None:
         return Sizes(None, PAD_RADIUS_M if radius_m is None else radius_m, None)
@@ -244,7 +244,7 @@ def sizes_of(config: FlightConfig | None, run: Mapping[str, str]) -> Sizes:
 
 
 def number(values: Mapping[str, str], key: str) -> float | None:
-    """Return a number of the metadata; None: it is missing or no number."""
+    """Return a value of the metadata as a number; None: it is missing or is not a number."""
     try:
         return float(values[key])
     except (KeyError, ValueError):

@@ -21,9 +21,9 @@ from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, 
 from mcap.stream_reader import get_chunk_data_stream
 
 MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # first bytes of the file (MCAP, "Magic")
-_HEAD = struct.Struct("<BQ")  # kind of a record, and the length of its content
-_MESSAGE = struct.Struct("<HIQQ")  # fields: channel, sequence number, log time, publish time, without payload
-_TIME_MAX_NS = 2**63 - 1  # maximum time in ROS 2, whose times are signed
+_HEAD = struct.Struct("<BQ")  # fields before a record: kind, and length of its content in bytes
+_MESSAGE = struct.Struct("<HIQQ")  # fields before the payload: channel, sequence, log time, publish time
+_TIME_MAX_NS = 2**63 - 1  # maximum time in ROS 2, ns; its times are signed
 _COMPRESSIONS = ("", "lz4", "zstd")
 _NO_CRC = bytes(4)
 _DECLARED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
@@ -34,7 +34,7 @@ _USED = {
 
 
 class DamageError(ValueError):
-    """An unreadable record or file; the text says why."""
+    """An unreadable record or file; the text contains the reason."""
 
 
 class Records:
@@ -42,8 +42,8 @@ class Records:
         """Start a pass over an open file; if ``messages`` is False, messages are checked but not yielded."""
         self._stream, self._messages = stream, messages
         self._size = os.fstat(stream.fileno()).st_size
-        self._declared: dict[tuple[type, int], Any] = {}  # declarations by kind and id
-        self._first, self._places = "", 0  # first unreadable record; number of unreadable records
+        self._declared: dict[tuple[type, int], Any] = {}  # schemas and channels by type and id
+        self._first, self._places = "", 0  # first problem, as text; number of problems
 
     @property
     def problem(self) -> str:
@@ -60,7 +60,7 @@ class Records:
     def __iter__(self) -> Iterator[Any]:
         """Yield the readable records, including those in chunks, in the order in which they were written."""
         at, kind, size = len(MAGIC), -1, self._size
-        crc = zlib.crc32(MAGIC)  # of all bytes so far
+        crc = zlib.crc32(MAGIC)  # checksum of all bytes so far
         yield from self._repeated()
         self._stream.seek(at)
         try:
@@ -87,7 +87,7 @@ class Records:
             self._damaged(f"nothing after byte {at} of {size} can be read", error)
 
     def _taken(self, kind: int, body: bytes, place: str) -> list[Any]:
-        """Return the records of a chunk, or the record itself if it is no chunk; none of the summary."""
+        """Return the records in a chunk, or the record itself; an empty list for a record of the summary."""
         if kind == Opcode.MESSAGE:
             return self._in_chunk(_HEAD.pack(kind, len(body)) + body, place)
         if kind not in _USED:
@@ -99,7 +99,7 @@ class Records:
         return self._declare(record) if kind in _DECLARED else [record]
 
     def _in_chunk(self, data: bytes, place: str) -> list[Any]:
-        """Return the records in the data of a chunk; this is ten times faster than the ``mcap`` package."""
+        """Return the records in the data of a chunk, ten times faster than the ``mcap`` package does."""
         found: list[Any] = []
         at, size = 0, len(data)
         while at < size:
@@ -128,7 +128,7 @@ class Records:
 
     def _repeated(self) -> Iterator[Any]:
         """Yield the declarations that the summary repeats, because the first ones may be unreadable."""
-        with suppress(Exception):  # there is no summary, or it is damaged; the pass itself reports this
+        with suppress(Exception):  # a missing or damaged summary is reported by the later pass
             summary = make_reader(self._stream, validate_crcs=True).get_summary()
             for record in (*summary.schemas.values(), *summary.channels.values()):
                 yield from self._declare(record)

@@ -7,7 +7,7 @@ The metadata record ``fleet`` names the vehicles of the log, its members. The da
 namespace in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``,
 the attachment ``cf2/onboard.toml``. MAVLink frames are on ``/uas<system id>/...``, with the system id in the
 metadata ``cf2/onboard``. Events, metadata and attachments without a member's name belong to all members;
-topics of no member belong to none.
+other topics without a member's name belong to no member.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from logs.schema.schemas import same_fields
 
 ROSOUT = "/rosout"
 _NAME = re.compile(r"(?=.{1,64}$)[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*")
-_SYSTEM = re.compile(r"/uas(\d{1,3})/")  # begin of the topics of MAVLink frames, with the system id
+_SYSTEM = re.compile(r"/uas(\d{1,3})/")  # start of a topic of MAVLink frames, with the system id
 _OWNED = ("run", "onboard")  # metadata records that belong to one vehicle
 _HEAD_BYTES = 32
 
@@ -47,7 +47,7 @@ class EmptyLogError(LogError):
 class Message(NamedTuple):
     topic: str
     schema: str
-    log_time_ns: int  # Unix time; simulated time from 2020-01-01 on in lockstep
+    log_time_ns: int  # Unix time; in lockstep, simulated time that starts at 2020-01-01
     publish_time_ns: int
     sequence: int
     data: bytes  # CDR payload with its four-byte header
@@ -62,18 +62,18 @@ class Outline:
     attachments: list[Attachment] = field(default_factory=list)
     schemas: dict[int, Schema] = field(default_factory=dict)  # declarations by id
     channels: dict[int, Channel] = field(default_factory=dict)
-    # message types of this stack whose fields in the file differ from this version
+    # message types of this stack whose fields in the file differ from the fields of this version
     foreign: set[str] = field(default_factory=set)
     problem: str = ""  # kind, place and reason of the first unreadable record; empty: all are readable
 
 
 class LogFile:
-    """A flight log on disk, or the part of one member: its data, and those that belong to all members."""
+    """A flight log on disk, or the part of one member: its data, and the data that belong to all members."""
 
     def __init__(self, path: Path | str, member: str | None = None) -> None:
-        """Check the first bytes of the file; ``member``: member whose part is read, None: the whole log.
+        """Check the first bytes of the file; ``member``: member whose part is read; None: the whole log.
 
-        A part has metadata and attachments under their names without the namespace.
+        In a part, the names of metadata and attachments lack the namespace.
         """
         self.path, self.member = Path(path), member
         try:
@@ -92,7 +92,7 @@ class LogFile:
 
     @cached_property
     def ids(self) -> dict[int, str]:
-        """Names of all members of the log, in its order, by MAVLink system id, which is the vehicle's id."""
+        """Names of all members in the order of the log, by MAVLink system id, which is the vehicle's id."""
         metadata = self.outline.metadata
         names = [name.strip() for name in metadata.get(FLEET, {}).get("members", "").split(",")]
         names = list(filter(None, names)) or [
@@ -142,7 +142,7 @@ class LogFile:
 
     @property
     def complete(self) -> bool:
-        """Whether the recorder closed the file properly and every byte of it was understood."""
+        """Whether the recorder closed the file properly and every record can be read."""
         return not self.problem
 
     def need(self, *schemas: str) -> None:
@@ -195,15 +195,15 @@ class LogFile:
         return () if owner is None else (owner,)
 
     def owner(self, name: str, separator: str = "/") -> str | None:
-        """Return the member whose namespace is in front of a name; None: no member's."""
+        """Return the member whose namespace is in front of a name; None: the name belongs to no member."""
         return next((each for each in self.ids.values() if name.startswith(f"{each}{separator}")), None)
 
     def plain(self, name: str, separator: str = "/") -> str:
-        """Return a name of the file as this part names it."""
+        """Return the name that this part uses for a name in the file."""
         return name if self.member is None else name.removeprefix(f"{self.member}{separator}")
 
     def _names(self, names: Iterable[str], separator: str = "/") -> dict[str, str]:
-        """Return the names of this part by the names in the file."""
+        """Return the names that belong to this part, by their names in the file."""
         own = {None, self.member}
         return {
             name: self.plain(name, separator)
@@ -212,10 +212,10 @@ class LogFile:
         }
 
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Return the metadata records by name; of records with one name the last value of a key counts."""
+        """Return the metadata records by name; records with the same name are merged, the last value wins."""
         found = self.outline.metadata
         seen = {name: found[key] for key, name in self._names(found).items()}
-        if LOSSES in seen:  # only those of this member and of shared processes
+        if LOSSES in seen:  # only the losses of this member and of shared processes
             losses = seen[LOSSES]
             seen[LOSSES] = {name: losses[key] for key, name in self._names(losses, ".").items()}
         return seen
