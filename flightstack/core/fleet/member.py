@@ -38,21 +38,21 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-FUTURE_MAX_S = 0.05  # largest time by which a stamp may be ahead of this clock, s, plus its clock error
-# ratio of another member's longest flight (a wait and a landing) to the longest wait
+FUTURE_MAX_S = 0.05  # largest time by which a stamp, minus its clock error, may be ahead of this clock, s
+# ratio of the longest flight of another member (wait and landing) to ``fleet.wait_max_s``
 FLIGHTS_OF_OTHERS = 2.0
-REPORTED_M_S = 0.005  # smallest slack that is reported, m/s
+REPORTED_M_S = 0.005  # smallest relaxation of the neighbours' constraints that is reported, m/s
 STEADY_S = 1.0  # time without relaxed constraints after which the end of the relaxation is reported, s
-HELD_BACK_M_S = 0.3  # largest horizontal speed of this vehicle in the reachable set of a silent one, m/s
-STAYS_S = 5.0  # time after a landing until a text reports a vehicle that still blocks a pad, s
+HELD_BACK_M_S = 0.3  # largest speed on x and on y inside the reachable set of a silent vehicle, m/s
+STAYS_S = 5.0  # time after a landing until an event reports that this vehicle blocks a requested pad, s
 
 
 class Rows(NamedTuple):
     """Neighbours within reach, and one constraint on this vehicle's velocity for each of them."""
 
     rows: tuple[Row, ...]  # constraints of the program; the nearest neighbour first
-    basic: tuple[Row, ...]  # constraints without the reachable sets of silent vehicles
-    neighbours: tuple[Near, ...]  # positions and velocities of the neighbours, for the side-step
+    basic: tuple[Row, ...]  # constraints without the reachable sets of vehicles with late messages
+    neighbours: tuple[Near, ...]  # data of the neighbours for the side-step, in the order of ``rows``
     # whether the speed is limited because a silent vehicle may be near
     held_back: bool = False
 
@@ -79,7 +79,7 @@ def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
 class FleetMember:
     """This vehicle in its fleet; ``memory`` is its complete state.
 
-    A vehicle alone has no other members: it has every permission, and neither receives nor sends messages.
+    Without other members a vehicle has every permission, and neither receives nor sends messages.
     """
 
     memory: FleetMemory
@@ -92,7 +92,7 @@ class FleetMember:
 
     @property
     def slots(self) -> list[tuple[int, Heard]]:
-        """Return id and state of each other member."""
+        """Return the id and the stored state of each other member."""
         return list(zip(self._index, self.memory.slots, strict=True))
 
     @property
@@ -151,7 +151,7 @@ class FleetMember:
         return ""
 
     def over(self, since_s: float, now_s: float) -> bool:
-        """Whether this vehicle may stop sending: all neighbours are down, or silent for a long time."""
+        """Whether this vehicle may stop sending: all others are down or silent, or its phase is too long."""
         fleet = self._fleet
         if since_s > FLIGHTS_OF_OTHERS * fleet.wait_max_s:
             return True
@@ -184,7 +184,7 @@ class FleetMember:
         return [f"the vehicle remains on the pad: {why or 'an input is lost'}; {permissions.text}"]
 
     def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
-        """Return the constraints of the neighbours within reach on this vehicle; none in TOUCHDOWN."""
+        """Return the constraints that neighbours within reach put on this vehicle; none in TOUCHDOWN."""
         if phase is Phase.TOUCHDOWN:  # the other vehicles keep clear of a vehicle in its touchdown
             return NO_ROWS
         fleet, (x, y, z), found, held_back = self._fleet, own.position_enu_m, [], False
@@ -227,7 +227,7 @@ class FleetMember:
     ) -> tuple[Vec3, Rows]:
         """Return the nominal velocity with the side-step, and the constraints of the neighbours.
 
-        ``base``: velocity to which the slew limit is relative; ``most_m_s``: largest velocity.
+        ``base``: velocity to which the slew limit is relative; ``most_m_s``: largest velocity on each axis.
         """
         rows = self.rows(phase, own, base, now_s)
         if not rows.neighbours:
@@ -264,7 +264,7 @@ class FleetMember:
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
     ) -> MemberStatus | None:  # fmt: skip
-        """Return the message to the other members after this tick; None: there are no others."""
+        """Return the message to the other members after this tick; None: there are no other members."""
         if self._is_alone:
             return None
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND

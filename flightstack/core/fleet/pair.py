@@ -26,9 +26,9 @@ from flightstack.core.types import ZERO, Intent, MemberStatus, Vec3
 
 LEAST_M = 1e-6  # distance from the ellipsoid's centre below which the gradient has no direction, m
 # After its companion fails, a vehicle follows its last set-point until its autopilot lands it.
-LEAD_S = 0.2  # a set-point is the velocity command plus this time multiplied by the acceleration, s
-SMOOTH_S = 0.03  # time constant of the smoothed acceleration, s
-DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # drift rate and largest drift; 1 of 32 flights exceeded them
+LEAD_S = 0.2  # a set-point is the velocity command plus this time, s, multiplied by its rate of change
+SMOOTH_S = 0.03  # time constant of the low-pass of the velocity command's rate of change, s
+DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # silent vehicle's drift: rate, maximum (docs/design_notes/0004-fleet.md)
 SINK_M_S = 0.5  # largest sink rate of an autopilot's landing, m/s
 RIDES_S = 3.0  # time for which a silent vehicle on a pad is assumed to move with the pad, s
 
@@ -40,15 +40,15 @@ class Estimate(NamedTuple):
     # position extrapolated from the stamp; if messages are late: highest possible position
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3  # reported or commanded velocity; 0 after the extrapolation ends
-    grown_m: float  # growth of both semi-axes of the ellipsoid since the message
-    growth_m_s: float  # growth rate of both semi-axes
+    grown_m: float  # addition to both semi-axes of the ellipsoid: margin, errors and motion since the message
+    growth_m_s: float  # growth rate of both semi-axes of the ellipsoid
     late: bool  # whether the newest message is older than ``latency_max_s`` and does not announce DOWN
-    anywhere_m: float  # ``grown_m`` plus the possible flight distance since the message
-    depth_m: float = 0.0  # possible descent below ``position_enu_m`` while the autopilot lands the vehicle
-    sink_m_s: float = 0.0  # rate of the possible descent
+    anywhere_m: float  # addition to both semi-axes that covers each position that it can have reached
+    depth_m: float = 0.0  # largest descent below ``position_enu_m`` if the autopilot lands the vehicle
+    sink_m_s: float = 0.0  # rate at which ``depth_m`` grows
 
     def beside(self, place_enu_m: Vec3) -> tuple[Vec3, Vec3]:
-        """Return a place minus the vehicle's nearest possible position, and the velocity of that position."""
+        """Return ``place_enu_m`` minus the vehicle's nearest possible position, and its velocity there."""
         (x, y, z), (px, py, top_m), (vx, vy, vz) = place_enu_m, self.position_enu_m, self.velocity_enu_m_s
         low_m = top_m - self.depth_m
         if z < low_m:
@@ -57,7 +57,7 @@ class Estimate(NamedTuple):
 
 
 def barrier(p_m: Vec3, radius_xy_m: float, radius_z_m: float, *, first: bool = True) -> tuple[float, Vec3]:
-    """Return value (m) and gradient of the barrier function; ``p_m``: this vehicle minus the other."""
+    """Return value (m) and gradient of the barrier function; ``p_m``: as p in the module."""
     x, y, z = p_m
     flat = radius_xy_m / radius_z_m
     far_m = math.sqrt(x * x + y * y + flat * flat * z * z)  # rho times r_xy
@@ -67,9 +67,9 @@ def barrier(p_m: Vec3, radius_xy_m: float, radius_z_m: float, *, first: bool = T
 
 
 def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
-    """Return the largest distance of a vehicle from its extrapolated position, m, and its growth rate, m/s.
+    """Return the largest distance of a vehicle from its extrapolated position, m, and its derivative, m/s.
 
-    The vehicle accelerates away from that position until its relative speed is the sum of both speeds.
+    In the worst case the vehicle accelerates against its last velocity, up to the largest speed.
     """
     most_m_s, a = max(fleet.speed_max_m_s, speed_m_s) + speed_m_s, fleet.acceleration_max_m_s2
     speeds_up_s = most_m_s / a
@@ -199,7 +199,7 @@ def row(
 
     With the whole share, the constraint uses the other vehicle's velocity. With half of it, it uses the mean
     of both announced velocity commands: if both vehicles follow them, h falls no faster than the rate
-    allows. Possible changes of the other velocity since its message tighten the constraint.
+    allows. Possible changes of the other vehicle's velocity since its message tighten the constraint.
     """
     if part == ALL:
         c = now.velocity_enu_m_s

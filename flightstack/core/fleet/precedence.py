@@ -30,11 +30,11 @@ GOES = frozenset({Intent.LANDING, Intent.COMMITTED})
 class Permissions(NamedTuple):
     """Permissions of a fleet member in one tick, with regard to its neighbours."""
 
-    may_begin: bool = True  # whether every member sends messages, or is down
+    may_begin: bool = True  # whether every other member sends messages, or is down
     may_land: bool = True  # whether this vehicle has the right of way
-    may_touch: bool = True  # whether the other members have received that this vehicle no longer gives way
+    may_touch: bool = True  # whether the other members have received that this vehicle does not give way now
     waited: bool = False  # whether this vehicle has waited too long for the right of way
-    text: str = ""  # ids of the members for which this vehicle waits
+    text: str = ""  # reason with member ids: no message, no right of way, or a request for the pad
     pad_wanted: bool = False  # whether this vehicle must leave the pad, because another member waits for it
     place_enu_m: Vec3 | None = None  # landing place after this vehicle has left the pad
     cut_off: bool = False  # whether this vehicle receives messages from too few members and must land
@@ -51,7 +51,7 @@ class Pad(NamedTuple):
 
 
 def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float, since_s: float = 0.0) -> float:
-    """Return the smallest horizontal distance of pad and place, both extrapolated by constant velocities.
+    """Return the smallest horizontal distance of pad and place, m, both moved with constant velocities.
 
     The interval is from ``since_s`` before now to ``ahead_s`` after now.
     """
@@ -85,7 +85,7 @@ def decide(
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
     if not memory.granted and _in_a_circle(memory, slots, now_s, fleet):
         memory.claim_s = now_s
-    if phase is not Phase.TOUCHDOWN:  # in a touchdown, no announcement takes the right of way away
+    if phase is not Phase.TOUCHDOWN:  # in a touchdown, no announcement of a member ends the right of way
         taken = memory.granted and any(slot.yields for _, slot in slots)
         memory.granted = (memory.granted or not blockers) and not taken
         memory.waits_since_s = min(memory.waits_since_s, now_s) if not memory.granted else math.inf
@@ -101,9 +101,9 @@ def decide(
 
 
 def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
-    """Whether this vehicle has waited too long in a cycle of members that yield to each other.
+    """Whether this vehicle must make a new claim to break a cycle of members that yield to each other.
 
-    Clocks that disagree can cause a cycle of three. The member with the highest id breaks it by a new claim.
+    Clocks that disagree can cause a cycle of three. The member with the highest id makes its new claim first.
     """
     first = [slot.message for _, slot in slots if slot.yields and slot.message is not None]
     if not first or not all(message.yields_to and message.intent not in GOES for message in first):
@@ -121,7 +121,7 @@ def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> 
     """Whether this vehicle is in the part of a divided fleet that has to land.
 
     If two parts of a fleet do not receive each other's messages, the larger part continues, or of two equal
-    parts the one with the lowest id. Members that are down or never sent a message are not counted.
+    parts the one with the lowest id. A silent member that was down, or never sent a message, is not counted.
     """
     recent = [n for n, slot in slots if is_recent(slot.message, now_s, fleet)]
     heard = [(n, slot.message) for n, slot in slots if slot.message is not None]
@@ -235,8 +235,8 @@ def place_beside(
 
     The path of a pad is straight: from its position ``wait_max_s`` ago to its position in ``wait_max_s``. The
     free place nearest to this vehicle is chosen; if none is free, the one with the most room. A chosen place
-    remains as long as it is clear of the shorter paths, of ``descent_s`` before and after now: errors of a
-    pad's velocity rotate the longer path too much.
+    remains as long as it is clear of shorter paths, from ``descent_s`` ago to ``descent_s`` ahead: errors of
+    a pad's velocity rotate the longer path too much.
     """
     pads = [pad]
     for message in messages:

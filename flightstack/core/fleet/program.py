@@ -1,12 +1,12 @@
-"""Quadratic program of a fleet member: that of ``safety/qp_filter.py``, and a constraint for each neighbour.
+"""Quadratic program of a fleet member: ``safety/qp_filter.py`` with one more constraint for each neighbour.
 
 OSQP starts from the exact solution (``solution.py``), and its result is used only if it meets all constraints
-(``Row``) and equals that solution. If no velocity meets all constraints, those of silent vehicles are relaxed
-first; then those of all neighbours together, by the smallest common slack. The landing barrier and the
-velocity limits (box) are never relaxed.
+(``Row``) and equals that solution. If no velocity meets all constraints, vehicles with late messages get
+constraints without their reachable sets; if this is not enough, the constraints of all neighbours are relaxed
+by the smallest common slack. The landing barrier and the velocity limits (box) are never relaxed.
 
-Over the pad, ``Cone`` reduces the box first. A single vehicle flies inwards, where the boundary falls; one
-that gives way may fly outwards or past the centre, where the boundary may rise faster than a climb.
+Over the pad, ``Cone`` first reduces the box. A single vehicle flies inwards, where the boundary is lower; a
+vehicle that gives way may fly outwards or past the centre, where the boundary may rise faster than it climbs.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ FIRM_MAX = 2  # largest number of constraints that are never relaxed
 AGREES_M_S = 1e-6  # largest difference between the solver's result and the exact solution, m/s
 _ROWS = FIRM_MAX + OTHERS_MAX
 INWARD_RATE_1_S = 2.5  # ratio of allowed horizontal velocity to distance from the pad's centre, 1/s
-OUTWARD_PART = 0.5  # fraction of the landing barrier's rate that horizontal motion may use
+OUTWARD_PART = 0.5  # fraction of the allowed decay of the landing barrier that horizontal motion may use
 RELAXED_M_S = 1e-8  # addition to the smallest slack, m/s, so that the feasible set is more than one point
 
 
 class FleetResult(NamedTuple):
     """Filtered velocity of a fleet member."""
 
-    # its slack is that of the landing barrier; NaN if no landing barrier is active
+    # filtered velocity; the slack is that of the landing barrier, NaN if no landing barrier is active
     filter: FilterResult
     given_m_s: float  # slack of the neighbours' constraints, m/s; 0 unless the status is CROWDED
 
@@ -50,10 +50,10 @@ class FleetProgram:
         self, nominal: Vec3, firm: Sequence[Row], neighbours: Sequence[Row], lower: Vec3, upper: Vec3,
         basic: Sequence[Row] = (),
     ) -> FleetResult:  # fmt: skip
-        """Return the nearest velocity that meets all constraints; those of neighbours may be relaxed.
+        """Return the velocity nearest to ``nominal`` that meets all constraints; neighbours' may be relaxed.
 
         ``firm``: constraints that are never relaxed, the landing barrier first; ``basic``: constraints of the
-        neighbours without the reachable sets of silent vehicles.
+        neighbours without the reachable sets of vehicles with late messages.
         """
         every = [*firm, *neighbours]
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = lower, upper, nominal
@@ -126,7 +126,7 @@ class Cone(NamedTuple):
 
     rate_1_s: float  # omega of eq. 11: h may fall by this fraction of h per second
     slope_max: float  # steepest slope of the boundary of the safe set
-    lag_s: float  # delay until a climb command takes effect
+    lag_s: float  # time until a climb command takes effect
     period_s: float  # period of a tick
 
     def outward(self, h_m: float, gradient: Vec3, before_m_s: Vec3, target_m_s: Vec3) -> Row:
@@ -143,7 +143,7 @@ class Cone(NamedTuple):
     def box(
         self, d_m: float, h_m: float, nominal: Vec3, target_m_s: Vec3, lower: Vec3, upper: Vec3
     ) -> tuple[Vec3, Vec3]:
-        """Return the box in which avoidance adds no sink rate and does not cross the centre fast.
+        """Return the velocity limits: avoidance must not add sink rate, or cross the pad's centre fast.
 
         Beyond the centre an inward velocity becomes an outward one. A climb may always be stopped. The
         vehicle sinks no faster than h alone allows: on an inward path, where the boundary falls, a neighbour

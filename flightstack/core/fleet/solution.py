@@ -26,7 +26,7 @@ from flightstack.core.types import ZERO, Vec3
 TOLERANCE_M_S = 1e-9  # allowed violation of a constraint, m/s
 STEPS_MAX = 60  # maximum number of steps; after it the search ends without a result
 _CONFIRMED_M_S = 2e-9  # allowed violation of an optimality condition, m/s
-_DEPENDS = 1e-12  # a unit vector depends on others if its orthogonal part is shorter (squared length)
+_DEPENDS = 1e-12  # squared length of its orthogonal part below which a unit vector depends on others
 _PARALLEL = 1e-10  # determinant below which constraints count as dependent: they have no common vertex
 _MULTIPLIER_LEAST = -1e-9  # multipliers above this value count as positive
 _LEAST_LENGTH = 1e-9  # length of a gradient below which it has no direction
@@ -43,7 +43,7 @@ class Row(NamedTuple):
     bound_m_s: float  # bound b of the constraint
 
     def missing_m_s(self, u: Vec3) -> float:
-        """Return the violation of the constraint by a velocity, m/s; it is not positive if it is met."""
+        """Return the violation of the constraint by a velocity, m/s; 0 or less: the constraint is met."""
         return self.bound_m_s - (self.g[0] * u[0] + self.g[1] * u[1] + self.g[2] * u[2])
 
 
@@ -150,7 +150,7 @@ def _confirmed(
     nominal: Vec3, point: Vec3, active: Sequence[int], factors: Sequence[float], normals: Sequence[Vec3],
     bounds: Sequence[float], lengths: Sequence[float],
 ) -> Found | None:  # fmt: skip
-    """Return the minimiser if all constraints are met and those with a multiplier are active."""
+    """Return the minimiser if the optimality conditions hold; the caller has checked the constraints."""
     x, y, z = nominal
     multipliers = [0.0] * len(lengths)
     scale = _CONFIRMED_M_S
@@ -237,11 +237,11 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Return the smallest common slack of the soft constraints and a velocity that meets them with it.
+    """Return the smallest common slack of the soft constraints, and a velocity that meets all with it.
 
     Each set of contradictory constraints gives a lower bound of the slack. The search is repeated with this
-    slack until no such set is left: then the slack is the smallest sufficient one. It is infinite if no slack
-    is sufficient.
+    bound as slack until no such set is left: the slack is then the smallest sufficient one. It is infinite if
+    no slack is sufficient.
     """
     slack_m_s, middle, free = 0.0, clip_to_box(ZERO, lower, upper), len(firm)
     for _ in range(STEPS_MAX):

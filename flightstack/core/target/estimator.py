@@ -24,9 +24,9 @@ from flightstack.core.types import ZERO, Vec3
 
 RESTART_S = 1.0  # gap between samples after which the filter restarts, s
 
-TURN_TIME_S = 0.3  # time constant of the yaw rate, s: differences of two measured yaws are noisy
-TURN_RATE_MAX_RAD_S = 3.0  # largest yaw rate; a TurtleBot3 reaches 2.84 (ROBOTIS, specifications)
-INNOVATION_TIME_S = 0.15  # time constant of the normalised innovation squared, s; three samples at 20 Hz
+TURN_TIME_S = 0.3  # time constant of the yaw rate's low-pass, s: the difference of two measured yaws is noisy
+TURN_RATE_MAX_RAD_S = 3.0  # largest yaw rate, rad/s; a TurtleBot3 reaches 2.84 (ROBOTIS, specifications)
+INNOVATION_TIME_S = 0.15  # time constant of the mean normalised innovation squared, s: three samples at 20 Hz
 TURN_MAX_RAD = 0.5  # largest turn in a step, rad; up to it the series in ``_moved`` are exact to 1e-5
 
 
@@ -40,7 +40,7 @@ class TargetMotion(NamedTuple):
     velocity_sigma_m_s: float
 
 
-# time, s; effect of 1 m/s^2 in this time on position, s^2, and velocity, s; fraction left after it
+# time, s; effect of an acceleration of 1 m/s^2 on position, s^2, and velocity, s; its fraction left then
 _Time = tuple[float, float, float, float]
 _NOW: _Time = (0.0, 0.0, 0.0, 1.0)
 
@@ -78,7 +78,7 @@ class TargetEstimator:
         self, time_s: float, position_enu_m: Vec3, velocity_enu_m_s: Vec3, yaw_rad: float = math.nan,
         position_sigma_m: float = 0.0, velocity_sigma_m_s: float = 0.0,
     ) -> None:  # fmt: skip
-        """Update the filter with a sample; an older sample, or one after a long gap, restarts the filter."""
+        """Update the filter with a sample; a sample that is not newer, or after a long gap, restarts it."""
         memory, xy, z = self.memory, self.noise_xy, self.noise_z
         dt_s, before_rad = time_s - memory.time_s, memory.yaw_rad
         memory.time_s = time_s
@@ -109,7 +109,7 @@ class TargetEstimator:
         az = _corrected(gains_z, r, w, c, position_enu_m[2], velocity_enu_m_s[2])
         memory.position_enu_m, memory.velocity_enu_m_s = (ax[0], ay[0], az[0]), (ax[1], ay[1], az[1])
         memory.acceleration_enu_m_s2 = (ax[2], ay[2], az[2])
-        # mean of four normalised innovations: position and velocity on x and on y
+        # mean of four normalised squared innovations: position and velocity on x and on y
         now2 = 0.25 * (weights[0] * (ax[3] + ay[3]) + weights[1] * (ax[4] + ay[4]))
         memory.innovation2 += dt_s / (dt_s + INNOVATION_TIME_S) * (now2 - memory.innovation2)
 
@@ -134,9 +134,9 @@ class TargetEstimator:
         memory.covariance_xy, memory.covariance_z = _start(xy), _start(self.noise_z)
 
     def _jerk2_xy(self) -> float:
-        """Return the current squared jerk on x and y: the jerk grows with the square of the mean innovation.
+        """Return the current squared jerk on x and y: the jerk grows with the square of ``innovation2``.
 
-        A mean of 2 gives four times the jerk; noise alone rarely causes this mean.
+        A value of 2 gives four times the jerk; noise alone rarely causes this value.
         """
         mean2 = self.memory.innovation2
         return self.noise_xy.jerk2 * max(1.0, min(self.growth2_max, mean2 * mean2 * mean2 * mean2))
@@ -144,8 +144,8 @@ class TargetEstimator:
     def _moved(self, fading: _Time, lasting: _Time) -> tuple[Vec3, Vec3, Vec3]:
         """Return position, velocity and acceleration after a time: x and y turn, their acceleration decays.
 
-        With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); the acceleration turns, too. Its
-        part of the position turns by two thirds of the angle, which is the weighted mean. Sines and cosines
+        With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); the acceleration turns, too. The
+        position change by it turns by two thirds of the angle, which is the weighted mean. Sines and cosines
         are series, because the means sin x / x and (1 - cos x) / x over the turn are also needed at x = 0.
         """
         memory, (t, p, v, left), (_, p_z, v_z, left_z) = self.memory, fading, lasting
@@ -186,7 +186,7 @@ class TargetEstimator:
 
 
 def fading(dt_s: float, fade_s: float) -> _Time:
-    """Return the effect of a decaying acceleration over a time; ``fade_s``: time constant."""
+    """Return the effect of a decaying acceleration over a time; ``fade_s``: time constant of the decay."""
     share = dt_s / fade_s
     gone = -math.expm1(-share)
     to_velocity_s = fade_s * gone
@@ -212,7 +212,7 @@ def _start(noise: _Noise) -> Covariance:
 
 
 def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
-    """Return the propagated covariance; the part of the white jerk does not decay, which is conservative."""
+    """Return the propagated covariance; white jerk adds noise without decay, which is conservative."""
     pp, pv, pa, vv, va, aa = covariance
     t, p, v, left = time
     t2 = t * t
@@ -227,7 +227,7 @@ def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
     )
 
 
-_Gains = tuple[float, float, float, float, float, float]  # gains of p, v, a: for position, then velocity
+_Gains = tuple[float, float, float, float, float, float]  # gains of p, v, a by the innovation of p, then of v
 
 
 def _correct(

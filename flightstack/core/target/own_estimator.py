@@ -9,8 +9,9 @@ needs the same model, the equations are:
 
 p and v + e are measured. A steady Kalman filter estimates all five for the time of the measurement, and the
 same model predicts them over the delay with the set-points u that have no effect yet. Without velocity
-feedback the real loop may be faster than the declared one; the model would take that for an error.
-In this case, and always for z, where thrust saturation makes the model wrong, only p and e are estimated:
+feedback the real loop may be faster than the declared one; the filter would estimate that as an error e.
+In this case, and always for z, where thrust saturation makes the model wrong, only p (by q) and e are
+estimated; here p and v are the reported values:
 
     q' = v - e + 2 w (p - q),      e' = -w^2 (p - q),      w = 1 / T
 """
@@ -29,11 +30,11 @@ from flightstack.core.types import OwnState, Vec3
 
 KNOWN = 4  # number of stored set-points: 30 ms at 100 Hz, and one earlier set-point
 GAP_MAX_S = 0.2  # gap between samples after which the estimator restarts, s
-VELOCITY_NOISE_M_S = 0.01  # standard deviation of a reported velocity from sample to sample, m/s
+VELOCITY_NOISE_M_S = 0.01  # standard deviation of the white noise of a reported velocity, m/s
 
-PUSH_M_S2 = 0.15  # rms of f: recorded turning moments, a tilt error of 0.015 rad, gusts of 0.3 m/s
+PUSH_M_S2 = 0.15  # rms of f, m/s^2: recorded turning moments, a tilt error of 0.015 rad, gusts of 0.3 m/s
 PUSH_TIME_S = 1.0  # correlation time of f, s: between that of moments, 0.1 s, and of a tilt error
-PERIODS = 600  # steps of the Riccati recursion: 6 s at 100 Hz, much longer than the slowest time constant
+PERIODS = 600  # number of steps of the Riccati recursion: 6 s at 100 Hz, longer than all time constants
 
 Matrix = list[list[float]]
 Model = tuple[float, float, float, float, float]  # model of an axis, see ``OwnEstimator``
@@ -93,16 +94,16 @@ class OwnEstimator:
 
     memory: OwnMemory
     gains: Gains  # gains of the Kalman filter
-    # model of an axis: period of a tick, s; squared rate; drag; fractions of e and f that remain after a tick
+    # model of an axis: period of a tick, s; w^2, 1/s^2; 2 z w, 1/s; fractions of e and f left after a tick
     model: Model
     period_s: float  # period of a tick
     by_loop: bool  # whether the model of the velocity loop is used
-    delay_s: float
-    push_1_s: float  # ratio of acceleration f to steady velocity disturbance, 1/s
-    rate_1_s: float  # rate of the error estimate without the model
-    most_m_s: float
+    delay_s: float  # delay of the reported state
+    push_1_s: float  # ratio of the acceleration f to the steady velocity change that it causes, 1/s
+    rate_1_s: float  # bandwidth w of the estimate of e without the model of the loop, 1/s
+    most_m_s: float  # largest estimated error of a velocity
     ahead: int  # number of ticks from the measurement time of the newest sample to now
-    gap_max: int
+    gap_max: int  # largest number of predicted ticks between two samples
 
     def __init__(self, link: OwnStateLink, loop: VelocityLoop, period_s: float, *, by_loop: bool) -> None:
         self.memory, self.by_loop = OwnMemory(), by_loop
@@ -150,7 +151,7 @@ class OwnEstimator:
         self.memory.time_s = math.nan
 
     def _acting(self, k: int) -> Vec3:
-        """Return the set-point that acts k ticks after the newest sample (k = -1: at it), if stored."""
+        """Return the set-point that acts k ticks after the newest sample (k = -1: at it), or the oldest."""
         return self.memory.pending[max(0, KNOWN - self.ahead + k)]
 
     def _begin(self, own: OwnState) -> None:
@@ -193,7 +194,7 @@ def learned(
     axis: AxisState, u_m_s: float, ticks: int, model: Model, p_m: float, v_m_s: float, gains: Gains,
     most_m_s: float,
 ) -> AxisState:  # fmt: skip
-    """Return the state of an axis after some ticks, corrected by a reported position and velocity."""
+    """Advance the state of an axis by ``ticks``, then correct it with a reported position and velocity."""
     for _ in range(ticks):
         axis = moved(axis, u_m_s, model)
     (p, v, a, e, f), ((kp, kv, ka, ke, kf), (lp, lv, la, le, lf)) = axis, gains
@@ -211,7 +212,7 @@ def straight_on(axis: AxisState, t_s: float) -> AxisState:
 def drifted_apart(
     axis: AxisState, p_m: float, v_m_s: float, elapsed_s: float, rate_1_s: float, most_m_s: float
 ) -> AxisState:
-    """Return the state of an axis after a time, its position and error corrected without the loop's model."""
+    """Return the state of an axis after ``elapsed_s``; p and e are corrected without the loop's model."""
     q = axis[0] + (v_m_s - axis[3]) * elapsed_s
     missed = p_m - q
     e = clip(axis[3] - rate_1_s * rate_1_s * elapsed_s * missed, -most_m_s, most_m_s)

@@ -24,15 +24,15 @@ from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import ZERO, OwnState, TargetSample, Vec3
 
 SMOOTHING_S = 0.2  # time constant of the drift's low-pass, s: reduces 2 cm of noise at 20 Hz to 1 cm
-TRUSTED_AGAIN = 0.5  # fraction of the bound below which a state is trusted again
-# Speed below which equal positions may be a vehicle at rest, m/s: firmware truncates to millimetres and shows
-# the bias of its accelerometer as a velocity, 9 mm/s on a Crazyflie.
+TRUSTED_AGAIN = 0.5  # fraction of the largest allowed drift below which a state is trusted again
+# Speed below which a vehicle with equal positions may be at rest, m/s: firmware truncates positions to
+# millimetres and reports the bias of its accelerometer as a velocity, 9 mm/s on a Crazyflie.
 STANDING_M_S = 0.05
 STILL_MAX_S = 0.5  # longest time for which a hovering vehicle reports equal positions, s
 
 
 def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3, standing_m_s: float = STANDING_M_S) -> bool:
-    """Whether a position equals the last one to the last bit, although the reported velocity is not zero."""
+    """Whether a position equals the last one to the last bit, although motion is reported."""
     return before == after and norm(velocity_m_s) > standing_m_s
 
 
@@ -43,7 +43,7 @@ class Plausibility:
     # bound of ``tracking_lag_m``: ``checks.follow_lag_max_s`` at the highest horizontal velocity
     tracking_lag_max_m: float
     period_s: float
-    kept: float
+    kept: float  # fraction of the tracking lag that remains after a tick
     _checks: Checks
 
     def __init__(self, config: FlightConfig) -> None:
@@ -75,7 +75,7 @@ class Plausibility:
             if repeats(last.position_enu_m, own.position_enu_m, own.velocity_enu_m_s):
                 return
             dt_s = own.arrival_s - last.arrival_s
-            if 0.0 < dt_s <= checks.own_age_max_s:  # longer ago, it does not bound the current position
+            if 0.0 < dt_s <= checks.own_age_max_s:  # longer gaps: the velocity between the states is unknown
                 memory.drift_m = drifted(memory.drift_m, last, own, dt_s, checks.own_drift_memory_s)
         memory.last = own
         most_m = checks.own_drift_max_m

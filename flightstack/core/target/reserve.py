@@ -13,17 +13,17 @@ from flightstack.core.memory import ReserveMemory
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve, left, level_m_s2, up_m_s2
 from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
 
-# minimum ratio of averaged lift to weight; below it the vehicle falls, and the reserve is unknown
+# smallest ratio of averaged lift to weight in the estimate; a vehicle with less lift falls
 LEAST_LIFT = 0.1
 AGE_MAX_S = 3.0  # longest age of power data, s; the voltage arrives once a second, two messages may be lost
 
 
 @dataclass(slots=True)
 class Reported:
-    """Reported battery and motor state. An effort is a thrust over that at ``throttle_max``. NaN: unknown."""
+    """Reported battery and motor state. Effort: thrust divided by that at ``throttle_max``. NaN: unknown."""
 
     arrival_s: float = math.nan
-    standing: bool = False
+    standing: bool = False  # whether the vehicle is disarmed, or no status was received
     low: bool = False  # whether the voltage at rest is too low to start a landing
     flying: float = math.nan  # effort in flight from the throttle; without a throttle, from the voltage
     resting: float = math.nan  # effort at rest, from the voltage
@@ -34,7 +34,7 @@ class Reported:
 class ReserveEstimate:
     """Estimate of the thrust reserve. Call ``step`` once a tick; ``memory`` is the complete state.
 
-    Without a table, the battery sets no limits: it always counts as fit, and the reserve remains unknown.
+    Without a table [reserve] the battery sets no limits: it counts as fit, and the reserve is unknown.
     """
 
     memory: ReserveMemory
@@ -42,7 +42,7 @@ class ReserveEstimate:
     reported: Reported
     most_m_s2: Vec3  # limit of the commanded acceleration at full thrust reserve
     share: float  # weight of one tick in the moving average
-    lasting_m_s: float  # gravity multiplied by the averaging time
+    lasting_m_s: float  # gravity multiplied by the averaging time, m/s
     least: float  # minimum thrust reserve for the start of a landing
     reserve: float  # ratio of maximum thrust to weight; NaN if unknown
     charge: Charge  # state of the battery

@@ -5,8 +5,8 @@ last, in time, and reachable from the last one. Rejected samples are counted.
 
 A velocity that contradicts the positions, such as a twist in the wrong frame or a heading that is wrong by
 half a turn, is detected over some samples. Position minus integrated velocity, summed with decay, is only
-noise; above ``checks.target_drift_max_m`` the target is distrusted, until half of that. A target at rest
-agrees with any twist, so after the second contradiction of a flight the target remains distrusted.
+noise; above ``checks.target_drift_max_m`` the target is distrusted, until it is below half of that. A target
+at rest shows no contradiction, so after the second one of a flight the target remains distrusted.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DISTRUSTS_MAX = 2  # number of contradictions in a flight after which the target
 class TargetState(NamedTuple):
     """State of the target at the requested time."""
 
-    age_s: float
+    age_s: float  # age of the newest sample
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     yaw_rad: float
@@ -83,7 +83,7 @@ class TargetTrack:
 
     @property
     def moves_m_s(self) -> Vec3:
-        """Velocity of the target from its positions, m/s: reported velocity plus drift of the positions."""
+        """Velocity of the target from its positions, m/s: reported velocity plus rate of the drift."""
         memory, memory_s = self.memory, self._checks.target_drift_memory_s
         velocity, drift, smooth = self.newest.velocity_enu_m_s, memory.drift_m, memory.drift_smooth_m
         x, y, z = (
@@ -94,7 +94,7 @@ class TargetTrack:
     def _drift(self, last: TargetSample, sample: TargetSample) -> None:
         checks, memory, dt_s = self._checks, self.memory, sample.source_time_s - last.source_time_s
         if not 0.0 < dt_s <= checks.target_age_max_s:
-            return  # after a gap, the previous sample does not bound the current position
+            return  # after a longer gap the velocity between the samples is unknown
         memory.drift_m = drifted(memory.drift_m, last, sample, dt_s, checks.target_drift_memory_s)
         memory.drift_smooth_m = smoothed(memory.drift_smooth_m, memory.drift_m, dt_s)
         drift_m, most_m = norm(memory.drift_smooth_m), checks.target_drift_max_m
@@ -136,16 +136,16 @@ class TargetTrack:
         """Check the position of a sample that is far from the last one or follows a loss of the target."""
         checks, memory, away = self._checks, self.memory, self.memory.elsewhere
         gap_s = sample.arrival_s - last.arrival_s
-        # if clock and position restart at the same time, the odometry has restarted: the robot is the same
+        # if clock and position restart together, the odometry has restarted: the robot itself did not jump
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
         free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
         if lost and free and away is None:
-            return Reading.FRESH  # the previous sample does not bound the current position
+            return Reading.FRESH  # after a loss the target may be anywhere
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
         stays = away is not None and self._near(
             away, sample, sample, sample.source_time_s - away.source_time_s
         )
-        # time for which samples at the new place must agree; longer than the age limit: HOLD starts earlier
+        # time for which samples at the new place must agree, s; longer than the age limit: HOLD starts first
         proof_s = checks.target_age_max_s + checks.recovery_time_s
         # after a loss, the current or the last velocity may explain a wrong position by chance; samples that
         # continue from the new place show that the target is really there
