@@ -17,7 +17,7 @@ from flightstack.core.types import Vec3
 Quat = tuple[float, float, float, float]
 
 _SQRT_HALF = math.sqrt(0.5)
-_POLE = 1.0 - 1e-12  # sine of the pitch above which the nose is vertical, 1e-6 rad from 90 degrees
+_POLE = 1.0 - 1e-12  # sine of the pitch above which the nose counts as vertical: 1.4e-6 rad from 90 degrees
 _NED_AXIS = (1, 0, 2, 4, 3, 5)  # index of the ENU axis of each NED axis, for position, then for rotation
 _NED_SIGN = (1.0, 1.0, -1.0, 1.0, 1.0, -1.0)
 

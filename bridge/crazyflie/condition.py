@@ -12,13 +12,13 @@ from bridge.mavlink.server.commander import Battery
 from bridge.mavlink.server.profile import POSITION_SOURCE
 from flightstack.core.types import ZERO, Vec3
 
-STATE_AGE_MAX_S = 0.3  # maximum age of the state, s: thirty lost packets
-HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s: ten lost packets
+STATE_AGE_MAX_S = 0.3  # maximum age of the state, s: thirty packets in a row were lost
+HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s: ten packets in a row were lost
 VARIANCE_MAX_M2 = 0.01  # maximum position variance of an axis, m2; settled: 0.001 (cflib reset_estimator)
-TILT_MAX_DEG = 2.0  # maximum tilt, degrees; 1 degree causes 6.8 cm/s of drift and is a usual sensor bias
-BATTERY_MIN_V = 3.7  # lowest voltage at rest, V: a sixth of the charge; the firmware does not land by itself
-# Values of stabilizer.controller that follow velocity set-points; 0 is the default, PID (controller.c). For
-# such a set-point Mellinger (2) holds height zero or gives full thrust (controller_mellinger.c).
+TILT_MAX_DEG = 2.0  # maximum tilt of markers to body, degrees; 1 (a usual bias) causes a drift of 6.8 cm/s
+BATTERY_MIN_V = 3.7  # lowest voltage at rest, V: a sixth of the charge is left; the firmware never lands
+# Controllers, by stabilizer.controller, that follow velocity set-points; 0: the default, PID (controller.c).
+# With such a set-point Mellinger (2) holds height zero or gives full thrust (controller_mellinger.c).
 CONTROLLERS = {"0": "default", "1": "PID"}
 _POSITION_DECKS = {
     "deck.bcLighthouse4": "Lighthouse deck: are the base stations seen, and is their geometry stored?",
@@ -26,8 +26,8 @@ _POSITION_DECKS = {
     "deck.bcFlow2": "Flow deck: is the floor in sight, with texture and light?",
 }
 _UP: Vec3 = (0.0, 0.0, 1.0)
-_SHARE = 0.1  # weight of a new value in the mean difference; at 10 Hz the time constant is 1 s
-_AT_REST_G = 0.1  # maximum difference of the measured acceleration from 1 g; a larger one includes motion
+_SHARE = 0.1  # weight of a new value in the mean ``_leaning``; at 10 Hz the time constant is 1 s
+_AT_REST_G = 0.1  # maximum difference between measured acceleration and 1 g, g; above it, the vehicle moves
 
 
 class Condition:
@@ -36,14 +36,14 @@ class Condition:
     def __init__(self, *, mocap: bool) -> None:
         self.link: Connected | Lost = Lost("not connected yet")  # present state of the connection
         self.state: CrazyflieState | None = None  # newest state, of any age
-        self.health: Health | None = None  # newest variance of the estimate, and battery
+        self.health: Health | None = None  # newest position variance and battery data
         # reason why there is no good external pose; None: there is one, or none is needed
         self.mocap_problem: str | None = "mocap: no pose yet" if mocap else None
-        # whether poses come from an external system; time of the newest one
+        # whether external poses are needed, and time of measurement of the newest one, s
         self.needs_poses, self.posed_s = mocap, -math.inf
-        self._pose_quaternion: Quat | None = None  # attitude of the newest pose sent through this bridge
-        self.fit_s = -math.inf  # time when the supervisor last reported armed or ready to arm
-        self._leaning: Vec3 | None = None  # mean difference of up in the poses and measured up, body frame
+        self._pose_quaternion: Quat | None = None  # attitude of the newest external pose
+        self.fit_s = -math.inf  # time when the supervisor last reported armed or ready to arm, s
+        self._leaning: Vec3 | None = None  # mean of up in the poses minus measured up, body frame
 
     def alive(self, now_s: float) -> bool:
         """Whether states of the Crazyflie arrive; without them no telemetry is sent."""
@@ -70,7 +70,7 @@ class Condition:
         else:
             if (age_s := now_s - state.at_s) > STATE_AGE_MAX_S:
                 yield f"state is {age_s:.1f} s old: radio too weak?"
-            # firmware that arms itself is disarmed for a short time, and arms again
+            # firmware that arms itself disarms for 0.12 s every 30 s
             rearms = state.info & Info.AUTO_ARM and state.at_s - self.fit_s <= REARM_S
             if reason := stuck(state.info):
                 yield reason
@@ -92,14 +92,14 @@ class Condition:
         params, health = self.link.params, self.health
         if (found := params.get(ESTIMATOR, KALMAN)) != KALMAN:
             yield f"{ESTIMATOR} is {found}, {KALMAN} (Kalman) needed"
-        # without poses the variance stays small, but the error is 0.65 m after 2.5 s
+        # without poses the reported variance remains small, but the position error is 0.65 m after 2.5 s
         if self.needs_poses and now_s - self.posed_s > POSE_AGE_MAX_S:
             yield "no pose from outside: has motion capture stopped?"
         if health is None or now_s - health.at_s > HEALTH_AGE_MAX_S:
             yield "no variance of the position estimate received"
             return
         worst = max(health.variance_m2)
-        # a stopped filter reports no variance
+        # a variance that is 0 or not finite comes from a filter that has stopped
         if not (math.isfinite(sum(health.variance_m2)) and 0.0 < worst <= VARIANCE_MAX_M2):
             decks = (text for name, text in _POSITION_DECKS.items() if params.get(name, "0") != "0")
             source = next(decks, "no positioning deck; give poses with --mocap KEY")
@@ -132,7 +132,7 @@ class Condition:
         return Battery(voltage_v, self.health.battery_percent if self.health is not None else -1)
 
     def take_gravity(self, acceleration_flu_g: Vec3) -> None:
-        """Compare the up direction of the poses with the measured specific force while on the ground."""
+        """While the vehicle stands, compare up in the poses with the direction of the specific force."""
         attitude, length = self._pose_quaternion, math.hypot(*acceleration_flu_g)
         flying = self.state is None or self.state.info & Info.FLYING
         if attitude is None or flying or abs(length - 1.0) > _AT_REST_G:
@@ -159,7 +159,7 @@ _STUCK = {
 
 
 def with_remedy(reason: str) -> str:
-    """Return cflib's reason against a connection; if it is a missing USB device, with what to do."""
+    """Return cflib's reason for a failed connection; for an unusable USB device, add what to do."""
     text = reason.removeprefix("Couldn't load link driver: ")
     if "Cannot find" not in text and "Could not open usb" not in text and "Access denied" not in text:
         return reason

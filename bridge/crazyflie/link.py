@@ -49,11 +49,11 @@ PARAMS = (  # firmware parameters that are read for the checks before arming
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",
     *DRAG,
 )  # fmt: skip
-EVENTS_MAX = 512  # maximum number of queued events: five seconds of packets
+EVENTS_MAX = 512  # maximum number of queued events: four seconds of log packets
 BLOCK_SILENT_S = 1.0  # time without a packet after which a log block is requested again, s
 ANSWER_MAX_S = 2.0  # time without any answer after which an attempt to connect is given up, s
-UNANSWERED_S = 0.5  # time-out of the first answer in a blind landing, s: cflib requests the answer only once
-CONNECT_MAX_S = 120.0  # time-out of one attempt, s; 1,235 requests, one in five lost, take 40 s
+UNANSWERED_S = 0.5  # time-out of a connection's first answer in a blind landing, s: cflib asks only once
+CONNECT_MAX_S = 120.0  # time-out of an attempt to connect, s; 1,235 requests, a fifth of them lost, take 40 s
 RESEND_S = 0.05  # time-out before cflib repeats a request over UDP, s; cflib's default of 0.2 s suits a radio
 RETRY_S = 0.5  # time between two attempts to connect, s
 REOPEN_S = 0.1  # time between two attempts in a blind landing, s; without set-points motors stop after 2 s
@@ -124,20 +124,20 @@ class CrazyflieLink:
     def __init__(self, uri: str, cache: Path | None = None) -> None:
         """Start connecting; a ``cache`` folder for tables of contents makes a second connection fast."""
         self._uri, self._cache = uri, cache
-        self._temporary = tempfile.TemporaryDirectory()  # tables of contents without a given folder
+        self._temporary = tempfile.TemporaryDirectory()  # folder of the tables of contents without ``cache``
         self._events: deque[tuple[float, Event]] = deque(maxlen=EVENTS_MAX)
         self._outbox = Outbox()
         self._closing = threading.Event()
         self._read_fd, self._write_fd = os.pipe()
         os.set_blocking(self._read_fd, False)
         os.set_blocking(self._write_fd, False)
-        self._heard_s = 0.0  # time of the newest answer
+        self._heard_s = 0.0  # time of the newest answer, s
         self._broken: str | None = None  # reason why the present connection is lost, or None
         self._protocol: int | None = None  # CRTP protocol of the last connection
         self._current: Any = None  # cflib's object of the present connection
-        self._flown_s = -math.inf  # time of the last set-point sent
+        self._flown_s = -math.inf  # time of the last set-point sent, s
         self._fully = False  # whether the start-up requests of cflib are answered
-        # cflib logs a trace for every packet that it cannot use
+        # cflib logs a stack trace for every packet that it cannot use
         logging.getLogger("cflib").setLevel(logging.CRITICAL)
         cflib.crtp.init_drivers()
         self._thread = threading.Thread(target=self._run, name="crazyflie-link", daemon=True)
@@ -159,7 +159,7 @@ class CrazyflieLink:
         self._outbox.put(packet, time.monotonic())
 
     def close(self) -> None:
-        """Close the link; cflib's joins limit the time to about 2 s."""
+        """Close the link; this takes up to about 2 s, in which cflib joins its threads."""
         self._closing.set()
         self._outbox.wake()
         self._thread.join(6.0)
@@ -245,7 +245,7 @@ class CrazyflieLink:
         """Wait for a packet and send it; set-points and orders are sent as soon as the link is open.
 
         They do not wait for the set-up of the connection, so that a blind landing continues; without a link
-        they are dropped. Other packets are returned. Raises _LostError: the connection has ended.
+        they are dropped. Other packets and RECONNECT are returned. Raises _LostError: the connection ended.
         """
         packet = self._outbox.get(wait_s, time.monotonic)
         if self._closing.is_set() or self._broken is not None:
@@ -264,9 +264,9 @@ class CrazyflieLink:
     def _close(self, crazyflie: Any) -> None:
         """Close the link and stop the motors, unless the vehicle flies.
 
-        cflib ends with a set-point of zero thrust: within two seconds of a flight the supervisor takes the
-        silence that follows for a lost link and locks. So the stop and its notice are sent instead. cflib
-        joins its threads for up to two seconds; the next connection may begin in that time.
+        cflib ends with a set-point of zero thrust: within two seconds after a flight the supervisor takes the
+        silence that follows for a lost link and locks. So a stop and its notice are sent instead. cflib joins
+        its threads for up to two seconds; a thread waits for this, so that the next connection may begin.
         """
         if crazyflie.link is not None and not self._flies:
             crazyflie.commander.send_stop_setpoint()

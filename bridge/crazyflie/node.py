@@ -60,7 +60,7 @@ def _vfr_hud(s: Snapshot[Vehicle]) -> Message:
     return telemetry.vfr_hud(s, round(100 * health.throttle) if health is not None else 0)
 
 
-# Streams in the order of a datagram, with default rates, Hz; None: with every state, or only on request
+# Streams in their order within a datagram, with default rates, Hz; None: with every state, or on request
 _STREAMS: StreamTable[Vehicle] = {
     _M.MAVLINK_MSG_ID_ATTITUDE: (telemetry.attitude, None),
     _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (telemetry.attitude_quaternion, 50.0),
@@ -74,11 +74,11 @@ _STREAMS: StreamTable[Vehicle] = {
 
 
 class Node(Server[Vehicle]):
-    """MAVLink server of a Crazyflie: call ``take`` and ``handle`` on arrival, then ``step``."""
+    """MAVLink server of a Crazyflie: ``take`` events, ``handle`` messages, then ``step``."""
 
     def __init__(self, options: CrazyflieOptions, drag_1_s: Vec3 | None) -> None:
         self.clock = BootClock()  # converts the firmware's time stamps
-        self._streamed: list[Message] = []  # messages made from new states and not sent yet
+        self._streamed: list[Message] = []  # messages that were made from new states and are not sent yet
         self._readiness_due_s, self._readiness = READINESS_S, ""
         self._shown_armed = False
         self._restarts = 0
@@ -126,7 +126,7 @@ class Node(Server[Vehicle]):
         return Snapshot(vehicle, vehicle.state, known, now_s, vehicle.state.boot_ms / 1000.0)
 
     def streamed(self, snapshot: Snapshot[Vehicle]) -> list[Message]:
-        """Return the messages of the states since the last call; without states, those of the condition."""
+        """Return messages made from new states; if states are missing, add due messages without state."""
         messages, self._streamed = self._streamed, []
         return messages + super().streamed(snapshot) if self._gap(snapshot.now_s) else messages
 
@@ -179,9 +179,9 @@ class Node(Server[Vehicle]):
         if timed is None or self.vehicle.link.protocol is None:  # old or late packet, or no link
             return
         boot_ms, late_s = timed
-        state = decode_state(packet.values, boot_ms, at_s - late_s)  # time of measurement
+        state = decode_state(packet.values, boot_ms, at_s - late_s)  # at the time of measurement
         restarts, self._restarts = self._restarts, self.clock.restarts
         self.vehicle.take_state(state, at_s, restarted=restarts != self.clock.restarts)
-        snapshot = self.snapshot(state.at_s)  # the bridge's clock does not drift against the Crazyflie's
+        snapshot = self.snapshot(state.at_s)  # streams are due by the time of measurement: no jitter
         if snapshot is not None:
             self._streamed += super().streamed(snapshot)

@@ -1,9 +1,9 @@
-"""What passes between bridge and Crazyflie: packets and their queue, events, and decoded log packets.
+"""Data between bridge and Crazyflie: packets and their queue, events, and decoded log packets.
 
-Urgent packets are sent first; old velocities are dropped. Each log packet holds a complete state:
+Urgent packets are sent first; old velocities are dropped. Each packet of the block ``STATE`` is complete:
 ``stateEstimateZ`` (firmware stabilizer.c) has millimetres, millimetres per second, a quaternion in 32 bits
-and milliradians per second; with supervisor bits and voltage it fills the 26 bytes of a packet. Here are
-metres, seconds, radians, volts; the Crazyflie's world frame (x, y, z up) is used as ENU; body: FLU.
+and milliradians per second; with supervisor bits and voltage it fills the 26 bytes of a packet. Decoded
+values have metres, seconds, radians, volts; the Crazyflie's world frame (z up) is used as ENU; body: FLU.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from flightstack.core.types import Vec3
 
 
 class Velocity(NamedTuple):
-    """A velocity set-point; its packet is sent immediately or dropped."""
+    """A velocity set-point; it is sent within 0.1 s or dropped."""
 
     velocity_enu_m_s: Vec3
     yaw_rate_rad_s: float  # yaw rate, counter-clockwise
@@ -47,7 +47,7 @@ class SetParam(NamedTuple):
 Packet = Velocity | Pose | Order | SetParam
 
 ORDERS_MAX = 64
-VELOCITY_AGE_MAX_S = 0.1  # maximum age of a velocity, s; without a velocity the firmware's watchdog acts
+VELOCITY_AGE_MAX_S = 0.1  # maximum age of a queued velocity, s; an older velocity is dropped
 _URGENT = frozenset({Order.EMERGENCY_STOP, Order.STOP, Order.DISARM})
 
 
@@ -57,11 +57,11 @@ class Outbox:
     def __init__(self) -> None:
         self._ready = threading.Condition()
         self._orders: list[Order | SetParam] = []
-        self._newest: dict[type, tuple[Velocity | Pose, float]] = {}  # newest of each kind, with its time, s
+        self._newest: dict[type, tuple[Velocity | Pose, float]] = {}  # newest packet of a type, time in s
         self._woken = False
 
     def put(self, packet: Packet, now_s: float) -> None:
-        """Add a packet; motors-off deletes the queued velocity and always has room."""
+        """Add a packet; an urgent order deletes the queued velocity and always has room."""
         with self._ready:
             if isinstance(packet, Velocity | Pose):
                 self._newest[type(packet)] = packet, now_s
@@ -97,7 +97,7 @@ class Outbox:
             self._ready.notify()
 
 
-# CRTP protocol with arming and emergency stop on the supervisor's port (cflib supervisor.py)
+# oldest CRTP protocol with arming and emergency stop on the supervisor's port (cflib supervisor.py)
 PROTOCOL_MIN = 12
 
 
@@ -128,7 +128,7 @@ class Connected(NamedTuple):
     """The link is open and the start-up requests are answered."""
 
     protocol: int
-    params: dict[str, str]  # values of ``link.PARAMS``; those unknown to the firmware are missing
+    params: dict[str, str]  # values of ``link.PARAMS``, without parameters unknown to the firmware
     reason: str = ""
 
 
@@ -144,7 +144,7 @@ class LogPacket(NamedTuple):
     """One packet of a log block, not decoded."""
 
     block: str  # name in ``BLOCKS``
-    time_ms: int  # time on the firmware's clock, 24 bits
+    time_ms: int  # time on the firmware's clock, ms, 24 bits
     values: dict[str, Any]
 
 
@@ -165,8 +165,8 @@ Event = Connected | Lost | LogPacket | ArmReply | ParamValue
 class CrazyflieState:
     """State of one log packet; all values have the same time."""
 
-    at_s: float  # time on the bridge's clock
-    boot_ms: int  # time on the firmware's clock, continuous
+    at_s: float  # time of measurement on the bridge's clock, s
+    boot_ms: int  # time of measurement on the firmware's clock, ms, without wrap-around
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     quaternion: Quat  # attitude of FLU in ENU, in the order w, x, y, z
@@ -202,22 +202,22 @@ HEALTH = Block(
 )
 GRAVITY = Block("gravity", 100, ("acc.x", "acc.y", "acc.z"))  # specific force, body axes, g
 BLOCKS = (STATE, HEALTH, GRAVITY)
-FETCHED_AS: Mapping[str, str] = dict.fromkeys(_MOTORS, "uint16_t")  # older firmware: 32 bits
+FETCHED_AS: Mapping[str, str] = dict.fromkeys(_MOTORS, "uint16_t")  # requested type; older firmware: 32 bits
 _PWM_MAX = 65535.0
 LATE_MAX_S = 0.05  # maximum delay of a packet, s; a later packet is ignored
-# time for which the packets of a changed clock must agree until it is adopted, s; the second for late
-# packets, which may come from a queue: the clock of a simulated firmware may stop
+# time for which packets must agree on a changed clock until it is adopted, s; PATIENCE_S if they are late and
+# may come from a queue, since the clock of a simulated firmware may stop; else PROOF_S
 PROOF_S, PATIENCE_S = 0.05, 0.3
 _WRAP_MS = 1 << 24
-_REBOOT_MS = 1000  # difference to the expected time above which the firmware may have restarted, ms
-_DRIFT = 0.1  # maximum drift of a simulated firmware's clock; the clock of CrazySim ran at 0.97
+_REBOOT_MS = 1000  # difference from the expected time above which the firmware may have restarted, ms
+_DRIFT = 0.1  # maximum relative drift of a simulated firmware's clock; CrazySim's ran at 0.97 of real time
 
 
 class BootClock:
     """Converts the firmware's 24-bit time, ms, into a continuous clock, and measures the delay of packets."""
 
     def __init__(self) -> None:
-        self.restarts = 0  # number of firmware restarts and of backward steps of its clock
+        self.restarts = 0  # number of restarts of the firmware and backward steps of its clock
         self._last_ms: int | None = None
         self._last_at_s = 0.0
         self.begin()
@@ -255,7 +255,7 @@ class BootClock:
 
 
 def decode_state(v: Mapping[str, int], boot_ms: int, at_s: float) -> CrazyflieState:
-    """Decode the variables of ``STATE``; ``boot_ms``: continuous firmware time; ``at_s``: arrival time."""
+    """Decode the variables of ``STATE``; ``boot_ms`` and ``at_s``: as in ``CrazyflieState``."""
     from cflib.utils.encoding import decompress_quaternion  # a late import: the package is an extra
 
     x, y, z, vx, vy, vz = (v[name] / 1000.0 for name in STATE.variables[:6])

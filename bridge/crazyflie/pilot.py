@@ -1,6 +1,6 @@
 """Requests to the firmware's supervisor, and velocity set-points of take-off, hold and landing.
 
-A request to arm or to stop the motors is repeated until answered. Motors-off consists of three packets: a
+A request to arm or to stop the motors is repeated until it has an effect. Motors-off is three packets: a
 stop set-point; a notice that no more set-points follow, without which the supervisor locks after two seconds
 (firmware supervisor.c); and a disarming request, which also works in flight. If a forced disarm has no
 effect, an emergency stop follows; it is latched until a restart.
@@ -16,11 +16,11 @@ from bridge.crazyflie.packets import ArmReply, CrazyflieState, Info, Order, Pack
 from bridge.frames import wrap_angle, yaw_from_quaternion
 from flightstack.core.types import Vec3
 
-REPEAT_S = 0.05  # time between two repeats of a request, s: the period of two state packets
+REPEAT_S = 0.05  # time between two repeats of a request, s: the period of five state packets
 ARM_MAX_S = 0.6  # time-out of an arming request without an answer, s
-KILL_UNSEEN_S = 0.2  # time without effect after which a forced disarm becomes an emergency stop, s
-OFF_MAX_S = 1.0  # longest time that motors-off is repeated, s
-NOTICES = 6  # number of notices sent after the motors are off, since packets may be lost
+KILL_UNSEEN_S = 0.2  # time without an effect after which a forced disarm becomes an emergency stop, s
+OFF_MAX_S = 1.0  # time-out of a motors-off request, s
+NOTICES = 6  # number of repeats of the notice after the motors are off, since packets may be lost
 REFUSED = "the supervisor refused"
 _OFF = (Order.STOP, Order.NOTIFY_STOP, Order.DISARM)
 
@@ -28,7 +28,7 @@ _OFF = (Order.STOP, Order.NOTIFY_STOP, Order.DISARM)
 class _Goal(Enum):
     ARM = auto()
     OFF = auto()
-    NOTICE = auto()  # if the notice is lost, the supervisor reports a lost link two seconds later
+    NOTICE = auto()  # repeat the notice; without it the supervisor locks after two seconds
 
 
 @dataclass(slots=True)
@@ -36,9 +36,9 @@ class _Request:
     goal: _Goal
     since_s: float
     sent_s: float
-    forced: bool = False  # OFF: a disarm that must also work in flight
-    latched: bool = False  # OFF: an emergency stop is sent, too
-    refused: bool = False  # ARM: the supervisor has refused at least once
+    forced: bool = False  # OFF: whether the disarm must also work in flight
+    latched: bool = False  # OFF: whether an emergency stop is sent, too
+    refused: bool = False  # ARM: whether the supervisor has refused at least once
     left: int = NOTICES  # NOTICE: number of packets still to be sent
 
 
@@ -46,7 +46,7 @@ class Arming:
     """Request to arm or to stop the motors: repeated until its effect is observed or a time-out."""
 
     def __init__(self) -> None:
-        self.armed = False  # whether a client of this bridge armed, and the firmware confirmed it
+        self.armed = False  # whether a client of this bridge armed the vehicle and the firmware confirmed it
         self._request: _Request | None = None
         self._arms_itself = False
 
@@ -66,7 +66,7 @@ class Arming:
         return [] if self.armed else [Order.ARM]
 
     def refused_by(self, reply: ArmReply) -> bool:
-        """Whether an answer ends the request; while the firmware arms itself, its refusals do not."""
+        """Whether a reply ends the arming request; a refusal by firmware that arms itself does not."""
         if self._request is None or not self.arming or reply.accepted:
             return False
         self._request.refused = True
@@ -75,7 +75,7 @@ class Arming:
         return not self._arms_itself
 
     def off(self, now_s: float, *, forced: bool, latched: bool = False) -> list[Packet]:
-        """Return the packets that stop the motors; a repeated call returns them again, if they were lost."""
+        """Return the packets that stop the motors; a repeated call repeats them, as they may be lost."""
         self.armed, before = False, self._request
         request = self._request = _Request(_Goal.OFF, now_s, now_s, forced, latched)
         if before is not None and before.goal is _Goal.OFF:
@@ -131,16 +131,16 @@ SPEED_XY_M_S = 0.3  # largest horizontal speed, m/s
 CLIMB_M_S = 0.4  # maximum climb rate, m/s
 DESCENT_M_S = 0.25  # descent rate, m/s
 ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # largest height error and speed at the end of a take-off
-# first part of a take-off, m, flown with constant horizontal velocity until it is clear of a moving deck
+# height above the start, m, below which a take-off keeps the horizontal velocity of a moving deck
 CLEAR_M = 0.1
 CARRIED_MAX_M_S = 1.0  # largest velocity of a moving deck that the take-off follows, m/s
 # Descent rate without a position, m/s: an accelerometer bias makes the firmware's vertical velocity drift by
 # 0.05 m/s per second, until the vehicle climbs while the estimate shows a descent.
 UNPLACED_M_S = 0.4
 STOPPED_SHARE = 0.3  # fraction of the commanded descent rate; a vehicle that sinks slower stands on something
-LANDING_MIN_S = 1.0  # shortest landing after which a stop counts, s; a climb must end first
-STOPPED_TIME_S = 0.4  # time that the stop must last, s; longer than the descent takes to begin
-SINKING_M_S = -0.1  # least descent command, m/s; between this value and 0 a command may be a control error
+LANDING_MIN_S = 1.0  # time after the start of a landing from which a stop counts, s: a climb must end first
+STOPPED_TIME_S = 0.4  # time for which a stop must last, s; longer than the start of a descent takes
+SINKING_M_S = -0.1  # largest z velocity of a descent command, m/s; a larger one may be a control error
 YAW_GAIN_1_S = 2.0  # yaw gain, 1/s; CRTP velocity set-points have a yaw rate but no yaw
 YAW_RATE_MAX_RAD_S = 1.5  # largest yaw rate, rad/s
 
@@ -180,7 +180,7 @@ class Pilot:
         self._stopped = Stopped()
 
     def velocity(self, state: CrazyflieState, takeoff_z_m: float | None) -> Velocity:
-        """Return the velocity to the point to hold; ``takeoff_z_m``: its height in a take-off, else None."""
+        """Return the velocity to the point to hold; ``takeoff_z_m``: its z in a take-off, m, else None."""
         takes_off = takeoff_z_m is not None
         x, y, z = (
             p + v / GAIN_1_S for p, v in zip(state.position_enu_m, state.velocity_enu_m_s, strict=True)

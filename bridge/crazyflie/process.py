@@ -56,7 +56,7 @@ class Loop:
     ) -> None:
         self._node, self._link, self._endpoint, self._poses, self._say = node, link, endpoint, poses, say
         self._start_s = time.monotonic()
-        self._begun: tuple[int, int] | None = None  # link and series of poses that started the estimator
+        self._begun: tuple[int, int] | None = None  # connection and pose series that last reset the estimator
         self._tick_s = TICK_S if poses is None else POSE_TICK_S
 
     @property
@@ -94,7 +94,7 @@ class Loop:
         if passed is None or vehicle.link.protocol is None:
             return
         pose = passed.pose
-        key = (id(vehicle.link), passed.resets)  # each connection has its own event
+        key = (id(vehicle.link), passed.resets)  # each connection has its own ``Connected`` object
         starts = self._begun != key and vehicle.link.params.get(ESTIMATOR) == KALMAN
         if starts and not vehicle.armed:
             self._begun = key
@@ -107,13 +107,13 @@ class Loop:
         self._link.send(pose)
 
     def run(self, stop: Stop, duration_s: float | None) -> int:
-        """Loop until a signal; in flight the first signal lands, the second ends. Returns the exit status.
+        """Loop until a signal; the first one lands the vehicle, the second ends the loop. Return the status.
 
         An exception also lands the vehicle: without set-points the firmware would stop the motors.
         """
         vehicle, status = self._node.vehicle, 0
         ending_s: float | None = None
-        left_s = math.inf  # time when the parameters are restored
+        left_s = math.inf  # time when the parameters are restored, s
         while stop.count < 2:
             try:
                 self.turn()
@@ -157,7 +157,7 @@ def check_uri(uri: str) -> None:
 def run(options: CrazyflieOptions, drag_1_s: Vec3 | None, say: Callable[[str], None] = print) -> int:
     """Serve clients until a signal arrives; print ``ready URL`` when clients can connect.
 
-    ``drag_1_s`` is the rotor drag of the firmware's filter, body axes; None leaves it unchanged.
+    ``drag_1_s`` is the rotor drag for the firmware's filter, 1/s, body axes; None leaves it unchanged.
     """
     try:
         from bridge.crazyflie.link import CrazyflieLink

@@ -19,20 +19,20 @@ from flightstack.common.options import Option
 from flightstack.config import options as shared
 from flightstack.core.types import Vec3
 
-SILENT_S = 0.5  # time without a state until this silence is reported, s; the flight stack's limit is 0.2 s
+SILENT_S = 0.5  # time without a state after which a warning is sent, s; the flight stack's limit is 0.2 s
 LOST_S = 1.0  # time without a state after which no heartbeat is sent, s
-RECONNECT_S = 3.0  # time without a state until the link is reopened, s; the firmware stops earlier
-BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # longest blind landing: 1.0 s plus 1.2 times height / descent rate
+RECONNECT_S = 3.0  # time without a state until the link is reopened, s; the firmware stops the motors earlier
+BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # duration of a blind landing: 1.0 s plus 1.2 times height / rate
 POSE_AGE_MAX_S = 0.5  # maximum age of an external pose, s; with an older pose the position is invalid
-REARM_S = 0.4  # longest ignored disarmed time, s: firmware that arms itself disarms for 0.12 s every 30 s
+REARM_S = 0.4  # longest disarmed time that is ignored, s: some firmware disarms for 0.12 s every 30 s
 CLIENT_SILENT_S = 3.0  # time without a heartbeat of any client after which the vehicle lands, s
-STREAM_S = 1.0  # time without set-points after which control is free, s; PX4's COM_OF_LOSS_T
+STREAM_S = 1.0  # time without set-points after which another client may take control, s; PX4: COM_OF_LOSS_T
 LEVEL_OUT_S = 0.5  # time without set-points until the firmware levels the vehicle, s (supervisor.c)
 OWN_PERIOD_S = 0.02  # time between two set-points of the bridge's own modes, s
 STANDING_S = 1.0  # time of a descent command without descent after which the vehicle counts as standing, s
 SPEED_MAX_M_S = 1.0  # maximum speed of a forwarded set-point, m/s
 HEIGHT_RANGE_M = (0.1, 3.0)  # allowed take-off height above home, m
-IDLE_S = 10.0  # time armed on the ground after which the vehicle is disarmed, s; PX4's COM_DISARM_PRFLT
+IDLE_S = 10.0  # time armed on the ground after which the bridge disarms, s; PX4: COM_DISARM_PRFLT
 KILL_KEPT_S = 10.0  # longest time that a kill without a link remains pending, s
 TAKEOFF_MAX_S = 15.0  # time-out of a take-off, s; a climb of 3 m takes 8 s
 TAKEOFF_M = 0.5  # default take-off height above home, m
@@ -78,16 +78,16 @@ ESTIMATOR, KALMAN = "stabilizer.estimator", "2"
 DRAG = ("kalman.dragB_x", "kalman.dragB_y", "kalman.dragB_z")  # rotor drag along the body axes, 1/s
 UNKNOWN_DRAG = "Firmware has no kalman.dragB_x: its velocity is too high in flight"
 ECHO_MAX_S = 1.0  # time without an echo after which a restored parameter counts as lost, s
-_SAME = 1e-6  # relative tolerance of equal parameters; the firmware's floats have 24 bits
+_SAME = 1e-6  # relative tolerance of equal parameters; the firmware's floats have 24 significant bits
 
 
 class Settings:
-    """Firmware parameters to write, and their values before; a restart of the firmware resets all."""
+    """Firmware parameters to write, and their previous values; a restart of the firmware resets all."""
 
     def __init__(self, drag_1_s: Vec3 | None, *, restore: bool) -> None:
-        """``drag_1_s``: rotor drag, None leaves it unchanged; ``restore``: write old values at the end."""
+        """``drag_1_s``: rotor drag, 1/s, None: not written; ``restore``: write old values at the end."""
         self._drag_1_s, self._restore = drag_1_s, restore
-        self._found: dict[str, float] = {}  # values before the first write
+        self._found: dict[str, float] = {}  # parameter values before the first write, by name
         self.open: set[str] = set()  # restored parameters that the firmware has not confirmed yet
 
     def connected(self, params: Mapping[str, str]) -> tuple[list[SetParam], str | None]:

@@ -49,7 +49,7 @@ class Vehicle(Condition, Commander):
     stream_lost_s = limits.STREAM_S
 
     def __init__(self, options: limits.CrazyflieOptions, drag_1_s: Vec3 | None) -> None:
-        """``drag_1_s``: rotor drag for the firmware's filter, body axes; None: unchanged."""
+        """``drag_1_s``: rotor drag for the firmware's filter, 1/s, body axes; None: unchanged."""
         Commander.__init__(self)
         Condition.__init__(self, mocap=options.mocap_key is not None)
         self.options = options
@@ -63,7 +63,7 @@ class Vehicle(Condition, Commander):
         self._silence_said = False
         self._connected_s = 0.0
         self._armed_state: CrazyflieState | None = None  # newest state in which the vehicle is armed
-        # time of the newest state with a known position, and the longest landing without a position, s
+        # time of the newest state with a good position, and maximum duration of a blind landing from there, s
         self._placed_s, self._sink_s = -math.inf, 0.0
         self._stopped = Stopped()
         self._client_s = self._own_s = -math.inf
@@ -144,11 +144,11 @@ class Vehicle(Condition, Commander):
             self._silence_said = False
         if self.position_known(now_s):
             self._placed_s = state.at_s
-            height_m = state.position_enu_m[2] - min(0.0, self.home_enu_m[2])  # the floor can be below home
+            height_m = state.position_enu_m[2] - min(0.0, self.home_enu_m[2])  # above z = 0 or a lower home
             self._sink_s = limits.BLIND_SPARE_S + limits.BLIND_SHARE * max(0.0, height_m) / DESCENT_M_S
         if restarted:
             self._stop("it restarted", now_s)
-            if before is not None:  # write the parameters again, which the restart has reset
+            if before is not None:  # a new connection writes the parameters, which the restart has reset
                 self._packets += [Order.STOP, Order.RECONNECT]
                 self.lost(Lost("it restarted"), now_s)
                 return
@@ -180,7 +180,7 @@ class Vehicle(Condition, Commander):
             self.texts.refuse(f"Arming refused: {REFUSED}", now_s)
 
     def mocap(self, problem: str | None, passed: Passed | None = None) -> None:
-        """Handle a new external pose and the problem of the external poses (None if they are good)."""
+        """Handle a new external pose; ``problem``: reason why external poses are not good, or None."""
         if passed is not None:
             self.posed_s = max(self.posed_s, passed.measured_s)
             self._pose_quaternion = passed.pose.orientation_wxyz
@@ -208,7 +208,7 @@ class Vehicle(Condition, Commander):
     def _enter(
         self, mode: FlightMode, now_s: float, *, failsafe: bool = False, restart: bool = False
     ) -> None:
-        """Change the mode; every mode but landing restarts at the present position."""
+        """Change the mode; a mode that is already active restarts at the present position, except LAND."""
         super()._enter(mode, now_s, failsafe=failsafe, restart=restart or mode is not FlightMode.LAND)
 
     def _begin(self, now_s: float) -> None:
@@ -248,7 +248,7 @@ class Vehicle(Condition, Commander):
     def _ended(self) -> None:
         self._moved = self.failsafe = False
         self._owner = None
-        self.mode = FlightMode.HOLD  # in OFFBOARD the present client would keep control
+        self.mode = FlightMode.HOLD  # OFFBOARD would leave the present client in control
 
     # Commands of clients; each returns the reason if it refuses
 
@@ -313,7 +313,7 @@ class Vehicle(Condition, Commander):
         if yaw_rad is not None:
             yaw_rate_rad_s = yaw_rate(yaw_rad, state) if state is not None else 0.0
         self._command(Velocity(velocity_enu_m_s, yaw_rate_rad_s))
-        # a client may disarm after the landing
+        # then the vehicle counts as standing, so that a client may disarm it after a landing
         if self._stopped.lasts_s(velocity_enu_m_s[2], state, now_s) > limits.STANDING_S:
             self._moved = False
 
