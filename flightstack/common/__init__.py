@@ -1,1 +1,1 @@
-"""Modules for all packages: signals, child processes, pacing, strict TOML, the clock of a simulation."""
+"""Modules for all packages: signals, child processes, options, clocks of ticks, strict TOML, text."""

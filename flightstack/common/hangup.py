@@ -1,8 +1,8 @@
-"""Signals that end a process, in its start, in flight and at a closed terminal, and its standard streams.
+"""Signals that end a process (at its start, in flight, at a closed terminal), and its standard streams.
 
 The reader of the output may end (``| head``, a closed terminal) or stop reading, the disk may be full, and
-the streams may be closed at the start. In these cases output is lost without an exception, which a library
-could convert to an exit, and no other file gets the descriptor of a standard stream.
+the streams may be closed at the start. Then output is lost without an exception, because a library could
+convert an exception to an exit. No other file gets the descriptor of a standard stream.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class CalledOffError(KeyboardInterrupt):
     """A signal arrived during the start, before the process has its own handlers."""
 
 
-_COMPILER = "llvmlite"  # callbacks in files with this part in their path drop exceptions
+_COMPILER = "llvmlite"  # part of the path of files whose callbacks drop exceptions
 _came: list[CalledOffError] = []
 
 
@@ -47,13 +47,13 @@ def called_off() -> CalledOffError | None:
 
 
 def begun() -> None:
-    """End the handling of ``start``. Raises CalledOffError: a signal arrived whose exception was dropped."""
+    """Check the start for signals. Raises CalledOffError: one has arrived, and its exception was dropped."""
     if _came:
         raise _came[-1]
 
 
 def _call_off(number: int, frame: FrameType | None) -> None:
-    """Raise the exception, except inside a callback that would drop it: ``begun`` raises it then."""
+    """Raise the exception; inside a callback that would drop it, leave it to a later call of ``begun``."""
     _came.append(CalledOffError(f"ended by {signal.Signals(number).name}"))
     while frame is not None:
         if _COMPILER in frame.f_code.co_filename:
@@ -101,9 +101,9 @@ def handle(handlers: Mapping[signal.Signals, Callable[[], object]]) -> None:
             signal.signal(number, lambda *_, run=handler: run())
 
 
-# permanent errors: the reader has ended; other errors (ENOSPC) may be temporary
+# errors of a stream whose reader has ended: they are permanent; others (ENOSPC) may be temporary
 _GONE = (errno.EPIPE, errno.EIO, errno.EBADF)
-_PART = select.PIPE_BUF  # number of bytes that a pipe accepts without blocking if it is ready
+_PART = select.PIPE_BUF  # number of bytes that a pipe accepts without blocking once ``select`` reports it
 _NUMBERS = {"stdout": 1, "stderr": 2}
 
 
@@ -111,7 +111,7 @@ class Stream(io.FileIO):
     """Standard stream that never raises an exception."""
 
     waits = True  # whether to wait for a slow reader; False in flight
-    lost: OSError | None = None  # error of lost standard output; None: no output was lost
+    lost: OSError | None = None  # error by which standard output was lost; None: none was lost
 
     def write(self, data: Any) -> int:
         """Write or drop bytes; return their number."""
@@ -124,7 +124,7 @@ class Stream(io.FileIO):
         except OSError as error:
             if number == _NUMBERS["stdout"]:
                 Stream.lost = error
-            if error.errno in _GONE:  # libraries and children can then write to the null device
+            if error.errno in _GONE:  # from now on libraries and children write to the null device
                 with contextlib.suppress(OSError), open(os.devnull, "wb") as nothing:  # noqa: PTH123
                     os.dup2(nothing.fileno(), number)
             return size
@@ -134,13 +134,13 @@ class Stream(io.FileIO):
 def guard() -> bool:
     """Replace the standard streams; call this before any file is opened.
 
-    Streams that a test has replaced remain. Return whether standard output was that of the process.
+    Streams that a test has replaced are not changed. Return whether standard output is replaced now.
     """
-    Stream.lost = None  # a forked process has the value of its parent
+    Stream.lost = None  # a forked process inherits the value of its parent
     for number in range(3):
         try:
             os.fstat(number)
-        except OSError:  # for a closed stream: the next file would get its number
+        except OSError:  # the stream is closed: the next opened file would get its number
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
     for name, number in _NUMBERS.items():
         old = getattr(sys, name)
@@ -161,7 +161,7 @@ def guard() -> bool:
 
 
 def never_wait() -> None:
-    """From now on drop output that is not read, so that a flight does not wait for its reader."""
+    """From now on drop output that is not read, so that a flight does not wait for a reader."""
     Stream.waits = False
 
 

@@ -1,8 +1,8 @@
-"""Options of the commands: annotated fields of a dataclass, or arguments of a function, declare each once.
+"""Options of the commands: an annotated dataclass field, or function argument, declares one completely.
 
 ``seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0`` has name, help, range,
-type and default. ``takes`` reads the dataclass from a command line, ``arguments`` those of a function;
-``argv`` writes the arguments of a child process, and ``shared`` passes fields on to other options.
+type and default. ``takes`` makes the dataclass from a command line, ``arguments`` those of a function;
+``argv`` writes the command line of a child process; ``shared`` copies equally named fields to other options.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class BadOptionError(ValueError):
 
 @dataclass(frozen=True)
 class Option:
-    """An option: ``bool`` is a flag; ``tuple[T, ...]`` and ``Mapping`` may be given repeatedly."""
+    """Option of a command: one of type ``bool`` is a flag; ``tuple[T, ...]`` or ``Mapping``: repeatable."""
 
     # --name, or --name/--no-name for a flag that is on by default; a name without dashes is the name of a
     # positional argument in the help
@@ -47,13 +47,13 @@ class Option:
 
 
 class Declared(NamedTuple):
-    """A field of a dataclass with its option, as the command line needs it."""
+    """A field of a dataclass, or an argument of a function, with its option."""
 
-    name: str  # name of the field
+    name: str  # name of the field or argument
     option: Option
     type: type  # type of one value
     many: bool  # whether the option may be given several times
-    number: int  # number of values that follow the name each time
+    number: int  # number of values that follow the option each time
     default: Any  # default; MISSING: the option is required
 
 
@@ -82,7 +82,7 @@ def declared(source: Callable[..., Any]) -> tuple[Declared, ...]:
 
 
 def shared(source: object, cls: type[T], **others: Any) -> T:
-    """Return an object of ``cls`` from the fields of ``source`` with equal names, and from ``others``."""
+    """Return an object of ``cls``: ``source`` gives the fields of equal name, ``others`` the others."""
     both = {f.name: getattr(source, f.name) for f in fields(cls) if hasattr(source, f.name)}  # type: ignore[arg-type]
     return cls(**{**both, **others})
 
@@ -125,7 +125,7 @@ def arguments(verb: Callable[..., None]) -> Callable[..., None]:
 
 
 def _optioned(verb: Callable[..., None], options: Sequence[Declared]) -> Callable[..., None]:
-    """Give a command its options, required ones first."""
+    """Add the options to a command; its help lists the required ones first."""
     for each in sorted(options, key=lambda each: each.default is not MISSING)[::-1]:
         verb = _clicked(each)(verb)
     return verb

@@ -29,9 +29,9 @@ from typing import NamedTuple
 from flightstack.common.hangup import never_wait
 
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, zero of simulated clocks
-RUN_AHEAD_TICKS = 20  # maximum ticks that the target computes without a credit of the onboard process
-NO_GO = -1  # value of a credit with which the target must not drive yet
-# wall time in lockstep without a message after which the onboard process counts as dead, s: on a busy
+RUN_AHEAD_TICKS = 20  # maximum number of ticks by which a robot is simulated ahead of its vehicle
+NO_GO = -1  # second value of a credit: the robot must not drive yet
+# wall time without a message after which the onboard process counts as dead in lockstep, s: on a busy
 # computer a running process may wait for the processor for many seconds
 COMPANION_SILENT_S = 20.0
 _SAID_S = 10.0  # waiting time after which a text reports the wait, s
@@ -52,7 +52,7 @@ _STALL_MAX_S = 2.5  # wall time without a step after which followers use wall ti
 
 @dataclass(frozen=True, slots=True)
 class FastClock:
-    """Wall clock that runs ``speed`` times as fast, for simulators with that speed.
+    """Wall clock that runs ``speed`` times as fast as real time, for simulators with that speed.
 
     The processes of a run agree on ``unix_ns``, which is correct at the last midnight (UTC).
     """
@@ -73,12 +73,12 @@ class FastClock:
 
 
 class Tick(NamedTuple):
-    """Number and time of one controller tick, and how accurately the tick kept its time."""
+    """Number and time of one controller tick, and how late it started."""
 
     number: int
     now_s: float  # time on the stack's clock
     unix_ns: int  # time on the system clock, ns since 1970
-    period_s: float  # time since the last tick, wall time in lockstep; 0 for the first tick
+    period_s: float  # time since the previous tick (in lockstep: wall time); 0 for the first tick
     lateness_s: float  # delay of the tick after its deadline; 0 in lockstep
     overruns: int = 0  # number of missed deadlines so far
 
@@ -119,7 +119,7 @@ def wait_until(
 
 
 class RealTimePacer:
-    """Source of absolute deadlines at a fixed rate; a missed deadline is counted and not repeated."""
+    """Clock of ticks with absolute deadlines at a fixed rate; a missed deadline is counted and skipped."""
 
     def __init__(self, rate_hz: int, clock: Clock) -> None:
         self.period_s = 1.0 / rate_hz
@@ -155,7 +155,7 @@ class RealTimePacer:
 
 
 class Follower(IntEnum):
-    """Processes that follow the clock, with their positions in the file."""
+    """Processes that follow the clock; the values give the order of their integers in the file."""
 
     ONBOARD = 0
     TARGET = 1
@@ -170,7 +170,7 @@ def _opened(path: Path) -> memoryview:
 
 
 class SimulationClock:
-    """The simulator's side of the clock: it creates the file, writes the time and waits for followers."""
+    """The clock in the simulator: it creates the file, writes the time and waits for the followers."""
 
     def __init__(self, path: Path) -> None:
         path.write_bytes(bytes(_SIZE))
@@ -202,7 +202,7 @@ class SimulationClock:
 
 
 class FollowedClock:
-    """A follower's side of the clock.
+    """The clock in a follower.
 
     After 2.5 s without a step the simulator counts as stopped. Time then passes as wall time, so that
     time-outs of the follower still end. The same applies if ``stopped`` says that this process ends.
@@ -216,7 +216,7 @@ class FollowedClock:
         self._seen_ns, self._moved_s = self._cells[_NOW], time.monotonic()
         self._ahead_s = 0.0  # sum of the time that passed during past stalls of the simulator
         self._stall_s = 0.0  # time that has passed during the current stall of the simulator
-        self._least_s = 0.0  # time at which the last sleep ended; the clock does not fall below it
+        self._least_s = 0.0  # smallest time that the clock returns, s: the end of the last sleep
 
     def monotonic(self) -> float:
         """Return the simulated time, s."""
@@ -267,7 +267,7 @@ def chosen_clock(
 def ask_for_priority() -> bool:
     """Request real-time priority; return False if it is not allowed or not available.
 
-    With ordinary scheduling another process keeps its core for some milliseconds (3 to 4 on Linux), which
+    With ordinary scheduling another process may keep the core for some milliseconds (3 to 4 on Linux), which
     delays ticks. The request needs CAP_SYS_NICE or an rtprio limit.
     """
     try:

@@ -1,4 +1,4 @@
-"""Worker processes that return results as they come; a process that dies or hangs loses none of them.
+"""Worker processes whose results are returned as they arrive; a worker that dies or hangs loses none.
 
 The processes are forked and use the modules and code that this process has loaded and compiled; if it has
 other threads, they are spawned.
@@ -28,11 +28,11 @@ START_S = 1800.0  # time-out of a start, including compilation on a slow compute
 
 
 class WorkersError(LaunchError):
-    """A worker ended before it did anything."""
+    """A worker ended, or hung, before its first item."""
 
 
 class _LostError(Exception):
-    """A worker died or hung; ``items``: the items without a result that were given out."""
+    """A worker died or hung; ``items``: submitted items without a result."""
 
     def __init__(self, items: Iterable[Any], what: str) -> None:
         super().__init__(what)
@@ -40,7 +40,7 @@ class _LostError(Exception):
 
 
 class Processes(ProcessPoolExecutor):
-    """Processes that call ``start`` before their work, and end with the context without waiting for it."""
+    """Processes that call ``start`` before their work; the exit of the context kills them."""
 
     def __init__(self, number: int, start: Callable[..., object], arguments: tuple[Any, ...]) -> None:
         self._forks = may_fork()
@@ -59,7 +59,7 @@ class Processes(ProcessPoolExecutor):
 
 @contextlib.contextmanager
 def _without_main() -> Iterator[None]:
-    """Start processes that do not run the main script again, so that the script needs no guard."""
+    """Prevent new processes from running the main script, which then needs no ``__main__`` guard."""
     main = sys.modules["__main__"]
     file, main.__spec__, spec = vars(main).pop("__file__", None), None, main.__spec__
     try:
@@ -71,7 +71,7 @@ def _without_main() -> Iterator[None]:
 
 
 def _begin(start: Callable[..., object], arguments: tuple[Any, ...]) -> None:
-    """Prepare a process; it ends with its parent, which alone handles Ctrl-C."""
+    """Prepare a worker: it ignores Ctrl-C and ends with its parent; then call ``start``."""
     forget_handlers()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -89,7 +89,7 @@ def results(
     executor: Executor, work: Callable[[T], R], waiting: deque[T], ahead: Callable[[], int],
     limit_s: float | None = None,
 ) -> Iterator[tuple[T, Future[R]]]:  # fmt: skip
-    """Yield each item with its finished future, in any order; the executor has ``ahead`` items at a time."""
+    """Yield each item with its finished future, in any order; at most ``ahead()`` items are submitted."""
     running: dict[Future[R], T] = {}
     try:
         while waiting or running:
@@ -113,8 +113,8 @@ def in_processes(
 ) -> Iterator[R]:  # fmt: skip
     """Yield the results of ``work`` as they arrive, in any order, from ``number`` processes.
 
-    If a worker dies or hangs, each item in work may be the cause. They are given out again, one at a time;
-    ``failed`` makes the result of an item that ends its worker a second time, or takes longer than
+    If a worker dies or hangs, each submitted item may be the cause. These items are submitted again, one at
+    a time; ``failed`` makes the result of an item that then again ends its worker, or takes longer than
     ``limit_s``. Raises WorkersError: no worker starts.
     """
     waiting, suspects = deque(items), deque[T]()

@@ -1,4 +1,4 @@
-"""Child processes of one run, by fork or as programs: start, supervision, and end in order."""
+"""Child processes of one run, forked or started as programs: start, supervision, and end in order."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PR_SET_NAME = 15
 _NAME_BYTES = 15  # maximum length of a thread name that Linux stores, bytes
 _LAST_STREAM = 2  # file descriptor of standard error
-START_MAX_S = 900.0  # maximum time for a child's start, s; a slow computer loads and compiles for minutes
+START_MAX_S = 900.0  # maximum time for a child to start, s; a slow computer loads and compiles for minutes
 CLI = "flightstack.cli.main"  # module of the command-line program
 _WRONG_INPUT = 2  # exit status of every command after wrong input
 # A function between fork and exec could wait without end for locks of the parent's threads (Zenoh).
@@ -65,12 +65,12 @@ def socket_folder() -> Path:
 class Child:
     """One process of the run; its standard error is written to the file ``name``.txt in ``folder``.
 
-    Without ``program``, it runs a command of ``flightstack``. The command is forked from this process and
-    need not load its modules again; if a fork is not possible, it is started as a program.
+    Without ``program``, it runs a command of ``flightstack``: in a fork of this process, which has loaded
+    the modules already, or, if a fork is not possible, as a program.
     """
 
-    end_signal = signal.SIGTERM  # signal to a program when this process ends
-    lines_max = 5  # number of lines in ``errors``
+    end_signal = signal.SIGTERM  # signal that a program receives when this process ends
+    lines_max = 5  # maximum number of lines in ``errors``
 
     def __init__(
         self, name: str, arguments: Sequence[str], folder: Path, *,
@@ -91,7 +91,7 @@ class Child:
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.PIPE,
                     stderr=errors,
-                    start_new_session=True,  # only the launcher receives Ctrl-C; it ends all in order
+                    start_new_session=True,  # only the launcher receives Ctrl-C; it ends the children
                 )
                 hand_on_niceness(self.process.pid)
         assert self.process.stdout is not None
@@ -99,7 +99,7 @@ class Child:
         self.pid = self.process.pid
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
-        self._read: list[str] = []  # lines that arrived in one read with the ``ready`` line
+        self._read: list[str] = []  # lines that were read together with the line ``ready``, after it
 
     def yield_to_others(self, steps: int) -> None:
         """Lower the priority of the process, so that it does not delay the flight."""
@@ -150,7 +150,7 @@ class Child:
 
 
 def _path() -> list[str]:
-    """Return the option without which Python would import from the working folder first, unless this does."""
+    """Return ``-P`` (no imports from the working folder), unless this process imports from that folder."""
     return [] if sys.path[0] in ("", str(Path.cwd())) else ["-P"]
 
 
@@ -193,7 +193,7 @@ class Port:
                 reservation.close()
                 continue
             self.number, self.close = number, reservation.close
-            self.endpoint = f"tcp/127.0.0.1:{number}"  # the port as a Zenoh endpoint
+            self.endpoint = f"tcp/127.0.0.1:{number}"  # Zenoh endpoint of the port
             return
         raise LaunchError(f"no free port of loopback found in {self._TRIES} tries from {self._RANGE}")
 
@@ -274,12 +274,12 @@ class Forked(ForkProcess):
 
 
 def leave_parent(output: int, errors: int) -> None:
-    """Detach a forked child: new session, default signals, inherited files closed, these standard streams."""
+    """Detach a forked child: new session, default signals, no inherited files, own standard streams."""
     os.setsid()
     hand_on_niceness(os.getpid())
     forget_handlers()
     streams = os.open(os.devnull, os.O_RDONLY), output, errors
-    # if the parent had no standard streams, these descriptors may have their numbers
+    # if the parent had no standard streams, these descriptors may have the numbers 0 to 2
     above = [fcntl.fcntl(number, fcntl.F_DUPFD, _LAST_STREAM + 1) for number in streams]
     for place, number in enumerate(above):
         os.dup2(number, place)

@@ -34,7 +34,7 @@ UNITS = (
 
 
 class ConfigError(ValueError):
-    """A configuration must not fly; the text gives the place, the value found, and the allowed values."""
+    """A configuration or option is wrong or must not fly; the text gives place, value and allowed values."""
 
 
 def span(low: float, high: float) -> msgspec.Meta:
@@ -81,7 +81,7 @@ class Files(Generic[T]):
         return self.over_base(path, read_toml(path))
 
     def over_base(self, path: Path, table: dict[str, Any], above: tuple[Path, ...] = ()) -> dict[str, Any]:
-        """Merge a table over that of the file in its key ``base``; ``above``: files based on this one."""
+        """Merge a table over the file that its key ``base`` names; ``above``: files based on this one."""
         if "base" not in table:
             return table
         base = self.named(path, "base", name := table.pop("base"))
@@ -90,7 +90,10 @@ class Files(Generic[T]):
         return over(self.over_base(base, read_toml(base), (*above, path.resolve())), table)
 
     def named(self, path: Path, key: str, name: object) -> Path:
-        """Return the file that the key of a file names: a file in its folder, a known name, or a path."""
+        """Return the file that ``name``, the value of ``key`` in the file ``path``, means.
+
+        It is a file in the folder of ``path``, a file of the package, or a path.
+        """
         if not isinstance(name, str):
             raise ConfigError(
                 f"{path}: {key}: found {name!r}, the name of a {self._kind} or a file is needed"
@@ -144,7 +147,7 @@ def parse_toml(data: bytes) -> dict[str, Any]:
 
 
 def decoded(data: bytes) -> str:
-    """Return text in UTF-8, or in the encoding of its byte order mark. Raises ValueError: it is neither."""
+    """Return text in UTF-8, or in the encoding of its byte order mark. Raises ValueError: not text."""
     encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "utf-8")
     try:
         text = data.decode(encoding)
@@ -158,7 +161,7 @@ def decoded(data: bytes) -> str:
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF32_LE, "utf-32"),  # before UTF-16, whose mark is the start of this one
+    (codecs.BOM_UTF32_LE, "utf-32"),  # before UTF-16: this mark begins with that of UTF-16
     (codecs.BOM_UTF32_BE, "utf-32"),
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
@@ -188,10 +191,10 @@ type_info = cache(inspect.type_info)
 def _places(
     kind: inspect.Type, value: object, at: str, keys: Sequence[str] = ()
 ) -> Iterator[tuple[str, tuple[inspect.Type, object]]]:
-    """Yield type and value at each place of a table, such as ``fault[0].start_s``."""
+    """Check the keys of a table; yield type and value at each place, such as ``fault[0].start_s``."""
     if isinstance(kind, inspect.UnionType):
         kinds = tuple(each for each in kind.types if not isinstance(each, inspect.NoneType))
-        kind = kinds[0] if len(kinds) == 1 else inspect.UnionType(kinds)  # an optional type, or several types
+        kind = kinds[0] if len(kinds) == 1 else inspect.UnionType(kinds)  # an optional type, or a union
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{at}: found {value!r}, a finite number is needed")
     yield at, (kind, value)
@@ -237,7 +240,7 @@ def allowed(kind: inspect.Type, at: str) -> str:
 
 
 def _unknown(key: str, known: Sequence[str], inside: Sequence[str], where: str) -> str:
-    """Return the error for an unknown key; ``inside``: places of this key in the sub-tables."""
+    """Return the error text for an unknown key; ``inside``: paths of equal keys in the sub-tables."""
     at = f"{where}.{key}" if where else key
     found, unit = stem(key)
     for name in known:
@@ -258,7 +261,7 @@ def stem(key: str) -> tuple[str, str]:
 
 
 def to_table(value: Any) -> Any:
-    """Convert a dataclass to plain TOML data, without ``None`` and without tables that are the default."""
+    """Convert a dataclass to plain TOML data, without ``None`` and without tables equal to their defaults."""
     if is_dataclass(value):
         items = ((f.name, f.default, getattr(value, f.name)) for f in fields(value))
         return {

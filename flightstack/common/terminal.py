@@ -23,7 +23,7 @@ class Terminal(Console):
         super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render only colours and cursor movements that Rich itself makes."""
+        """Render colours and cursor movements of Rich; show control characters of texts literally."""
         for segment in super().render(renderable, options):
             if segment.control or (text := plain(segment.text)) == segment.text:
                 yield segment
@@ -34,7 +34,7 @@ class Terminal(Console):
 class Bar:
     """Progress bar for a known number of results; it shows nothing if the output is not a terminal.
 
-    It changes with each result, without a thread: a process with threads cannot fork its workers.
+    It is drawn when a result arrives, not by a thread: a process with threads cannot fork its workers.
     """
 
     def __init__(self, console: Console, title: str, total: int | None) -> None:
@@ -55,7 +55,7 @@ class Bar:
         self._progress.stop()
 
     def done(self, *kinds: str) -> None:
-        """Count one result, under each of these kinds."""
+        """Count one result; each of its ``kinds`` has a counter of its own."""
         hangup.begun()  # a library may have suppressed the exception of a signal
         self._counts.update(kinds)
         counts = "  ".join(f"{number} {name}" for name, number in sorted(self._counts.items()))

@@ -35,7 +35,7 @@ class MissingExtraError(ModuleNotFoundError, ValueError):
 
 @contextmanager
 def needed_by(what: str) -> Iterator[None]:
-    """Raise MissingExtraError if an import inside fails because an extra is missing, which ``what`` needs."""
+    """Raise MissingExtraError if an import in the context fails because ``what`` needs a missing extra."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -47,7 +47,7 @@ def needed_by(what: str) -> Iterator[None]:
 
 
 def failed_code(reason: str) -> str:
-    """Return the part of a reason that names failed code of the user; empty: no such code failed."""
+    """Return the part of a reason about failed code of the user; empty: no such code failed."""
     found = [at for what in (ROBOT_FAILED, FILTER_FAILED) if (at := reason.find(what)) >= 0]
     return reason[min(found) :] if found else ""
 
