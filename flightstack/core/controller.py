@@ -3,8 +3,8 @@
 samples -> estimates -> phase (``mission/``) -> nominal velocity -> neighbours (``beside``) -> filter and gate
 (``setpoint``); the last two are methods of ``VelocityCommand`` in ``command.py``. Live flight, lockstep
 simulation and replay call ``step``. ``land`` is the same sequence for an ordinary tick: a single vehicle with
-good inputs that follows set-points or has landed, and no change of phase. A campaign runs it compiled, and
-its results are equal to the last bit.
+good inputs that follows set-points or has landed, and no change of phase. Campaigns and, in real time, the
+onboard process run it compiled, and its results are equal to the last bit.
 """
 
 from __future__ import annotations
