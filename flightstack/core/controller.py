@@ -18,6 +18,7 @@ from flightstack.core.fleet.member import FleetMember
 from flightstack.core.memory import Memory, State
 from flightstack.core.mission.guidance import nominal_command, ordinary_velocity
 from flightstack.core.mission.machine import Mission, Transition
+from flightstack.core.mission.phases import FLYING
 from flightstack.core.numeric import NotOrdinary, rare
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.gate import ApprovedSetpoint, GateVerdict
@@ -43,8 +44,6 @@ from flightstack.core.types import (
 # Time after the start of a take-off in which only the autopilot sets the climb rate, s: arming, spool-up
 # (COM_SPOOLUP_TIME, 1 s), ramp (MPC_TKO_RAMP_T, 3 s). PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s.
 RISE_FREE_S = 7.0
-FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
-ORDINARY = FLYING | {Phase.LANDED}  # phases that ``Controller.land`` may run
 INFO, WARN, ERROR = 20, 30, 40
 _LEVELS = {Phase.ABORT: ERROR, Phase.HOLD: WARN}  # of the transition to a phase; of all others: INFO
 
@@ -71,8 +70,8 @@ class Outputs(NamedTuple):
     finished: bool  # whether the flight is over
     target_accepted: int  # number of accepted target samples
     target_rejected: int  # number of rejected target samples
-    reserve: float = math.nan  # ratio of maximum thrust to weight; NaN: unknown, or no table [reserve]
-    member_status: MemberStatus | None = None  # message to the fleet; None: no table [fleet], or no position
+    reserve: float  # ratio of maximum thrust to weight; NaN: unknown, or no table [reserve]
+    member_status: MemberStatus | None  # message to the fleet; None: no table [fleet], or no position
 
 
 class Landing(NamedTuple):

@@ -21,7 +21,8 @@ from flightstack.compiled import core
 from flightstack.compiled.jit import is_off
 from flightstack.compiled.objects import Objects
 from flightstack.compiled.records import cell, new, scalars
-from flightstack.core.controller import FLYING, ORDINARY, Controller
+from flightstack.core.controller import Controller
+from flightstack.core.mission.phases import FLYING, ORDINARY
 from flightstack.core.numeric import NotOrdinary, hypot_is_known
 from flightstack.core.strategies.strategy import strategy_class
 from flightstack.core.strategies.user_filter import compiled_as

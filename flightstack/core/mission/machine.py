@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,16 @@ from flightstack.core.mission.conditions import (
     target_below,
     time_flags,
 )
-from flightstack.core.mission.phases import ABORT_TABLE, START_LATE, TABLE, TIME_OVER, C, Rule, first
+from flightstack.core.mission.phases import (
+    ABORT_TABLE,
+    ORDINARY,
+    START_LATE,
+    TABLE,
+    TIME_OVER,
+    C,
+    Rule,
+    first,
+)
 from flightstack.core.numeric import NotOrdinary, hypot
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.snapshot import Relative, Snapshot
@@ -54,16 +63,39 @@ RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
 _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
 
 
-def _masks() -> NDArray[np.int64]:
-    """Return required and blocking flags of all rules, (phase, rule, 2); no flags meet a padding of -1."""
-    masks = np.full((len(Phase), max(map(len, TABLE.values())), 2), -1, dtype=np.int64)
+# flags that ``Mission.stay`` computes in an ordinary tick
+COMPUTED = (
+    C.TARGET_KNOWN | C.RETRIES_LEFT | C.CLEAR | C.ARMED | C.EXTERNAL | C.STANDING | C.WAS_ARMED
+    | C.WAS_EXTERNAL | C.STARTED | C.LANDING_TIME_OVER | C.PHASE_TIME_OVER | C.ON_PAD | C.OVER_PAD | C.TOUCH
+    | C.DRIFTED | C.SWINGS
+)  # fmt: skip
+# flags that no ordinary tick has: ``Controller.land`` leaves such a tick to ``Controller.step``
+EXCLUDED = (
+    C.EMERGENCY | C.ABORT_ASKED | C.OWN_LOST | C.LINK_LOST | C.TARGET_LOST | C.COMMAND_FAILED
+    | C.NOT_FOLLOWING | C.NO_RESULT | C.TIRED | C.CUT_OFF | C.PAD_WANTED
+)  # fmt: skip
+
+
+def masks(phases: Collection[Phase]) -> NDArray[np.int64]:
+    """Return required and blocking flags of all rules, (phase, rule, 2); no flags meet a padding of -1.
+
+    Raises ValueError: a rule of ``phases`` uses a flag that an ordinary tick neither computes nor excludes;
+    compiled code would miss it.
+    """
+    found = np.full((len(Phase), max(map(len, TABLE.values())), 2), -1, dtype=np.int64)
     for phase, rules in TABLE.items():
         for k, rule in enumerate(rules):
-            masks[phase, k] = rule.when, rule.unless
-    return masks
+            found[phase, k] = rule.when, rule.unless
+            if phase in phases and (missed := (rule.when | rule.unless) & ~(COMPUTED | EXCLUDED)):
+                names = ", ".join(each.name for each in C if missed & each)
+                raise ValueError(
+                    f"{phase.name}, {rule.reason!r}: found {names}; add the flag to COMPUTED if Mission.stay "
+                    "computes it, or to EXCLUDED if Controller.land leaves a tick with it to Controller.step"
+                )
+    return found
 
 
-_MASKS = _masks()  # ``TABLE`` for compiled code
+_MASKS = masks(ORDINARY)  # ``TABLE`` for compiled code
 
 
 class Transition(NamedTuple):

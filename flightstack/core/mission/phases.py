@@ -65,6 +65,8 @@ class Condition(IntEnum):
 
 C = Condition
 NONE = 0
+FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
+ORDINARY = FLYING | {Phase.LANDED}  # phases that ``Controller.land`` may run
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from flightstack.core.mission.phases import DISARMED, SWINGING, TABLE, Condition, first
+from flightstack.core.mission.machine import COMPUTED, EXCLUDED, masks
+from flightstack.core.mission.phases import DISARMED, ORDINARY, SWINGING, TABLE, Condition, Rule, first
 from flightstack.core.types import Phase
 
 FINAL = (Phase.LANDED, Phase.ABORT)
@@ -242,3 +243,11 @@ def test_no_landing_goes_on_without_its_inputs(phase, lost):
 def test_motors_go_off_only_from_land_and_only_by_the_touchdown_rule():
     assert [phase for phase in Phase if Phase.TOUCHDOWN in leads_to(phase)] == [Phase.LAND]
     assert Phase.TOUCHDOWN not in leads_to(Phase.LAND, unless=Condition.TOUCH)
+
+
+def test_a_flag_that_compiled_ticks_would_miss_is_refused(monkeypatch):
+    rule = Rule(Condition.AT_START, Phase.ABORT, "a new rule")
+    monkeypatch.setitem(TABLE, Phase.LAND, (*TABLE[Phase.LAND], rule))
+    with pytest.raises(ValueError, match=r"LAND, 'a new rule': found AT_START; add the flag to COMPUTED"):
+        masks(ORDINARY)
+    assert COMPUTED & EXCLUDED == 0
