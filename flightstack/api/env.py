@@ -19,6 +19,7 @@ from flightstack.api.landing import Changes, single, whole
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
 from flightstack.core.mission.phases import TIME_OVER
+from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import ZERO, Vec3
 from logs.reader.flight_data import Truth
@@ -73,8 +74,8 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         self, scenario: str | Path | Scenario = "lab", filter: str | None = None,
         changes: Changes | None = None, render_mode: None = None,
     ) -> None:  # fmt: skip
-        if filter not in (None, "paper", "robust"):
-            raise ConfigError(f"filter: found {filter!r}, allowed: None, 'paper', 'robust'")
+        if filter not in (None, *FILTERS):
+            raise ConfigError(f"filter: found {filter!r}, allowed: None, {', '.join(map(repr, FILTERS))}")
         self.render_mode = render_mode
         self.scenario = single(scenario, changes, filter or "paper")
         self._enforces = filter is not None  # whether the barrier is enforced; False: only the limits

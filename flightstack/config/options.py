@@ -210,7 +210,7 @@ class Repeated(Piloted):
         found = {}
         for name, _, _, _, _, default in declared(Repeated):
             if (value := getattr(self, name)) != default:
-                text = f"{value:g}" if isinstance(value, float) else str(value)
+                text = f"{value:.12g}" if isinstance(value, float) else str(value)
                 found[name] = text.lower() if value is True else text
         return found
 

@@ -16,7 +16,6 @@ from types import MappingProxyType, NoneType, UnionType
 from typing import Any, Generic, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from flightstack.core.memory import State
-from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_class
 
@@ -56,8 +55,8 @@ class StateText(Generic[T]):
 
 
 def state_text(config: FlightConfig) -> StateText[State]:
-    """Return the writer of the controller's state; a user's filter may have a state of its own."""
-    own = None if config.filter in FILTERS else strategy_class(config.filter).State
+    """Return the writer of the controller's state; a filter may have a state of its own."""
+    own = strategy_class(config.filter).State
     return StateText(State) if own is None else StateText(State, filter_state=own | None)
 
 

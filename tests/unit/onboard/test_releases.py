@@ -7,6 +7,7 @@ import pytest
 
 from bridge.mavlink.preflight import examine as module
 from bridge.mavlink.preflight.table import Level, Table, judge, minor, table
+from bridge.mavlink.profiles import PROFILES
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.onboard.preflight import lines, record, verdict
 from tests.fake_autopilot import OnUdp
@@ -169,3 +170,8 @@ RULE = {"means": "m", "names": [{"name": "A"}], "text": "t", "low": 1.0}
 def test_a_broken_table_says_where(wrong, words):
     with pytest.raises(ConfigError, match=words):
         from_table(Table, {"title": "X", "releases": ["1.0", "1.1"], "rule": [RULE | wrong]})
+
+
+def test_every_profile_says_whether_its_vehicle_has_parameters():
+    """A profile without rules must not pass the check in silence."""
+    assert {name for name in PROFILES if table(name) is None} == {"crazyflie"}
