@@ -27,8 +27,8 @@ define CHECK
 $(BIN)/lint-imports --no-logo --no-cache
 $(1) & $(BIN)/mypy && wait $$!
 endef
-# these compile the simulator's loops and the sources of the tests once, so that the workers need not do it
-WARM := $(BIN)/python -m sim.runners.landing
+# these compile the simulator's loops (also for filters of users) and the sources of the tests once, so that the workers need not
+WARM := $(BIN)/python -m sim.runners.landing robust paper examples.own_filter:Smooth
 COLLECT := $(BIN)/python -m pytest --collect-only -q >/dev/null
 
 # one restart only: a test that ends its worker runs again in the next worker, and ends that one, too

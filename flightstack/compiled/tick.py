@@ -19,7 +19,6 @@ from flightstack.compiled.foreign import call, doubles, whole
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.objects import Objects
 from flightstack.compiled.records import F64
-from flightstack.core.command import Barriers
 from flightstack.core.controller import Controller, Landing, Outputs
 from flightstack.core.memory import Memory, State
 from flightstack.core.numeric import STAND_INS, NotOrdinary
@@ -238,7 +237,7 @@ class CompiledController(Controller):
         (_, at, barriers, wanted, setpoint), memory = self.answer.landing, self._memory
         if barriers.result.iterations:
             result = FilterResult._make((*barriers.result[:-1], took_s))
-            barriers = Barriers._make((*barriers[:-1], result))
+            barriers = barriers._replace(result=result)
         verdict, approved = self.velocity.gate.check(
             wanted, setpoint, memory.yaw_rad or 0.0,
             own_fresh=True, target_fresh=True, altitude_m=at.own.position_enu_m[2], barrier_check=None,
@@ -249,5 +248,5 @@ class CompiledController(Controller):
         snapshot = Snapshot(known, at.target, True, True, True, at)
         return Outputs(
             memory.phase, Request.EXTERNAL, approved, verdict, snapshot, barriers, wanted, None, (), False,
-            self._accepted, self.track.memory.rejected, self.answer.reserve,
+            self._accepted, self.track.memory.rejected, self.answer.reserve, None,
         )  # fmt: skip

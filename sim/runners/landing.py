@@ -7,6 +7,7 @@ single vehicle flies batches of ticks where possible.
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -244,5 +245,6 @@ def warm_up(scenario: Scenario) -> None:
             batches.warm_up()
 
 
-if __name__ == "__main__":  # compiles in advance, so that no campaign has to wait
-    warm_up(load("lab"))
+if __name__ == "__main__":  # compiles in advance, for these filters, so that no campaign has to wait
+    for name in sys.argv[1:] or [load("lab").onboard.filter]:
+        warm_up(load("lab").with_filter(name))
