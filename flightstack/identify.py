@@ -4,7 +4,7 @@ The model of one axis of the velocity loop has a gain, a second-order low-pass a
 
     v(s) = gain exp(-theta s) w^2 / (s^2 + 2 zeta w s + w^2) u(s) + disturbance.
 
-One high-pass filters both command and velocity; it removes wind and weight and does not change the loop
+One high-pass filters both command and velocity; it removes wind and weight and does not change the model
 between them. The initial state of each segment is free. The parameters minimise the squared difference of
 model and flight. Their standard errors are computed from blocks of one second, since gusts correlate
 neighbouring differences.
@@ -29,10 +29,10 @@ BLOCK_S = 1.0  # duration for which differences count as correlated, s
 SEGMENT_MIN_S = 1.5  # minimum length of a segment, s; shorter ones depend mostly on their initial state
 TIME_MIN_S = 3.0  # minimum total length of all segments, s
 EXCITATION_MIN_M_S = 0.04  # minimum standard deviation of the high-passed command, m/s
-EXPLAINED_MIN = 0.6  # minimum fraction of the velocity's variance that the model must explain
-ERROR_MAX = 0.2  # largest relative standard error of the lag
+EXPLAINED_MIN = 0.6  # minimum fraction of the variance of the velocity that the model must explain
+ERROR_MAX = 0.2  # largest accepted relative standard error of the lag
 START = (1.0, 6.0, 0.7, 0.02)  # start values of the fit: gain, rate in 1/s, damping, dead time in s
-LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.6)
+LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.6)  # bounds of the fit, in the same order
 # shortest modelled dead time, s; a shorter one is included in the lag of the second-order model
 DEAD_TIME_MIN_S = 0.12
 
@@ -45,7 +45,7 @@ class Segment(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """Velocity loop of an axis; ``errors`` are the standard errors of the other fields, in their order."""
+    """Velocity loop of an axis; ``errors``: standard errors of the fields before it, in their order."""
 
     gain: float
     rate_1_s: float
@@ -58,12 +58,12 @@ class Loop(NamedTuple):
 
     @property
     def model_dead_time_s(self) -> float:
-        """Dead time of the stack's model; 0 if a second-order model with this lag is sufficient."""
+        """Dead time of the stack's model, s; 0 if a second-order model with this lag is sufficient."""
         return self.dead_time_s if self.dead_time_s >= DEAD_TIME_MIN_S else 0.0
 
     @property
     def model_rate_1_s(self) -> float:
-        """Natural frequency of the stack's model with this lag."""
+        """Natural frequency of the stack's model with this lag, 1/s."""
         return 2.0 * self.damping / (self.lag_s - self.model_dead_time_s)
 
 
@@ -147,9 +147,9 @@ def _covariance(jacobian: Floats, difference: Floats, block: int) -> Floats:
 
 
 NOISE_SAMPLES = 9  # number of samples in a window for the noise
-MOTION_S = 0.6  # window for velocity and acceleration, s
-SAMPLES_MIN = 100
-OFTEN = 99.0  # percentile that replaces the largest value, since single windows contain noise
+MOTION_S = 0.6  # length of a window for velocity and acceleration, s
+SAMPLES_MIN = 100  # minimum number of samples for the noise
+OFTEN = 99.0  # percentile that counts as the largest value, since single windows contain noise
 MAD_TO_SIGMA = 1.4826  # ratio of standard deviation and median absolute value of a normal distribution
 
 
@@ -159,8 +159,8 @@ class Link(NamedTuple):
     rate_hz: float
     loss: float  # fraction of missing samples
     delay_spread_s: float  # 95th percentile of the delay minus its minimum
-    delay_s: float | None  # minimum delay; None: the clocks differ
-    position_noise_m: float  # standard deviation on an axis
+    delay_s: float | None  # minimum delay; None: it is not between 0 and 0.5 s, so the clocks differ
+    position_noise_m: float  # standard deviation on each axis
     velocity_noise_m_s: float
 
 

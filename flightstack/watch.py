@@ -1,7 +1,7 @@
 """Observation of a running flight from another process: newest data with their age, and the terminal view.
 
-A sample counts as new only if its tick differs from the last one, so a sender that repeats a tick counts as
-silent. Old data is never shown as new.
+A sample counts as new only if its tick differs from that of the sample before, so a sender that repeats a
+tick counts as silent. Old data is never shown as new.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _TIMINGS = 20  # number of stored loop timings (one second), for the mean period
 _ENUMS: Mapping[str, type[IntEnum]] = {
     "phase": Phase, "filter_status": FilterStatus, "mode": Mode, "landed": Landed,
 }  # fmt: skip
-_RING = 8  # maximum number of samples stored between two polls
+_RING = 8  # maximum number of samples of a key that are stored between two polls
 REFRESH_HZ = 8.0
 _STYLE: Mapping[int, str] = {
     Phase.WAIT: "dim",
@@ -46,7 +46,7 @@ _LOUD = "bold white on red"
 
 
 class Watch:
-    """Subscriber to the live keys of one onboard process; the caller polls it, the flight ignores it."""
+    """Subscriber to the live keys of one onboard process; it has no effect on the flight."""
 
     def __init__(
         self,
@@ -64,11 +64,11 @@ class Watch:
         )
         self.step: ControllerStepRow | None = None  # newest controller step; ``None`` before the first
         self.health: HealthRow | None = None  # newest health message; None before the first
-        self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)  # loop timing of the last second
+        self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)  # loop timings of the last second
         self.new_steps: list[ControllerStepRow] = []  # steps of the last poll
-        self.new_timings: list[LoopTimingRow] = []  # loop timing of the last poll
+        self.new_timings: list[LoopTimingRow] = []  # loop timings of the last poll
         self.refused = 0  # number of samples with a type that is wrong for their key
-        self._step_s, self._health_s = clock(), -math.inf  # arrival times; that of a step: first the start
+        self._step_s, self._health_s = clock(), -math.inf  # arrival times, s; before a first step: start time
 
     def poll(self) -> None:
         """Read the samples that have arrived."""
@@ -179,7 +179,7 @@ def _no_news(watch: Watch, whom: str) -> Text:
 
 
 def _column(watch: Watch) -> dict[str, Text]:
-    """Return the values of a vehicle by name; old values are dim, values outside their limits red."""
+    """Return the texts of a vehicle's values by name; old values are dim, values outside limits red."""
     rows: dict[str, tuple[str, str]] = {}
     if (step := watch.step) is not None:
         x, y, z = (p - q for p, q in zip(step.own_position_enu_m, step.target_position_enu_m, strict=True))
@@ -221,12 +221,12 @@ def _column(watch: Watch) -> dict[str, Text]:
 
 
 def _velocity(values_m_s: Sequence[float]) -> tuple[str, str]:
-    """Return a velocity east, north and up."""
+    """Return text and style of a velocity (east, north, up)."""
     return " ".join(_value(value, "+.3f") for value in values_m_s) + " m/s", ""
 
 
 def _age(age_s: float, valid: bool) -> tuple[str, str]:
-    """Return an age; that of data which the onboard process counts as lost is red."""
+    """Return text and style of an age, red if the onboard process counts the data as lost."""
     return f"{1e3 * age_s:.0f} ms" if age_s == age_s else "never", "green" if valid else "bold red"
 
 

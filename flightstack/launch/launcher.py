@@ -1,4 +1,4 @@
-"""Processes of one flight: started in order, watched with a live view, ended in order."""
+"""Processes of one flight: they are started in order, watched with a live view, and ended in order."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Followed:
 
 
 def _verb(child: Child) -> str:
-    """Return the command of a child: its name without that of a vehicle."""
+    """Return the command of a child: its name without the vehicle's name that may follow."""
     return child.name.partition("-")[0]
 
 
@@ -66,7 +66,7 @@ class Launcher(contextlib.ExitStack):
         self._tells, self._real = tells, real
         self._recorder: Child | None = None
         sockets = socket_folder()
-        self.socket = sockets / "recorder"  # socket of the recorder
+        self.socket = sockets / "recorder"  # Unix socket on which the recorder listens
         # the exit runs these calls in reverse order; a second signal must not interrupt ``end_all``
         self.callback(shutil.rmtree, sockets, ignore_errors=True)
         for number in _SIGNALS:
@@ -91,7 +91,7 @@ class Launcher(contextlib.ExitStack):
         return child
 
     def hint(self, line: str, style: str | None = "dim") -> None:
-        """Print a line for the operator, by default as one that is not an event of the flight."""
+        """Print a line for the operator; by default it is dim, as it is no event of the flight."""
         self.console.print(line, style=style, soft_wrap=True)
 
     def record(self, log: Path) -> None:
@@ -165,13 +165,13 @@ class Launcher(contextlib.ExitStack):
                 flying.remove(flight)
                 problem = self._ended(flight, others_fly=bool(flying)) or problem
             for child in [c for c in others if not c.alive()]:
-                # without this process the onboard process ends safely: it holds, climbs or flies clear
+                # without this process the onboard process ends the flight safely (hold, climb or fly clear)
                 others.remove(child)
                 if theirs := failed_code(child.errors()):
                     return theirs  # the simulator of the vehicle has ended
                 problem = f"{child.name} ended in flight: {child.errors()}"
                 self.hint(problem, style="red")
-                if lockstep and _verb(child) == "world":  # no tick can follow, so waiting is in vain
+                if lockstep and _verb(child) == "world":  # no further tick can arrive: all end
                     self._hand_on(signal.SIGTERM)
             if self.interrupted:
                 return "interrupted"
@@ -184,7 +184,7 @@ class Launcher(contextlib.ExitStack):
         return problem
 
     def _ended(self, flight: Followed, *, others_fly: bool) -> str | None:
-        """Handle the last output of an onboard process that has ended; return an error text if it failed."""
+        """Print the last output of an onboard process that has ended; return an error text if it failed."""
         child = flight.child
         self._say(flight, child.lines(0.0))
         if child.process.returncode in (0, 1):
@@ -201,7 +201,7 @@ class Launcher(contextlib.ExitStack):
         self.interrupted = True
 
     def _hand_on(self, number: int) -> None:
-        """Forward a signal to the onboard process, which handles it according to its phase."""
+        """Forward a signal to the onboard processes, which handle it according to their phases."""
         for child in self.children:
             if isinstance(child, Child) and _verb(child) == "onboard" and child.alive():
                 child.process.send_signal(number)
@@ -216,7 +216,7 @@ class Launcher(contextlib.ExitStack):
     def _let_it_land(self, teller: Child | None, until: float) -> None:
         """Wait until the autopilots have landed the vehicles after the onboard processes have ended.
 
-        The unread output of ``teller`` immediately shows a vehicle that never armed, or already stands.
+        If no vehicle has armed, or all have disarmed again, the unread output of ``teller`` shows it now.
         """
         until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), set[str]()
         while teller is not None and teller.alive() and not self.interrupted and time.monotonic() < until:

@@ -23,7 +23,7 @@ from logs.verdict.types import FALL_M_S, FALLS, PROCESS, SOURCES, Outcome, Verdi
 from logs.verdict.verdict import fleet_verdict, judge_fleet, result
 
 _ABOUT = ("scenario", "seed", "config", "filter")
-# columns of the table of vehicles: heading, key, factor
+# columns of the table of vehicles: heading, key of the value, factor to the unit of the heading
 _COLUMNS = (
     ("outcome", "outcome", 1.0),
     ("violation", "violation", 1.0),
@@ -87,18 +87,18 @@ def _shown(value: object, factor: float = 1.0) -> str:
 class Flown:
     """A finished run: its log, duration, onboard processes and problem."""
 
-    about: Mapping[str, object]  # scenario, seed and filter: the first keys of the JSON output
-    folder: Path
+    about: Mapping[str, object]  # scenario, seed, filter, configuration: first keys of the JSON output
+    folder: Path  # folder of the run's files
     log: Path | None  # path of the log; None: the run was not recorded
     wall_s: float  # wall time from the first tick to the end
     flights: Sequence[Followed]  # onboard processes, one for each vehicle
-    problem: str | None  # error of a process; None: no error
+    problem: str | None  # error of a process, interruption or time-out; None: the run ended in order
 
 
 def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
     """Judge a run, write its report, print the result; return the exit status.
 
-    0: landed, 2: code of the user failed, 1: any other end.
+    0: landed; 1: not landed, or a problem; 2: code of the user failed.
     """
     values = _concluded(flown, with_report=with_report)
     if as_json:
@@ -125,7 +125,7 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
         log = load_fleet(flown.log) if flown.log is not None else None
     except LogError as error:  # the log is not usable
         unexplained = not said or any(each.child.process.returncode == 0 for each in flown.flights)
-        if unexplained or not isinstance(error, EmptyLogError):  # otherwise the reason is in the table
+        if unexplained or not isinstance(error, EmptyLogError):  # else the table contains the reason
             print(f"flightstack: no result: {flown.problem or said} {error}", file=sys.stderr)
         log = None
     if log is None:

@@ -17,7 +17,7 @@ _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and
 
 
 class Flies(Enum):
-    """Autopilot that flies; the value is the option of ``sitl`` that names its program."""
+    """Autopilot that flies; the value is the option of ``sitl`` for the autopilot's program."""
 
     OWN = ""  # simulated vehicle with the simulator's autopilot
     PX4 = "--px4"  # PX4 on the simulated vehicle
@@ -80,7 +80,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
 
     @property
     def flies(self) -> Flies:
-        """Program that provides autopilot and, for some values, physics."""
+        """Autopilot of the run, which for some values also simulates the physics."""
         return next(iter(self._programs), Flies.OWN)
 
     @property
@@ -89,7 +89,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
         return self._programs.get(self.flies)
 
     def described(self) -> dict[str, str]:
-        """Return values for the log; the logged scenario already contains filter and configuration."""
+        """Return the options for the log; the filter is left out, as the logged scenario contains it."""
         vehicle = self.flies.value.removeprefix("--")
         own = {"vehicle": vehicle, "program": self.program, "config": self.config_file}
         return {**{name: str(value) for name, value in own.items() if value}, **super().described()}

@@ -25,8 +25,8 @@ from sim.robot import try_out
 from sim.scenarios.scenario import Scenario, load, path_of, text
 from sim.vehicle.declared import not_proven, outside
 
-GRACE_S = 60.0  # wall time after the scenario's duration at which a run is stopped, s
-LOCKSTEP_SLOWEST = 0.05  # ratio of simulated to wall time below which a lockstep run is stopped
+GRACE_S = 60.0  # wall time after the longest flight at which a run is stopped, s
+LOCKSTEP_SLOWEST = 0.05  # ratio of simulated to wall time below which one vehicle in lockstep is stopped
 
 
 def prepare(options: RunOptions) -> Scenario:
@@ -79,7 +79,7 @@ def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
 class _Vehicle(NamedTuple):
     """A simulated vehicle of the run."""
 
-    names: Names  # namespace, and number in the scenario, from 1
+    names: Names  # namespace of the vehicle, and its number in the scenario, from 1
     scenario: Scenario
     seed: int
     endpoint: str  # Zenoh endpoint of the vehicle's onboard process
@@ -87,7 +87,7 @@ class _Vehicle(NamedTuple):
 
 
 def run(options: RunOptions, console: Terminal) -> Flown:
-    """Fly a scenario with a process for each part; watch until all flights have ended."""
+    """Fly a scenario in several processes, and watch them until all flights have ended."""
     scenario, kind = prepare(options), VEHICLES[options.flies]
     filter_name = scenario.onboard.filter.rpartition(":")[2]
     folder = options.out or new_folder(f"{scenario.name}-seed{options.seed}-{filter_name}")
@@ -110,7 +110,7 @@ def run(options: RunOptions, console: Terminal) -> Flown:
                 connect=(vehicles[0].endpoint,),
             ).wait_ready()  # fmt: skip
         flights = []
-        for n, vehicle in enumerate(vehicles):  # in real time, each one connects to all earlier ones
+        for n, vehicle in enumerate(vehicles):  # in real time each process connects to all earlier ones
             earlier = [] if options.lockstep else [each.endpoint for each in vehicles[:n]]
             flights.append(_fly(run, vehicle, {**flying.clock, **flying.options[n]}, earlier))
         if options.members:
@@ -127,7 +127,7 @@ def run(options: RunOptions, console: Terminal) -> Flown:
 
 
 def _vehicles(scenario: Scenario, seed: int, launcher: Launcher) -> list[_Vehicle]:
-    """Return the vehicles of a scenario; their configuration files are written."""
+    """Write the configuration files of the vehicles of a scenario; return these vehicles."""
     vehicles = []
     for (number, name), (member, own_seed) in zip(
         scenario.namespaces().items(), scenario.singles(seed), strict=True
@@ -139,7 +139,7 @@ def _vehicles(scenario: Scenario, seed: int, launcher: Launcher) -> list[_Vehicl
 
 
 def _fly(run: Run, vehicle: _Vehicle, own: Mapping[str, Any], connect: Sequence[str]) -> Followed:
-    """Start the onboard process of a vehicle; ``own``: options that the kind of vehicle needs."""
+    """Start the onboard process of a vehicle; ``own``: options for this kind of vehicle."""
     options, name = run.options, vehicle.names.member
     if VEHICLES[options.flies].own_physics:
         own = {**own, "target_offset_m": to_the_floor_m(vehicle.scenario)}

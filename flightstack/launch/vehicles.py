@@ -1,8 +1,8 @@
 """Vehicles of ``sitl``: the simulated vehicle, PX4 on it, and PX4 and ArduPilot with their built-in physics.
 
-Every vehicle starts its processes and returns the options with which the onboard process connects to it.
-Vehicles with built-in physics have no pad: they land on the floor under the landing spot. Their position is 0
-at the start, so the robot's path is moved instead.
+A function for each kind of vehicle starts the processes and returns the options with which the onboard
+process connects to them. Vehicles with built-in physics have no pad: they land on the floor under the landing
+spot. Their position is 0 at the start, so the robot's path is moved instead.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from sim.scenarios.tables import StartKind
 from sim.vehicle.vehicle import compile_first
 
 T = TypeVar("T")
-_EAST_DEG = 90.0  # heading of the nose, degrees
+_EAST_DEG = 90.0  # heading of the nose at the start, degrees from north
 SIMULATOR_PORT = 4560  # port to which PX4 of instance 0 connects
-_ARDUPILOT_TCP = 5760  # TCP port of SERIAL0 of instance 0; each further instance adds 10
+_ARDUPILOT_TCP = 5760  # TCP port of SERIAL0 of instance 0; the next instance has this number plus 10
 
 
 class Run(NamedTuple):
@@ -45,7 +45,7 @@ class Run(NamedTuple):
     robots_at: str  # Zenoh endpoint of the robots
 
     def start(self, verb: str, cls: type[Any], **own: Any) -> Child:
-        """Start a simulator process with the run's options and its ``own`` ones."""
+        """Start a simulator process; ``own``: its options besides those of the run."""
         launcher, options = self.launcher, self.options
         both = {"scenario": launcher.folder / SCENARIO, "recorder": launcher.socket, "zenoh_config": None}
         return launcher.start(verb, shared(options, cls, **both, **own))
@@ -64,16 +64,16 @@ class Run(NamedTuple):
 
 @dataclass
 class Flying:
-    """A vehicle that has been started."""
+    """Started vehicles of a run."""
 
     options: Sequence[Mapping[str, Any]]  # options of the onboard process of each vehicle
-    teller: Child | None = None  # process that reports arming and disarming
+    teller: Child | None = None  # process that prints a line when a vehicle arms or disarms
     # options with which robot and onboard process follow the vehicle's clock; empty: option --speed applies
     clock: Mapping[str, Any] = field(default_factory=dict)
 
 
 def _own(run: Run) -> Flying:
-    """Start the simulated vehicles with the simulator's autopilot, and the robots, in one process."""
+    """Start one process that simulates the robots and the vehicles; these use the simulator's autopilot."""
     compile_first(run.scenario)
     elsewhere = run.options.members
     child = run.start(
@@ -93,7 +93,7 @@ def _own(run: Run) -> Flying:
 
 
 def _px4(run: Run) -> Flying:
-    """Start the simulator, then PX4 on it."""
+    """Start the simulator, then PX4, which connects to it."""
     options = run.options
     compile_first(run.scenario)
     number = free_instance() if options.instance is None else options.instance
@@ -103,7 +103,7 @@ def _px4(run: Run) -> Flying:
         tcp=f"127.0.0.1:{SIMULATOR_PORT + number}", **clock,
     )  # fmt: skip
     simulator.wait_ready()
-    # these imports load the compiler (half a second); only this vehicle needs them
+    # these imports load the compiler (0.5 s); only this kind of vehicle needs them
     from sim.plant import params
     from sim.px4.airframe import parameters
 
@@ -183,7 +183,7 @@ _DEAD_TIME_SINCE = (4, 7)  # first release whose velocity loop has a dead time (
 
 
 def _ardupilot_configuration(scenario: Scenario, program: Path | None) -> str:
-    """Return the configuration's name for the release of the program; if unknown, for the newest one."""
+    """Return the name of the configuration for the program's release; for the newest if it is unknown."""
     del scenario
     release = _DEAD_TIME_SINCE
     if program is not None and program.is_file() and program.stat().st_size:
@@ -196,13 +196,13 @@ def _ardupilot_configuration(scenario: Scenario, program: Path | None) -> str:
 class Vehicle(NamedTuple):
     """A kind of vehicle that ``sitl`` can fly."""
 
-    # function that starts the vehicle and, if its URL depends on that, waits until it can fly; it raises
-    # LaunchError if the vehicle is not ready
+    # function that starts the vehicle and, if its URL is known only then, waits until it can fly; it raises
+    # LaunchError if the vehicle does not become ready
     start: Callable[[Run], Flying]
     # function from scenario and program to the configuration's name; None: the scenario's configuration
     configuration: Callable[[Scenario, Path | None], str | None] = lambda _scenario, _program: None
     with_robots: bool = False  # whether the vehicle's process also simulates the robots
-    # whether the physics are those of the autopilot's program: no pad, and a position that starts at 0
+    # whether the autopilot's program simulates the physics: without a pad, and from the position 0
     own_physics: bool = False
 
 
@@ -216,7 +216,7 @@ VEHICLES: Mapping[Flies, Vehicle] = {
 
 
 def around_the_start(scenario: Scenario) -> Scenario:
-    """Return the scenario in coordinates whose origin is the start place of the vehicle."""
+    """Return the scenario in coordinates with the origin at the place where the vehicle starts."""
     start, target = scenario.start, scenario.target
     x_m, y_m = target.position_m
     if start.kind is StartKind.GROUND:
