@@ -1,8 +1,8 @@
-"""Computes the set-point from the nominal velocity: slew limit, safety filter, lag correction, gate.
+"""Computation of the set-point from the nominal velocity: slew limit, safety filter, lag correction, gate.
 
-``Controller`` calls ``command`` if the states of vehicle and target are known, which compiled code also does;
-``setpoint`` adds the gate, and also runs in ticks in which a state is missing. The constraints of neighbours
-(``rows``) join the filter's program.
+``command`` needs the states of vehicle and target; compiled code runs it, too. ``setpoint`` adds the gate
+and also runs in ticks in which a state is missing. The constraints of neighbours (``rows``) are added to the
+filter's program.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class VelocityCommand(Situation):
 
     program: SafetyFilter  # quadratic program of the landing
     gate: Gate
-    slew_step: Vec3
+    slew_step: Vec3  # largest velocity change per tick on each axis, m/s
     up_step_m_s: float  # largest upward velocity change per tick that the thrust reserve allows
     crowded: bool  # whether neighbours or a missing right of way limit the velocity in this tick
     _period_s: float
@@ -80,7 +80,7 @@ class VelocityCommand(Situation):
         return limit(velocity_enu_m_s, self.config.limits.velocity_max_m_s)
 
     def box(self, base: Vec3) -> tuple[Vec3, Vec3]:
-        """Return the box of admissible velocities: the limits of paper eq. 11, cut by the slew limit."""
+        """Return the box of admissible velocities: the limits of paper eq. 11 and the slew limit."""
         (bx, by, bz), (sx, sy, sz) = base, self.slew_step
         mx, my, mz = self.config.limits.velocity_max_m_s
         x, y, z = bx - sx, by - sy, bz - sz
@@ -145,7 +145,7 @@ class VelocityCommand(Situation):
         self, at: Relative, active_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, base: Vec3,
         lower: Vec3, upper: Vec3,
     ) -> FilterResult:  # fmt: skip
-        """Filter a velocity with landing barrier and neighbours' constraints; the box shrinks at the pad."""
+        """Filter a velocity with landing barrier and neighbours' constraints; ``Cone`` reduces the box."""
         if self.strategy.replaces_program:
             own = self.strategy.filtered(at, active_m, gradient, dh_dt_m_s, nominal, lower, upper)
             if own.status is FilterStatus.REJECTED:

@@ -45,7 +45,7 @@ from flightstack.core.types import (
 # (COM_SPOOLUP_TIME, 1 s), ramp (MPC_TKO_RAMP_T, 3 s). PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s.
 RISE_FREE_S = 7.0
 INFO, WARN, ERROR = 20, 30, 40
-_LEVELS = {Phase.ABORT: ERROR, Phase.HOLD: WARN}  # of the transition to a phase; of all others: INFO
+_LEVELS = {Phase.ABORT: ERROR, Phase.HOLD: WARN}  # severity of a transition to this phase; others: INFO
 
 
 class Event(NamedTuple):
@@ -80,8 +80,8 @@ class Landing(NamedTuple):
     sends: bool  # whether the tick sends a set-point
     at: Relative
     barriers: Barriers
-    wanted: Vec3
-    setpoint: Vec3
+    wanted: Vec3  # velocity command before the lag correction, m/s ENU
+    setpoint: Vec3  # velocity set-point for the autopilot, m/s ENU
 
 
 class Controller:
@@ -214,7 +214,7 @@ class Controller:
         return target._replace(velocity_enu_m_s=self.track.moves_m_s) if memory.distrusted else target
 
     def _estimate_vehicle(self, inputs: Inputs, now_s: float) -> Inputs:
-        """Return the inputs with the current vehicle state; None if a number of it is not finite."""
+        """Return the inputs with the current vehicle state, or None for a state that is not finite."""
         own, status, samples, operator, power, neighbours = inputs
         if own is not None:
             flies = status is not None and status.flies_by_setpoints

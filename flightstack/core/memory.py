@@ -30,10 +30,10 @@ class Memory:
     """State of the mission's state machine and of the velocity commands."""
 
     phase: Phase = Phase.WAIT
-    phase_since_s: float = 0.0
+    phase_since_s: float = 0.0  # time at which the phase started, s
     started_s: float = inf  # time at which the landing started, s
     good_since_s: float = inf  # time since which all inputs are usable, s
-    contact_since_s: float = inf
+    contact_since_s: float = inf  # time since which the vehicle is on the pad and does not sink, s
     stopped_since_s: float = inf  # time since which the vehicle does not follow a descent command, s
     contact: bool = False  # whether the vehicle stands on the pad
     own_ok_s: float = -inf  # time of the last usable vehicle state, s
@@ -43,8 +43,8 @@ class Memory:
     clear: bool = False  # whether the vehicle has flown clear of the pad
     retries: int = 0
     swings: int = 0  # number of departures from the cone over the pad since the last touchdown
-    ground_z_m: float = inf  # height at which the vehicle stood, m
-    yaw_rad: float | None = None  # heading for the complete flight, rad
+    ground_z_m: float = inf  # lowest height of the vehicle in the take-off, on the ground, m
+    yaw_rad: float | None = None  # heading in all set-points of the flight, rad
     # last velocity command before the lag correction; the slew limit of the next command is relative to it
     command: Vec3 = ZERO
     commanding: bool = False  # whether the last tick sent a velocity command, and the vehicle follows it
@@ -79,12 +79,12 @@ class TrackMemory(ClockMemory):
     last: TargetSample | None = None  # newest accepted sample; None before the first
     # newest of the samples that agree with each other after a jump
     elsewhere: Annotated[TargetSample | None, UNSEEN] = None
-    elsewhere_since_s: float = 0.0
+    elsewhere_since_s: float = 0.0  # arrival time of the first of these samples, s
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
     drift_smooth_m: Vec3 = ZERO  # ``drift_m`` without the noise of single samples
     distrusted: bool = False  # whether positions and velocity contradict each other
     distrusts: int = 0  # number of times in this flight that positions contradicted the velocity
-    parted_m: float = 0.0  # largest distance since the contradiction began, m
+    parted_m: float = 0.0  # largest smoothed drift since the target was distrusted, m
     settled: bool = False  # whether the flight has started: the target's position may no longer jump
     accepted: int = 0
     rejected: int = 0
@@ -99,7 +99,7 @@ class MotionMemory:
     """State of the estimator of the target's motion."""
 
     time_s: float = nan  # stamp of the newest sample, on the sender's clock; NaN before the first
-    position_enu_m: Vec3 = ZERO  # position at ``time_s``; all fields below belong to this time
+    position_enu_m: Vec3 = ZERO  # position at ``time_s``, like all fields below
     velocity_enu_m_s: Vec3 = ZERO
     acceleration_enu_m_s2: Vec3 = ZERO
     yaw_rad: float | None = None  # newest measured heading, rad; None: unknown
@@ -125,7 +125,7 @@ class PlausibilityMemory:
     """State of the plausibility checks of vehicle state and set-points."""
 
     last: OwnState | None = None  # newest vehicle state that is a new measurement
-    moved_s: float = 0.0  # arrival time of the newest state that had changed or was not in flight, s
+    moved_s: float = 0.0  # arrival time of the newest state with a changed position or not in flight, s
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
     distrusted: bool = False
     missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity
@@ -137,7 +137,7 @@ class ReserveMemory:
 
     effort: float = nan  # smoothed vertical part of (throttle / maximum)^p; NaN before the first sample
     rise_m_s: float = 0.0  # vertical velocity, smoothed like ``effort``; its change is the mean acceleration
-    tired: bool = False  # whether the reserve fell below its minimum in this flight
+    tired: bool = False  # whether the battery is too low: before take-off its voltage, in flight the reserve
 
 
 # position, m; velocity, m/s; acceleration by the velocity loop, m/s^2; error of the reported velocity, m/s;
@@ -150,8 +150,8 @@ AT_REST: AxisState = (0.0, 0.0, 0.0, 0.0, 0.0)
 class OwnMemory:
     """State of the estimator of the vehicle state."""
 
-    time_s: float = nan  # time of the newest sample; NaN before the first
-    x: AxisState = AT_REST  # state of the x axis at ``time_s``; all fields below belong to this time
+    time_s: float = nan  # time of the newest sample on the vehicle's clock; NaN before the first
+    x: AxisState = AT_REST  # state of the x axis at ``time_s``, like y and z below
     y: AxisState = AT_REST
     z_m: float = 0.0
     z_error_m_s: float = 0.0  # error of the reported vertical velocity
@@ -185,11 +185,11 @@ class Heard:
 
     message: MemberStatus | None = None  # newest message of the neighbour; None before the first
     yields: bool = False  # whether this vehicle has announced that it yields to the neighbour
-    claim_s: float = nan  # time stamp of the neighbour's claim to which this vehicle yields, s
+    claim_s: float = nan  # time stamp of the neighbour's claim for which ``yields`` was decided, s
     yielded_s: float = -inf  # time of the last announcement of yielding, s
-    on_pad: bool = False  # whether the neighbour's newest position is on this vehicle's pad
+    on_pad: bool = False  # whether the neighbour stands on this vehicle's pad, by its newest message
     faster_m_s2: Vec3 = ZERO  # smoothed acceleration of the neighbour's velocity command
-    jumped_m: Vec3 = ZERO  # sum of the position jumps beyond the reachable set
+    jumped_m: Vec3 = ZERO  # sum of the neighbour's position jumps beyond the reachable set, m
 
 
 @dataclass(slots=True)
@@ -198,7 +198,7 @@ class FleetMemory:
 
     slots: tuple[Heard, ...] = ()  # one slot for each other member, in the order of their ids
     claim_s: float = nan  # time at which this vehicle claimed the right of way, s; NaN: no claim
-    granted: bool = False
+    granted: bool = False  # whether this vehicle has the right of way
     waits_since_s: float = inf  # time since which the vehicle waits for the right of way, s
     committed_s: float = inf  # time since which COMMITTED is announced, s
     crowded: bool = False  # whether the event "constraints relaxed" was sent

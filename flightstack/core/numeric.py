@@ -147,7 +147,7 @@ def _no_time() -> float:
 
 @cache
 def hypot_is_known() -> bool:
-    """Whether ``math.hypot`` of this Python equals ``_hypot`` on some thousand numbers."""
+    """Whether ``math.hypot`` of this Python equals ``_hypot`` for some thousand pairs of numbers."""
     numbers = [math.ldexp(math.sin(k), k % 37 - 30) for k in range(1, 80)]
     return all(_hypot(x, y) == math.hypot(x, y) for x in numbers for y in numbers)
 

@@ -27,10 +27,10 @@ from flightstack.core.numeric import rare
 FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators may run 3 % slow
 HOLDS_S = 1.0  # time in which at least one message is assumed to have a short delay, s
 FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the fastest slew of a Linux clock
-ELAPSED_MAX_S = 1.0  # part of a pause, at most, during which a minimum rises, s
+ELAPSED_MAX_S = 1.0  # longest part of a pause between messages in which a minimum rises, s
 FLOOR_MAX_S = 0.2  # largest difference of fast and slow minimum, s; a larger one means that clocks drift
 GRAIN_S = 1e-6  # tolerance for Unix times as doubles, s; their rounding error is 2.4e-7 s
-AHEAD_S = 0.03  # largest time by which a delay may be shorter than all earlier ones, s, plus one tick
+AHEAD_S = 0.03  # largest time by which a delay may be shorter than all before, s; one tick is added
 AGREE_S = 0.1  # largest difference of arrival minus stamp between messages of one clock, s
 GAP_MAX_S = 0.5  # longest pause between two messages whose times agree, s
 PATIENCE_S = 10.0  # time for which late messages must agree, s; queues of some seconds change meanwhile
@@ -72,7 +72,7 @@ class SenderClock:
     """Estimate of a sender's clock; ``memory`` is its complete state."""
 
     memory: ClockMemory
-    ahead_max_s: float
+    ahead_max_s: float  # ``AHEAD_S`` plus one tick
     _late_max_s: float  # lateness above which a message is rejected
     _proof_s: float  # time for which rejected messages must agree until their clock is adopted
     # smallest step back after a pause for which a clock is adopted immediately, s: the sender has restarted
@@ -141,11 +141,11 @@ class SenderClock:
         return stepped
 
     def lateness_s(self, stamp_s: float, now_s: float) -> float:
-        """Return the lateness of a message with this stamp, at a time of this process's clock, s."""
+        """Return how late a message with this stamp is at the time ``now_s`` of this process's clock, s."""
         return max(0.0, now_s - stamp_s - self.memory.offset_s)
 
     def _goes_on_late(self, transit_s: float, arrival_s: float) -> bool:
-        """Whether a clock that was set back slightly has reached the newest accepted stamp again."""
+        """Whether the stamps of a clock that was set back slightly have passed the newest accepted one."""
         m = self.memory
         return transit_s - m.offset_s > AGREE_S and m.run_sure and self._agrees(transit_s, arrival_s)
 

@@ -125,8 +125,8 @@ class TargetSample(NamedTuple):
     velocity_enu_m_s: Vec3
     yaw_rad: float
     yaw_rate_rad_s: float
-    position_sigma_m: float = 0.0  # larger reported standard deviation of x and y; 0: not reported
-    velocity_sigma_m_s: float = 0.0  # larger reported standard deviation of vx and vy; 0: not reported
+    position_sigma_m: float = 0.0  # larger one of the reported sigmas of x and y; 0: not reported
+    velocity_sigma_m_s: float = 0.0  # larger one of the reported sigmas of vx and vy; 0: not reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +177,7 @@ class MemberStatus(NamedTuple):
     wanted_enu_m_s: Vec3  # velocity command of the member
     position_sigma_m: float = 0.0  # standard deviation of the position on each axis
     clock_bound_s: float = 0.0  # largest error of the stamp
-    intent: Intent = Intent.STANDING  # what the member announces to do
+    intent: Intent = Intent.STANDING  # announced intention of the member
     claim_s: float = math.nan  # time at which the member claimed the right of way; NaN: no claim
     pad_position_enu_m: Vec3 | None = None  # position of the member's landing spot; ``None``: unknown
     pad_velocity_enu_m_s: Vec3 | None = None  # velocity of the landing spot; ``None``: unknown

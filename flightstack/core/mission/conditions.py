@@ -69,7 +69,7 @@ class Situation:
 
 
 def high_enough_m(s: Situation) -> float:
-    """Return a height above every part of the target, including the climb margin."""
+    """Return a height above every part of the target, including the climb margin, m."""
     base = s.memory.target_position_enu_m[2] if s.memory.target_position_enu_m else 0.0
     return base + s.config.barrier.peak_height_m + s.config.retreat.climb_margin_m
 
@@ -114,7 +114,7 @@ def _landing_distance_m(s: Situation, own: OwnState, away_m: tuple[float, float]
 
 
 def condition_flags(s: Situation, snapshot: Snapshot, command_failed: bool, now_s: float) -> int:
-    """Return the flags of this tick; ``memory`` already contains its timers and is not changed."""
+    """Return the flags of this tick; ``memory``, with its timers up to date, is not changed."""
     config, memory, phase = s.config, s.memory, s.memory.phase
     inputs, own, permissions = snapshot.inputs, snapshot.inputs.own, snapshot.permissions
     status, good = inputs.status or _NO_STATUS, snapshot.good
@@ -171,7 +171,7 @@ def time_flags(s: Situation, now_s: float) -> int:
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
-    """Whether, for ``recovery_time_s``, all inputs were good and renewed, and a heartbeat arrived in it.
+    """Whether, after all inputs became good, states arrived for ``recovery_time_s``, and a heartbeat.
 
     An input that arrives rarely, or in bursts, counts as good until it is too old.
     """

@@ -52,8 +52,8 @@ _ABORT = re.compile(rf"(?: *[0-9.]+ s  )?(?:(?:{_PHASES}) -> )?ABORT: ")
 STANDING_S = 4.0  # contact time allowed in LAND, s; most vehicles move to the centre (h >= 0) in 3 s
 SLIDING_TIME_S = 0.15  # prediction time of a slide, s: contact is detected after 0.1 s, motors stop in 0.05 s
 ABORT_SETTLE_S = 1.0  # minimum time in an abort, s; a heartbeat (1 Hz) must report its end
-PLACE_RADIUS_M = 0.1  # largest distance from the place beside the target for a landing, m
-PLACE_SPEED_M_S = 0.15  # largest horizontal speed for a landing beside the target, m/s
+PLACE_RADIUS_M = 0.1  # largest distance from the place beside the target at which the landing starts, m
+PLACE_SPEED_M_S = 0.15  # largest horizontal speed at which a landing beside the target starts, m/s
 DRIFT_CAUSES = (
     "usual causes: a twist in header.frame_id instead of child_frame_id, a heading that is off by 180 "
     "degrees, swapped axes"
@@ -77,7 +77,7 @@ EXCLUDED = (
 
 
 def masks(phases: Collection[Phase]) -> NDArray[np.int64]:
-    """Return required and blocking flags of all rules, (phase, rule, 2); no flags meet a padding of -1.
+    """Return required and blocking flags of all rules, (phase, rule, 2); -1 is padding that never fires.
 
     Raises ValueError: a rule of ``phases`` uses a flag that an ordinary tick neither computes nor excludes;
     compiled code would miss it.
@@ -119,7 +119,7 @@ class Transition(NamedTuple):
 
 
 def aborts(text: str) -> bool:
-    """Whether a text of ``Transition.text`` or ``Transition.timed_text`` is a change of or to an abort."""
+    """Whether a text of ``Transition.text`` or ``Transition.timed_text`` reports an abort or its kind."""
     return _ABORT.match(text) is not None
 
 
@@ -202,7 +202,7 @@ class Mission(Situation):
         return status.landed in _NOT_FLYING and not (status.armed and fresh)
 
     def _remember(self, snapshot: Snapshot, now_s: float) -> None:
-        """Store the newest target, heading and vehicle states, and the time since which inputs are good."""
+        """Store target state, first heading, arming and mode, and the time since which inputs are good."""
         memory, target, own, status = (
             self.memory,
             snapshot.target,
@@ -222,7 +222,7 @@ class Mission(Situation):
             memory.good_since_s = now_s
         if status is not None and status.armed:
             memory.was_armed = True
-            if status.mode is Mode.EXTERNAL:  # a disarmed one is ignored: PX4 keeps this mode after a landing
+            if status.mode is Mode.EXTERNAL:  # ignored if disarmed: PX4 keeps this mode after a landing
                 memory.was_external = True
 
     def _stopped(self, at: Relative, now_s: float) -> bool:

@@ -28,11 +28,11 @@ class Condition(IntEnum):
     """Conditions that the tables use, one bit each. The flags of a tick are a plain int, for speed."""
 
     EMERGENCY = 1 << 0  # emergency stop by the operator
-    ABORT_ASKED = 1 << 1  # abort by the operator
-    OWN_LOST = 1 << 2  # the vehicle state is missing or too old
+    ABORT_ASKED = 1 << 1  # abort requested by the operator
+    OWN_LOST = 1 << 2  # the vehicle state is missing, too old or implausible
     LINK_LOST = 1 << 3  # the heartbeat is missing or too old
-    TARGET_LOST = 1 << 4  # the target state is missing or too old
-    READY = 1 << 5  # all inputs are recent; the vehicle is ready to arm, or already flies
+    TARGET_LOST = 1 << 4  # the target state is missing, too old or implausible
+    READY = 1 << 5  # inputs and battery are good; the vehicle is armed or ready to arm; the fleet may begin
     ARMED = 1 << 6
     WAS_ARMED = 1 << 7  # the vehicle was armed earlier in this flight
     EXTERNAL = 1 << 8  # the vehicle follows set-points of this stack
@@ -43,17 +43,17 @@ class Condition(IntEnum):
     OVER_PAD = 1 << 13  # the vehicle is inside the descending cone
     TOUCH = 1 << 14  # the touchdown rule is met
     RECOVERED = 1 << 15  # inputs were good for ``recovery_time_s``; in WAIT, each was also renewed in it
-    RETRIES_LEFT = 1 << 16
+    RETRIES_LEFT = 1 << 16  # a go-around is allowed
     HIGH_ENOUGH = 1 << 17  # the vehicle is above every part of the target
     PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase is over
-    LANDING_TIME_OVER = 1 << 19
+    LANDING_TIME_OVER = 1 << 19  # the landing or the wait for the right of way takes too long
     COMMAND_FAILED = 1 << 20  # the vehicle has refused a command, also after repetitions
     # in TOUCHDOWN, with enough h to climb away: the vehicle is about to leave the corridor above the pad
     # (``Filter.drifts``), or a slow target has become fast (``conditions.py``)
     DRIFTED = 1 << 21
     NOT_FOLLOWING = 1 << 22  # the vehicle does not follow the commanded velocity
-    TIRED = 1 << 23  # the battery is too low to start a landing or to go around
-    LAND_ASKED = 1 << 24  # abort by the operator with a landing by the autopilot
+    TIRED = 1 << 23  # the battery is too low, and the pad is not the shortest way down
+    LAND_ASKED = 1 << 24  # abort with a landing by the autopilot, requested by the operator
     TARGET_KNOWN = 1 << 25  # a target position was received, possibly long ago
     ON_PAD = 1 << 26  # contact with the pad was detected in phase TOUCHDOWN
     PAD_WANTED = 1 << 27  # another vehicle waits for this pad, and the landed vehicle may take off again
@@ -90,7 +90,7 @@ _OPERATOR = (
     Rule(C.ABORT_ASKED, Phase.ABORT, "abort requested by the operator"),
 )
 TIME_OVER = "the time of the flight is over: duration_max_s of the scenario, or --duration"
-# reasons: the autopilot or another client caused the change; the autopilot's messages say why
+# reasons of changes by the autopilot or another client; the autopilot's messages contain the cause
 DISARMED, MODE_CHANGED = (
     "vehicle disarmed without a command from this stack",
     "mode changed without a command from this stack",

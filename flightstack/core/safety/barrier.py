@@ -5,8 +5,8 @@
 ``e`` is the vehicle's position minus the landing spot, ``d`` its horizontal length. Safe states have h >= 0.
 
 At the apex, d = 0, the gradient has no direction. The slope is multiplied by the smoothing factor ``d /
-sqrt(d^2 + smoothing^2)``, which only shortens the gradient. Within a few ``smoothing`` of the axis the filter
-therefore uses less slope than the cone has; h itself is never smoothed. See docs/how_it_works/method.md.
+sqrt(d^2 + smoothing^2)``, which only shortens the gradient. Within a few ``smoothing`` of d = 0 the filter
+therefore uses a smaller slope than b(d) has; h itself is never smoothed. See docs/how_it_works/method.md.
 
 The geometry gives the shape (eq. 7): the boundary peaks at ``d* = 1/alpha``, ``e* = beta/exp(1)`` high.
 
@@ -149,16 +149,16 @@ def barrier_h(alpha_1_m: float, beta_m: float, e_m: Vec3) -> float:
 
 @numeric
 class RobustBarrier(NamedTuple):
-    """Barrier with a margin, with the interface that gate and filter use."""
+    """Barrier with a margin; gate and filter use it like ``Barrier``."""
 
     barrier: Barrier
-    margin_m: float
-    fade_radius_m: float
+    margin_m: float  # margin m far from the landing spot
+    fade_radius_m: float  # radius w within which the margin fades
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
         """Return how far h may fall below its linear prediction; see ``Barrier.linearisation_bound_m``.
 
-        The curvature of the margin is at most 2 m / w^2 exp(-(d/w)^2), at the nearest point of the motion.
+        The curvature of the margin is at most 2 m / w^2 exp(-(d/w)^2), with the smallest d of the motion.
         """
         d_m = math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1])
         near = max(0.0, d_m - moved_m) / self.fade_radius_m

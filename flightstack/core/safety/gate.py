@@ -17,8 +17,8 @@ from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S
 from flightstack.core.types import FilterStatus, Vec3
 
 _KEY = object()
-BOX_TOLERANCE_M_S = 1e-9
-SOLVER_TOLERANCE_M_S = 2.0 * RESIDUAL_MAX_M_S  # largest violation by a filter result, including rounding
+BOX_TOLERANCE_M_S = 1e-9  # allowed excess over a velocity limit, m/s
+SOLVER_TOLERANCE_M_S = 2.0 * RESIDUAL_MAX_M_S  # allowed violation of eq. 11, m/s, with rounding errors
 
 
 class GateVerdict(IntEnum):
@@ -26,12 +26,12 @@ class GateVerdict(IntEnum):
 
     APPROVED = 0
     NOT_IN_CONTROL = 1  # this phase sends no set-point
-    OWN_STALE = 2
-    TARGET_STALE = 3
+    OWN_STALE = 2  # no recent, plausible vehicle state
+    TARGET_STALE = 3  # no recent, plausible target state, although the filter is active
     NOT_FINITE = 4
-    OUTSIDE_BOX = 5
+    OUTSIDE_BOX = 5  # a velocity limit is exceeded
     BARRIER = 6  # h of the next tick would be lower than the filter guarantees
-    TOO_HIGH = 7
+    TOO_HIGH = 7  # a climb above the largest altitude
 
 
 class ApprovedSetpoint:
@@ -119,7 +119,7 @@ class Gate:
         return GateVerdict.APPROVED
 
     def keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
-        """Whether h of the next tick, by a kinematic model without derivatives, meets the bound of eq. 11.
+        """Whether h of the next tick, predicted with constant velocities, meets the bound of eq. 11.
 
         The bound is linear; a valid filter result may miss it at most by the boundary's curvature and the
         slope that the gradient neglects at the apex (docs/how_it_works/robust_filter.md).

@@ -27,7 +27,7 @@ _NAME = "osqp.ext_builtin"
 DOUBLE = 8  # bytes of a double
 _STATUS_AT, _ITERATIONS_AT = 32, 80  # byte offsets in OSQPInfo (osqp_api_types.h)
 # With this tolerance the first iteration confirmed all of 100,000 random programs with one constraint.
-EPS = 1e-9  # absolute and relative tolerance of the solver's test, m/s
+EPS = 1e-9  # absolute (m/s) and relative tolerance of the solver's test
 RHO = 1.0
 RELAXATION = 1.5
 ITERATIONS_MAX = 200  # about 50 us; after these iterations the exact solution is used
@@ -59,7 +59,7 @@ def compiled_solver() -> Any:
 
 
 def _settings() -> Any:
-    """Return solver settings with which a result depends only on the data of its tick."""
+    """Return solver settings with which a result depends only on the data of the current tick."""
     osqp = compiled_solver()
     settings = osqp.OSQPSettings()
     osqp.osqp_set_default_settings(settings)
@@ -72,7 +72,7 @@ def _settings() -> Any:
 
 
 class Osqp:
-    """Solver of the program with this number of constraints; its memory is allocated once.
+    """Solver of a program with ``rows`` constraints and a box; its memory is allocated once.
 
     ``numbers``: -u', the lower and upper bounds of constraints and box, the columns of their matrix (for each
     axis the constraints' gradients, then 1 for the box), and start point and start multipliers.

@@ -23,7 +23,7 @@ def clip(value: float, low: float, high: float) -> float:
 
 
 def clip_to_box(point: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
-    """Return the nearest point of the box between two corners."""
+    """Return the point of the box from ``lower`` to ``upper`` that is nearest to ``point``."""
     (x, y, z), (lx, ly, lz), (hx, hy, hz) = point, lower, upper
     return (clip(x, lx, hx), clip(y, ly, hy), clip(z, lz, hz))
 

@@ -21,7 +21,7 @@ from flightstack.core.safety.osqp import Osqp
 from flightstack.core.safety.projection import EMPTY, projected
 from flightstack.core.types import FilterStatus, Vec3
 
-RESIDUAL_MAX_M_S = 1e-6  # largest violation of box or barrier by an accepted result
+RESIDUAL_MAX_M_S = 1e-6  # largest violation of box or barrier by an accepted result, m/s
 
 
 class FilterResult(NamedTuple):
@@ -31,9 +31,9 @@ class FilterResult(NamedTuple):
     slack_m_s: float  # g . u + omega h + dh/dt at the command; negative only if INFEASIBLE
     active: bool  # whether the barrier changed the command
     status: FilterStatus  # origin of the result
-    residual_m_s: float  # the solver's largest violation before clipping
+    residual_m_s: float  # largest violation by OSQP: of the box, or of the barrier after clipping to the box
     iterations: int  # number of the solver's iterations
-    solve_s: float  # wall time of projection and solver
+    solve_s: float  # wall time of projection and solver, s
 
 
 class SafetyFilter:
@@ -49,7 +49,7 @@ class SafetyFilter:
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
     ) -> FilterResult:
-        """Return the nearest velocity that satisfies the barrier condition and the box, with its status."""
+        """Return the velocity nearest to ``nominal`` that satisfies barrier and box, with its status."""
         bound = -self.omega_1_s * h_m - dh_dt_m_s
         gx, gy, gz = gradient
         finite = bound + gx + gy + gz + nominal[0] + nominal[1] + nominal[2] + lower[0] + lower[1] + lower[2]

@@ -43,13 +43,13 @@ class RobustFilter(Filter):
     )
 
     motion: MotionMemory
-    brakes_m_s2: float
+    brakes_m_s2: float  # assumed acceleration for braking on x and y
     slope: float  # steepest slope of the barrier outside the pad
     full: float  # fraction of the margin that remains at the pad's edge; the margin is divided by it
     estimator: TargetEstimator
     own_estimator: OwnEstimator
     _tracking: VelocityTracking
-    _most: Vec3
+    _most: Vec3  # velocity limits, m/s
     _learns: bool  # whether errors of the reported velocity are estimated
     _has_reserve: bool  # whether the thrust reserve is estimated
     _lag_z_s: float
@@ -68,7 +68,7 @@ class RobustFilter(Filter):
         self.estimator = TargetEstimator(config.target)
         fed_back = config.velocity_feedback.horizontal
         self.own_estimator = OwnEstimator(config.own, loop, period_s, by_loop=fed_back)
-        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # velocity age; 0: it is predicted
+        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # velocity age; 0 if predicted
         self._tracking = VelocityTracking(loop, period_s, config.velocity_feedback, delay_s)
         self.motion, self.tracking = self.estimator.memory, self._tracking.memory
         self.own, self.late = self.own_estimator.memory, self._tracking.late
@@ -199,7 +199,7 @@ class RobustFilter(Filter):
     def _ahead_m(self, e_m: Vec3, slip_m_s: tuple[float, float]) -> float:
         """Return the height of the boundary ahead, at its peak ring or where the vehicle stops.
 
-        The barrier shows an overshoot of the centre only when it is too late to climb.
+        An overshoot of the centre reduces h only when it is too late to climb.
         """
         (ex, ey, _), (vx, vy), barrier = e_m, slip_m_s, self._barrier
         if hypot(ex, ey) > 1.0 / barrier.alpha_1_m:
@@ -219,7 +219,7 @@ class RobustFilter(Filter):
         return (x, y, t[2] - robust.descent_m_s)
 
     def motors_off(self, at: Relative) -> bool:
-        """Whether the paper's rule stops the motors, below its height."""
+        """Whether the paper's touchdown rule stops the motors: below ``touchdown.height_m``."""
         return self._by_rule and at.e_m[2] < self._config.touchdown.height_m
 
     def hold_m_s(self, target: TargetState) -> Vec3:
@@ -260,7 +260,7 @@ class RobustFilter(Filter):
     def setpoint(
         self, before_m_s: Vec3, wanted_m_s: Vec3, velocity_m_s: Vec3, d_m: float, least_z_m_s: float
     ) -> Vec3:
-        """Return the set-point, corrected for lag and disturbance."""
+        """Return the set-point: the commanded velocity, corrected for lag, disturbance and velocity error."""
         far = d_m > self._config.velocity_feedback.far_m
         setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity_m_s, self._most, least_z_m_s, far)
         return self.own_estimator.to_send(setpoint, self._most) if self._learns else setpoint

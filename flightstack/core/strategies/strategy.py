@@ -316,7 +316,7 @@ def ignored(config: FlightConfig) -> list[str]:
 
 
 def own_boundary(name: str) -> str:
-    """Return a warning if verdicts do not know the boundary of this filter, else an empty text."""
+    """Return a warning if verdicts judge by another boundary than this filter's, else an empty text."""
     if strategy_class(name).barrier.__module__.startswith("flightstack."):
         return ""
     return f"judged by the paper's barrier; {name} flies a boundary of its own, which no verdict knows"

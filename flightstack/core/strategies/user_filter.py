@@ -79,7 +79,7 @@ class At(NamedTuple):
 
 
 def three_finite(found: Any) -> Vector | None:
-    """Return the answer of a filter as an array; None if it is not three finite numbers."""
+    """Return the result of a filter as an array; None if it is not three finite numbers."""
     try:
         numbers = np.asarray(found, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -1,7 +1,7 @@
 """Set-point with which a vehicle whose velocity loop lags follows a velocity command.
 
-The velocity loop on board answers a set-point like a second-order low-pass M, with a delay that the paper
-neglects. Wind, drag and a wrong mass disturb it. Two corrections for one axis use the model v = M(u) + d with
+The velocity loop on board responds to a set-point like a second-order low-pass M; the paper neglects this
+lag. Wind, drag and a wrong mass disturb it. Two corrections for one axis use the model v = M(u) + d with
 a disturbance d. a is the acceleration of the loop itself, f = w d / (2 z) that of the disturbance:
 
     v' = a + f,      a' = w^2 (u - v) - 2 z w a
@@ -76,7 +76,7 @@ def feedback_observed(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Return the results of ``lead_observed`` from an observer that the measured velocity corrects.
 
-    The velocity of age ``delay_s`` is extrapolated. Both poles of the observer are at its rate.
+    The velocity is ``delay_s`` old and is extrapolated. ``observer_rate_1_s`` is the observer's double pole.
     """
     w, rate, most_m_s = loop.rate_xy_1_s, feedback.observer_rate_1_s, loop.disturbance_max_m_s
     push_1_s = w / (2.0 * loop.damping)  # ratio f / d
@@ -110,12 +110,12 @@ class VelocityTracking:
     late: LateMemory
     by_feedback: bool  # whether x and y use velocity feedback instead of the lag compensation; z never does
     loop: VelocityLoop
-    vertical: VelocityLoop  # the vertical loop, with its values in the keys of the horizontal one
-    near: VelocityFeedback  # feedback near the pad; ``far``: beyond ``velocity_feedback.far_m``
-    far: VelocityFeedback
+    vertical: VelocityLoop  # values of the vertical loop, under the names of the horizontal ones
+    near: VelocityFeedback  # gains of the feedback near the pad
+    far: VelocityFeedback  # gains at a distance of more than ``velocity_feedback.far_m``
     period_s: float
     delay_s: float  # age of the velocity that the feedback extrapolates
-    late_ticks: int
+    late_ticks: int  # dead time of the horizontal loop, ticks
 
     def __init__(
         self, loop: VelocityLoop, period_s: float, feedback: VelocityFeedback | None = None,
