@@ -1,4 +1,4 @@
-"""Status of a fleet member: this vehicle sends its own in each tick, and receives those of other members.
+"""Status messages of a fleet: this vehicle sends its status in each tick, and receives the others' ones.
 
 Each process publishes ``MemberStatus`` on ``NAMESPACE/fleet/status`` and subscribes to ``**/fleet/status``.
 This one pattern needs no list of namespaces, and also detects two processes with one vehicle id, and vehicles
@@ -42,10 +42,10 @@ KEY = "fleet/status"
 EVERY_MEMBER = f"**/{KEY}"
 CAPACITY = 256  # maximum number of queued messages; the oldest ones are dropped
 BYTES_MAX = 2048  # maximum size of an accepted message, bytes
-PROOF_S = 0.3  # time for which messages after a clock step must agree, s: longer than the latency
-ONE_WAY_S = 2.0  # duration of one-way reception after which it is reported, s
-NAMESAKE_S = 1.0  # listening time before the start, s: is there a process with the same vehicle id?
-# largest drift between two clocks: Linux slews each by at most 500 ppm (adjtimex(2))
+PROOF_S = 0.3  # time for which messages must agree after a clock step, s; it is longer than the latency
+ONE_WAY_S = 2.0  # duration of one-way reception after which a text reports it, s
+NAMESAKE_S = 1.0  # time before the start for finding another process with the same vehicle id, s
+# largest drift between two clocks, ppm: Linux slews each of them by at most 500 ppm (adjtimex(2))
 DRIFT_PPM = 1000
 
 
@@ -60,7 +60,7 @@ class OtherClock:
     """Estimate of the clock of another process; call ``heard`` with each of its messages."""
 
     def __init__(self) -> None:
-        # minima without their growth since zero of this process's clock; None: nothing was received
+        # minima minus their growth since zero of this process's clock; None: nothing was received
         self._ahead_ns: int | None = None
         self._echo_ns: int | None = None
 
@@ -96,7 +96,7 @@ class OtherClock:
 
 
 def _growth_ns(now_ns: int) -> int:
-    """Return the growth of a minimum since zero of this process's clock."""
+    """Return by how much a minimum has grown since zero of this process's clock, ns."""
     return now_ns * DRIFT_PPM // 1_000_000
 
 
@@ -107,10 +107,10 @@ class _Member:
         self.process: int | None = None
         self.clock = OtherClock()
         self.stamps = SenderClock(fleet.age_max_s, PROOF_S, fleet.latency_max_s)
-        self.heard_ns = 0  # arrival of the newest message, ns on this clock
+        self.heard_ns = 0  # arrival of the newest message on this clock
         self.claim_ns: int | None = None
         self.claim_s = math.nan
-        self.one_way_ns: int | None = None  # start of one-way reception from the member
+        self.one_way_ns: int | None = None  # start of one-way reception; None: the member receives messages
         self.said_one_way = False
 
 
@@ -157,7 +157,7 @@ class FleetWire:
         return self.doubled
 
     def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
-        """Wait for the messages that belong to a tick in lockstep; ``stopped``: whether to stop waiting."""
+        """Wait for the messages of a tick in lockstep (in real time: no wait); ``stopped`` ends the wait."""
 
     def statuses(self) -> tuple[MemberStatus, ...]:
         """Return the newest message of each member since the last call."""
@@ -200,7 +200,7 @@ class FleetWire:
             self._publisher.undeclare()
 
     def _reject(self, reason: str, detail: str = "") -> None:
-        """Count a rejected message; store a text whenever the count of its reason has doubled."""
+        """Count a rejected message; store a text whenever the count for this reason has doubled."""
         self._rejected[reason] += 1
         if (count := self._rejected[reason]) & (count - 1) == 0:
             more = f" ({detail})" if detail else ""
@@ -247,9 +247,9 @@ class FleetWire:
         return True
 
     def _taken(self, row: MemberStatusRow, now_s: float, now_ns: int) -> MemberStatus | None:
-        """Convert a message to this clock; return None if it is outdated or its time is too uncertain."""
+        """Convert a message to times of this clock; None: it is outdated, or its time is too uncertain."""
         member, fleet = self._members[row.id], self._fleet
-        # PROOF_S is short: a queue cannot look like a changed clock, because the offset's bound covers delays
+        # even in PROOF_S queued messages do not look like a clock step: the bound of the offset covers delays
         reading = member.stamps.accept(row.stamp_ns / 1e9, now_ns / 1e9, PROOF_S)
         if reading is Reading.AHEAD or reading is Reading.UNUSABLE:
             self._reject(f"the clock of vehicle {row.id}, or of this one, has jumped")

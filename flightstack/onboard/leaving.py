@@ -1,4 +1,4 @@
-"""Requests of the operator, and the decision when a flight ends."""
+"""Requests of the operator, and the decision whether a flight has ended."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from flightstack.core.controller import Outputs
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
 
-LAND_SHOWN_MAX_S = 1.0  # longest repetition of the landing command without a confirming heartbeat, s
+LAND_SHOWN_MAX_S = 1.0  # time for which a landing command is repeated without a confirming heartbeat, s
 
 
 class Ended(NamedTuple):
@@ -30,7 +30,7 @@ class Person:
     _seen_s: float | None = None  # wall time at which ``left`` first detected the stop, s
 
     def left(self) -> bool:
-        """Whether a process that ends has waited ``LAND_SHOWN_MAX_S`` for further ticks."""
+        """Whether ``LAND_SHOWN_MAX_S`` has passed since the process had to end; further ticks may use it."""
         if not self.stop:
             return False
         now_s = time.monotonic()
@@ -71,7 +71,7 @@ class Signals(Person):
 
 
 class Leaving:
-    """Decision when a flight ends: call ``operator`` before each step and ``ended`` after it.
+    """Decision whether a flight has ended: call ``operator`` before each step and ``ended`` after it.
 
     ``duration_s``: time on the stack's clock after which the flight is aborted; None: no limit.
     """
@@ -80,7 +80,7 @@ class Leaving:
         self._duration_s, self.person = duration_s, person or Person()
         self.leaves = False  # whether the process is about to end and therefore requests a landing
         self.arms = False  # whether the vehicle was commanded to arm
-        self._theirs = False  # whether another client controls the vehicle and the process waits
+        self._theirs = False  # whether another client controls the vehicle while this process waits
 
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
         """Return the operator's request in this tick; ``status``: newest status of the vehicle."""
@@ -112,7 +112,7 @@ class Leaving:
 
 
 def flies(memory: Memory, status: VehicleStatus | None) -> bool:
-    """Whether the vehicle is in the air, by its newest status, and only this process controls it."""
+    """Whether, by its newest status, the vehicle is in the air and under the control of this process."""
     if status is None or not status.armed or memory.abort_way is AbortWay.HANDS_OFF:
         return False
     if memory.phase is Phase.LANDED:  # the motors are off, and this process has not armed the vehicle again

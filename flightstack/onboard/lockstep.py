@@ -1,4 +1,4 @@
-"""Lockstep of the onboard process: the vehicle requests each tick, the target reports its sample counts.
+"""Lockstep of the onboard process: the vehicle requests a tick, the target reports its sample counts.
 
 No order between MAVLink and Zenoh is assumed. A tick starts when the vehicle has requested it by TIMESYNC,
 the target has reported the number of samples that belong to it, and, in a fleet, the members' messages have
@@ -29,13 +29,13 @@ from flightstack.onboard.leaving import Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
 from logs.schema.controller_rows import pack_neighbours, status_row, unpack_neighbours
 
-CREDIT_EVERY = 10  # ticks between two messages that let the target continue
-WAIT_SLICE_S = 0.05  # wall time between checks for signals during a wait, s
-FIRST_WAIT_MAX_S = 600.0  # longest wait for a first message, s of wall time; it includes compilation
+CREDIT_EVERY = 10  # number of ticks between two credits, with which the target may continue
+WAIT_SLICE_S = 0.05  # wall time between two checks for signals during a wait, s
+FIRST_WAIT_MAX_S = 600.0  # longest wait for a first message, wall time, s; the sender may have to compile
 # wall time without a message of the simulated world after which it counts as dead, s: on a busy computer a
-# running process may wait for the processor for many seconds, and the world waits for all companions
+# process may wait for the processor for many seconds, and the world waits for all onboard processes
 WORLD_SILENT_S = 75.0
-TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
+TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys of messages from and to a member
 
 
 class VehicleTicks(LinkedVehicle):
@@ -48,7 +48,7 @@ class VehicleTicks(LinkedVehicle):
         self._began_s: float | None = None  # wall time of the newest tick
 
     def passed(self, sim_ns: int) -> None:
-        """Record the time of ticks that were run as a batch."""
+        """Record the simulated time of the last tick of a batch."""
         self._last_ns = sim_ns
 
     def wait(self) -> Tick:
@@ -67,14 +67,14 @@ class VehicleTicks(LinkedVehicle):
         raise ClockStoppedError("no further message from the vehicle")
 
     def _tick(self) -> Tick:
-        """Return the tick of the newest request; its period is wall time."""
+        """Return the tick of the newest request; its ``period_s`` is wall time."""
         last_s, self._began_s = self._began_s, time.perf_counter()
         period_s = self._began_s - last_s if last_s is not None else 0.0
         now_s = self._last_ns / 1e9
         return Tick(round(now_s * self._rate_hz), now_s, EPOCH_NS + self._last_ns, period_s, 0.0)
 
     def _requested(self) -> bool:
-        """Whether a new request has arrived; if not, wait for one, but not long."""
+        """Whether a new request has arrived; if not, wait at most ``WAIT_SLICE_S`` for one."""
         link = self.link
         link.poll(max(0, self._last_ns) / 1e9)
         sim_ns = link.take_timesync()
@@ -99,7 +99,7 @@ class LockstepWires(VehicleTicks):
         self.statuses = fleet.statuses
         self._ticks = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/target/ticks")
         self._credit = zenoh_link.blocking_publisher(session, f"{namespace}/sim/credit")
-        self._counts: dict[int, int] = {}  # by tick: number of samples up to this tick
+        self._counts: dict[int, int] = {}  # number of samples up to a tick, by tick
         self._pool: list[RawSample] = []  # received samples of later ticks
         self._released: list[RawSample] = []  # samples of the current tick
         self._taken = 0  # number of samples up to the current tick
@@ -132,7 +132,7 @@ class LockstepWires(VehicleTicks):
         return decoded(self._released, now_s)
 
     def landing_began(self, tick: int) -> None:
-        """Send the target the tick from which it may drive: the first tick that it cannot have computed."""
+        """Send the target the tick from which it may drive: the first one that it cannot have simulated."""
         self._go_tick = tick + RUN_AHEAD_TICKS + 1
         self._give_credit(tick)
 
@@ -140,7 +140,7 @@ class LockstepWires(VehicleTicks):
         self._credit.put(msgpack.encode((tick, self._go_tick)))
 
     def _complete(self, tick: int) -> bool:
-        """Whether the number of samples up to this tick, and all these samples, have arrived."""
+        """Whether the number of samples up to this tick has arrived, and then all these samples."""
         if tick not in self._counts:
             for sample in zenoh_link.drain(self._ticks):
                 first, counts = msgpack.decode(sample.payload.to_bytes(), type=tuple[int, list[int]])
@@ -153,7 +153,7 @@ class LockstepWires(VehicleTicks):
 
 
 class LockstepStatuses(FleetWire):
-    """Fleet messages in lockstep: other members receive a message in a later tick.
+    """Fleet messages in lockstep: the other members receive a message in a later tick than it is sent.
 
     The vehicles' simulator receives the messages of all members and distributes them tick by tick, so that
     their order does not depend on wall time. This class replaces ``FleetWire``, which needs real time. No

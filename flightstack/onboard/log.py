@@ -28,11 +28,11 @@ from logs.schema.events import CONTROLLER, ONBOARD, pack_log
 from logs.schema.mavlink import MAVLINK_PEERS, PeerNames, pack_mavlink
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, HealthRow, LoopTimingRow
 
-STATUS_HZ = 20.0  # rate of the live topics
-HEALTH_HZ = 5.0  # rate of the live health
-BATTERY_AGE_MAX_S = 5.0  # maximum age of a voltage, s; SYS_STATUS arrives at least once a second
-STATE_HZ = 1.0  # rate of the recorded states, which a replay compares
-TIMESYNC_ID = 111  # low byte of the message id, at offset 7 of a MAVLink 2 frame
+STATUS_HZ = 20.0  # rate of the live topics for steps and timing
+HEALTH_HZ = 5.0  # rate of the live topic for the health
+BATTERY_AGE_MAX_S = 5.0  # maximum age of a battery voltage, s; SYS_STATUS arrives at least once a second
+STATE_HZ = 1.0  # rate of the recorded controller states, which a replay compares
+TIMESYNC_ID = 111  # low byte of TIMESYNC's message id, at offset 7 of a MAVLink 2 frame
 
 
 class OnboardLog:
@@ -41,7 +41,7 @@ class OnboardLog:
     def __init__(
         self, feed: Feed, session: zenoh_link.Session, names: Names, config: FlightConfig, *, lockstep: bool
     ) -> None:
-        """Open the channels; ``session``: session of the live topics; ``names``: names of the records."""
+        """Open the channels; ``session``: of the live topics; ``names``: for channels, topics, metadata."""
         self._feed, self._names, self._lockstep = feed, names, lockstep
 
         def topic(name: str, schema: str) -> int:
@@ -74,7 +74,7 @@ class OnboardLog:
         self._peer_names = PeerNames(feed.metadata, names.record(MAVLINK_PEERS))
         self._asked = b""  # newest TIMESYNC request from the vehicle
         self._sequence = self._unix_ns = 0
-        self._flush_every = 10 if lockstep else 1  # ticks between flushes: fewer wake-ups of the recorder
+        self._flush_every = 10 if lockstep else 1  # ticks between flushes; 10: fewer wake-ups of the recorder
         self._every, self._state_every, self._health_every = map(every, (STATUS_HZ, STATE_HZ, HEALTH_HZ))
         self._state_text = state_text(config)
         self._live_step = live("controller/step", "ControllerStep")
@@ -116,12 +116,12 @@ class OnboardLog:
             )
 
     def end(self) -> None:
-        """Write the frames that the process sent after the newest tick, with that tick's time plus 1 ns."""
+        """Write the frames that were sent after the newest tick, with the time of this tick plus 1 ns."""
         self._unix_ns += 1
         self.frames()
 
     def step(self, tick: Tick, taken: Taken, out: Outputs, controller: Controller) -> ControllerStepRow:
-        """Write frames, inputs, events and outputs of a tick, and once a second its state; return a row."""
+        """Write frames, inputs, events and outputs of a tick, once a second the state; return its row."""
         unix_ns = self._unix_ns = tick.unix_ns
         self.frames()
         given = TickInputs(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)
@@ -149,7 +149,7 @@ class OnboardLog:
     def health(
         self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int
     ) -> bytes | None:
-        """Publish the health at ``HEALTH_HZ`` and at the end, without logging it; return it."""
+        """Publish the health at ``HEALTH_HZ`` and at the end, but do not log it; None: not due."""
         if tick.number % self._health_every != 0 and not out.finished:
             return None
         payload = health_row(tick, out, reason, battery, dropped).pack()

@@ -1,4 +1,4 @@
-"""Pre-flight check of the onboard process: requirements of the flight, texts for operator and log."""
+"""Pre-flight check of the vehicle: requirements of the flight, and texts for operator and log."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE, Level.INFO)
 
 
 def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
-    """Return the requirements of this configuration on the autopilot."""
+    """Return what the flight with this configuration requires from the autopilot."""
     vx, vy, vz = config.limits.velocity_max_m_s
     ax, ay, az = strategy_of(config).acceleration_max_m_s2
     return Needs(math.hypot(vx, vy), vz, math.hypot(ax, ay), az, config.limits.altitude_max_m, system_id)
@@ -27,7 +27,7 @@ def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
 def check(
     vehicle: Examination, config: FlightConfig, *, wait_s: float, accept_release: bool = False
 ) -> Report:
-    """Request the vehicle's parameters and check them; ``wait_s``: time-out of the first heartbeat."""
+    """Request the vehicle's parameters and check them; ``wait_s``: time-out for the first heartbeat."""
     endpoint = vehicle.endpoint
     try:
         rate_hz, age_max_s = config.loop.rate_hz, config.checks.own_age_max_s
@@ -36,7 +36,7 @@ def check(
         return Report(None, None, (), str(error))
     needs, accepted = needs_of(config, vehicle.target[0]), config.vehicle.accepted_parameters
     report = vehicle.report(needs, accepted, wait_s=wait_s, accept_release=accept_release)
-    table = config.reserve  # before the first voltage, the controller waits for one
+    table = config.reserve  # without a voltage yet, the controller waits for one later
     if table is not None and report.rest_v is not None and report.problem is None:
         report = replace(report, problem=too_low(table, report.rest_v) or None)
     if endpoint.baud is None:

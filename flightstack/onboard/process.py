@@ -41,11 +41,11 @@ from logs.recorder.feed import Feed
 from logs.schema import Names, member_name
 from logs.schema.events import CAUSE, ONBOARD
 
-_SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
+_SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # rcl_interfaces level by MAV_SEVERITY
 
 
 class Onboard(Leaving):
-    """Owner of the links and the controller; it writes the rows of the ticks and ends the flight."""
+    """Owner of the links and the controller; it logs the ticks and decides when the flight ends."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class Onboard(Leaving):
         self.fleet = _fleet(config, options, self.wires.session, self.namespace)
         age_max_s, signed = config.checks.own_age_max_s, options.signing_key is not None
         every = plan(parse_url(options.vehicle_url).baud, config.loop.rate_hz, age_max_s, signed=signed).every
-        # the companion has the vehicle's MAVLink system id
+        # this process has the same MAVLink system id as the vehicle
         system_id, lockstep = options.system_id, options.lockstep
         endpoint = open_endpoint("onboard", options.vehicle_url, system_id, COMPONENT_ID, options)
         autopilot = profile(options.autopilot)
@@ -84,7 +84,7 @@ class Onboard(Leaving):
         # in lockstep no text may depend on wall time
         self.waiting = WaitReport(config, system_id, self.link, self.wires, searches=not lockstep)
         self._foreign_due, self.refusals = 1, Refusals()
-        self.cause = ""  # reason why the autopilot ended the flight, appended to that of the phase
+        self.cause = ""  # why the autopilot ended the flight; appended to the phase's reason
         self.opened_s = time.monotonic()
 
     def write(self, tick: pacing.Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
@@ -99,7 +99,7 @@ class Onboard(Leaving):
             self.waiting.note_text(tick.now_s, severity, text)
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
         foreign = link.foreign.total()
-        if foreign >= self._foreign_due:  # the report is repeated when the count doubles
+        if foreign >= self._foreign_due:  # reported whenever the count has doubled
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {foreign}")
             self._foreign_due = 2 * foreign
         notices = (*link.endpoint.take_notices(), *link.senders.take_notices())
@@ -152,7 +152,7 @@ class Onboard(Leaving):
         self.log.event(time.time_ns() if unix_ns is None else unix_ns, level, text)
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """Return how the flight ended, also because the link rejects the vehicle; None: it has not ended."""
+        """Return how the flight ended, or why link or fleet reject the vehicle; None: it has not ended."""
         armed = status is not None and status.armed
         doubled = self.link.senders.doubled or self.fleet.doubled
         refused = self.link.refused or (doubled if out.phase is Phase.WAIT and not armed else "")
@@ -167,7 +167,7 @@ class Onboard(Leaving):
         return ended._replace(reason=f"{ended.reason}: {'; '.join(lacking)}")
 
     def close(self) -> None:
-        """Close all links; the feed informs the recorder of its end."""
+        """Close all links; the feed then reports its end to the recorder."""
         counters, took_s = self.link.endpoint.counters, time.monotonic() - self.opened_s
         if lost := dropped(counters):
             print(f"onboard: MAVLink frames rejected: {lost}", file=sys.stderr)

@@ -25,7 +25,7 @@ from logs.schema import FLEET, Names
 
 LOG = "flight.mcap"
 _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
-_NO_NAME = re.compile(r"[^\w.=+@-]|\.\.")  # not allowed in folder names, which commands contain
+_NO_NAME = re.compile(r"[^\w.=+@-]|\.\.")  # not used in folder names, since printed commands contain them
 
 
 def new_folder(name: str) -> Path:
@@ -49,7 +49,7 @@ def log_in(folder: Path) -> Path:
 
 
 def start_recorder(socket: Path, log: Path) -> Child:
-    """Start a recorder and wait until it listens; it reports errors in a file beside the log."""
+    """Start a recorder and wait until it listens; it writes its errors to a file beside the log."""
     recorder = Child("record", ["record", "--socket", str(socket), "--out", str(log)], log.parent)
     recorder.wait_ready()
     return recorder
@@ -82,7 +82,7 @@ class Described(NamedTuple):
     """Description of a flight; it is written to the log before the flight starts."""
 
     config: FlightConfig  # configuration of the onboard process
-    run: Mapping[str, str]  # metadata of the run; they replace default entries
+    run: Mapping[str, str]  # metadata of the run; they replace default entries of the same name
     names: Names  # namespace and MAVLink system id of the vehicle; they form the names of the log's channels
 
 
@@ -92,7 +92,7 @@ def describe(
     fleet: Mapping[str, str] = MappingProxyType({}),
     attachments: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
-    """Write the metadata with which the log can be read and replayed, except those of the onboard process.
+    """Write the metadata for reading and replaying the log, except those that the onboard process writes.
 
     ``fleet``: metadata of all flights; ``attachments``: TOML files by name.
     """
@@ -120,7 +120,7 @@ def describe(
 
 
 def _revision() -> str:
-    """Return the git revision of the code, with "-dirty" if changed; empty without a git checkout."""
+    """Return the code's git revision, with "-dirty" after local changes; empty without a git checkout."""
     command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
     try:
         return subprocess.check_output(command, stderr=subprocess.DEVNULL, text=True, timeout=5.0).strip()

@@ -47,8 +47,8 @@ class Arrived(NamedTuple):
 
 
 NOTHING = Arrived()
-_PERIOD_S = 0.02  # wall time between two checks after the last tick, s
-STALL_MAX_S = 0.05  # largest delay of a tick whose samples are used, s: checks.target_age_max_s / 5
+_PERIOD_S = 0.02  # wall time between two landing requests after the last tick, s
+STALL_MAX_S = 0.05  # largest delay of a tick whose samples are used, s: 1/5 of the default target_age_max_s
 
 
 class Taken(NamedTuple):
@@ -60,7 +60,7 @@ class Taken(NamedTuple):
 
 
 class VehicleInputs(NamedTuple):
-    """Newest state, status and power of the vehicle, and whether it finally refused a requested mode."""
+    """Newest state, status and power of the vehicle, and whether the current request has failed."""
 
     own: OwnState | None
     status: VehicleStatus | None
@@ -100,7 +100,7 @@ class Wires(Protocol):
 
 
 class Runner:
-    """Runs the ticks of a flight; ``write`` gets each, with the wall time until its outputs were sent, s."""
+    """Runs the ticks of a flight; ``write`` logs each, with the wall time until its outputs were sent, s."""
 
     def __init__(
         self, controller: Controller, wires: Wires, leaving: Leaving,
@@ -139,7 +139,7 @@ class Runner:
         while True:
             status, waited_s = self._wires.read().status, time.monotonic() - began_s
             lands, in_air = status is not None and status.mode is Mode.LAND, flies(memory, status)
-            off = memory.abort_way is AbortWay.MOTORS_OFF  # whether an emergency stop was requested
+            off = memory.abort_way is AbortWay.MOTORS_OFF  # whether the operator requested an emergency stop
             if lands or waited_s >= LAND_SHOWN_MAX_S or not (in_air or (arms and status is not None)):
                 break
             if works:
@@ -200,10 +200,10 @@ def open_link(
 
 
 class LinkedVehicle:
-    """Vehicle with a MAVLink link; the clock reads the link."""
+    """Vehicle with a MAVLink link; the method ``wait`` of a subclass reads the link."""
 
     def __init__(self, link: VehicleLink, *, lockstep: bool) -> None:
-        self.link, self._lockstep = link, lockstep  # MAVLink link to the vehicle
+        self.link, self._lockstep = link, lockstep
         self._reply: Message = None
 
     @property
@@ -216,7 +216,7 @@ class LinkedVehicle:
         link = self.link
         state, status = link.state, link.state.status
         if status is not None and status.ready_to_arm and link.senders.suspects:
-            status = replace(status, ready_to_arm=False)  # the status may be that of a second vehicle
+            status = replace(status, ready_to_arm=False)  # the status may come from a second vehicle
         return VehicleInputs(state.own, status, link.failed is not None, state.power)
 
     def ask(self, request: Request, now_s: float) -> None:
@@ -239,7 +239,7 @@ class LinkedVehicle:
 
 
 class LiveWires(LinkedVehicle):
-    """Wires in real time, with a clock that has deadlines; the robot is not informed about the landing."""
+    """Wires in real time, whose ticks have deadlines; the robot receives no message about the landing."""
 
     def __init__(
         self, link: VehicleLink, pacer: RealTimePacer, source: SampleSource, statuses: Statuses
@@ -292,7 +292,7 @@ class Refusals:
 
 
 def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:
-    """Decode messages that arrive now; return their samples, and why other messages contain none."""
+    """Decode messages that arrive now; return samples, and the errors of messages without a sample."""
     if not messages:
         return NOTHING
     samples: list[TargetSample] = []

@@ -1,4 +1,4 @@
-"""Conversion of dataclasses to text, by their declared types and without rounding.
+"""Conversion of dataclasses to text, according to their declared types and without rounding.
 
 The writer is built from the types, so an unsupported type stops a program at its start and never in flight.
 The ``layout`` names every field and type; only texts of one layout can be compared.
@@ -27,14 +27,14 @@ _BITS = "f64:"  # prefix of a float that JSON cannot represent: 16 hex digits of
 
 
 class _Plan(NamedTuple):
-    """Encoder of one declared type."""
+    """Encoder of one declared type; ``layout``: text that describes the type."""
 
     layout: str
     encode: Callable[[Any], Any]
 
 
 class StateText(Generic[T]):
-    """Writer of the values of one class; ``given``: types of its fields of type Any.
+    """Writer of the objects of one class; ``given``: types for its fields that are declared Any.
 
     The text leaves out each field that equals its default, if ``cls()`` is possible.
     Raises TypeError: the declared type of a field is not bool, int, float, str, enum, tuple, dataclass, named
@@ -61,7 +61,7 @@ def state_text(config: FlightConfig) -> StateText[State]:
 
 
 def _is_required(field: Any) -> bool:
-    return field.default is field.default_factory  # then both are MISSING
+    return field.default is field.default_factory  # True only if both are MISSING
 
 
 def _plan(hint: Any, where: str) -> _Plan:

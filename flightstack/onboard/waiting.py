@@ -20,15 +20,15 @@ from flightstack.onboard.zenoh_wires import ZenohWires
 
 PERIOD_S = 2.0  # time between two reports, s
 _FLYING = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
-_REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; texts with a lower severity are not used as reasons
+_REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; less severe texts are not used as reasons
 _REASONS = 3  # maximum number of vehicle texts in one report
-_REASON_AGE_MAX_S = 15.0  # maximum age of a reason, s; PX4 and ArduPilot repeat their reasons sooner
+_REASON_AGE_MAX_S = 15.0  # maximum age of a reason, s; PX4 and ArduPilot repeat it earlier
 _CAUSE_AGE_MAX_S = 5.0  # maximum age of a text that explains a disarm, s; two heartbeats (1 Hz) may be lost
-_PROBLEMS = 2  # maximum number of sample errors in one report
+_PROBLEMS = 2  # maximum number of texts about rejected samples in one report
 
 
 class _Pace:
-    """Longest interval between arrivals since the last report; after few arrivals, the newest interval."""
+    """Longest interval between arrivals since the last report; if none arrived, that of the report before."""
 
     def __init__(self) -> None:
         self._last_s, self._longest_s, self._reported = math.nan, 0.0, True
@@ -48,7 +48,7 @@ class _Pace:
         return f"{what}: one every {every_s:.2f} s ({1.0 / every_s:.1f} Hz); checks.{key} allows {most_s:g} s"
 
 
-_REFUSED = {  # by the names of ``VehicleState.counters``
+_REFUSED = {  # texts by the names of ``VehicleState.counters``
     "not_finite": "positions contain numbers that are not finite or out of range",
     "without_yaw": "positions arrive without ATTITUDE, which contains the heading",
     "out_of_order": "positions have a time that does not advance",
@@ -74,19 +74,19 @@ def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
 
 
 class WaitReport:
-    """Reporter of waits: call ``note_text`` with the vehicle's texts, and ``step`` in every tick."""
+    """Reports of a wait: call ``note_text`` with the vehicle's texts, and ``step`` in every tick."""
 
     def __init__(
         self, config: FlightConfig, system_id: int, link: VehicleLink, wires: ZenohWires, *, searches: bool
     ) -> None:
-        """``searches``: search other keys if no sample arrives."""
-        # missing inputs in the last report; they remain after the end of the wait
+        """``searches``: whether to search for samples on other keys if none arrives."""
+        # texts about missing inputs in the last report; an abort of the wait does not clear them
         self.lacking: tuple[str, ...] = ()
         self._config, self._system_id, self._link, self._wires = config, system_id, link, wires
         self._searches, self._due_s = searches, PERIOD_S
         # counters of endpoint and vehicle state, and refused target samples, at the last report
         self._counted, self._refused, self._refused_samples = Counter[str](), Counter[str](), 0
-        self._arrived = self._accepted = 0  # target samples: since the last report, and of the flight
+        self._arrived = self._accepted = 0  # number of target samples: since the last report; in the flight
         self._heartbeats, self._states, self._samples = _Pace(), _Pace(), _Pace()
         # newest texts of the vehicle that may be reasons, and newest ones of any severity, with their newest
         # arrival time
@@ -95,7 +95,7 @@ class WaitReport:
         self._refusals: deque[str] = deque(maxlen=_PROBLEMS)
 
     def note_text(self, now_s: float, severity: int, text: str) -> None:
-        """Store a text of the vehicle."""
+        """Store a text that the vehicle sent, with its MAV_SEVERITY."""
         for texts in (self._recent, *([self._reasons] if severity <= _REASON_SEVERITY else [])):
             texts.pop(text, None)
             texts[text] = now_s
@@ -148,13 +148,13 @@ class WaitReport:
         return f"{text}; {left}" if left else text
 
     def _silence(self, heard_s: float) -> str:
-        """Return why no heartbeat has arrived for this time; infinity: none has ever arrived."""
+        """Return why no heartbeat has arrived for ``heard_s``; infinity: none has ever arrived."""
         counted, self._counted = self._counted, self._link.endpoint.counters.copy()
         time = f" for {heard_s:.0f} s" if math.isfinite(heard_s) else ""
         return why_silent(self._system_id, self._counted - counted, self._link.foreign, time=time)
 
     def of_vehicle(self, at: Snapshot, now_s: float) -> Iterator[str]:
-        """Yield what the vehicle lacks, one sentence per input; each call counts from the previous one."""
+        """Yield a sentence for each missing input from the vehicle; counters start at the previous call."""
         checks, own, status = self._config.checks, at.inputs.own, at.inputs.status
         heard_s = now_s - status.arrival_s if status is not None else math.inf
         age_s = now_s - own.arrival_s if own is not None else math.inf
@@ -189,7 +189,7 @@ class WaitReport:
             yield (fails if self._link.state.battery is not None else unknown) + reports
 
     def of_target(self, at: Snapshot) -> Iterator[str]:
-        """Yield what the target lacks, in at most one sentence; each call counts from the previous one."""
+        """Yield why the target is not usable, at most one sentence; counters start at the previous call."""
         wires, checks = self._wires, self._config.checks
         most_s, name = checks.target_age_max_s, f"samples on {wires.target.text}"
         arrived = self._arrived + wires.odometry.refused - self._refused_samples

@@ -18,7 +18,7 @@ from logs.schema.events import pack_string
 from logs.schema.rows import ControllerStepRow
 
 FLOAT64 = "std_msgs/msg/Float64"
-PLAIN_HZ = 20.0  # rate of the topics h, phase and step; the topics of viewers have other rates
+PLAIN_HZ = 20.0  # rate of the topics h, phase and step; the topics for viewers have other rates
 NODE = "flightstack_onboard"
 _DERIVED = {
     "/pose": schemas.POSE_STAMPED,
@@ -32,7 +32,7 @@ _DERIVED = {
 
 
 class ZenohWires:
-    """Owner of the onboard process's Zenoh sessions, with all that is received and published over them."""
+    """Owner of the onboard process's Zenoh sessions; it receives the target and publishes to ROS 2."""
 
     def __init__(self, config: FlightConfig, options: OnboardOptions, namespace: str) -> None:
         self.target = target = TargetSpec.parse(
@@ -105,7 +105,7 @@ class LiveRos2:
         self._every = max(1, round(rate_hz / PLAIN_HZ))
 
     def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
-        """Publish the data that is due in this tick; ``step``: ``out`` as a row of the log."""
+        """Publish the data due in this tick; ``step``: log row of ``out``; ``health``: None: not due."""
         now_ns = tick.unix_ns
         for topic, _, payload in self._derive.step(now_ns, step):
             publisher = self._derived.get(topic)
