@@ -1,7 +1,7 @@
 """Derives the messages for viewers: standard ROS messages from controller steps and from MAVLink frames.
 
 The messages of a :class:`Deriver` let any viewer show the flight in 3-D. They contain only data of the steps,
-of the configuration and of the run's metadata. The log time of the steps alone determines which messages are
+the configuration and the metadata of the run. The log time of the steps alone determines which messages are
 derived: two runs with equal steps give equal messages. Frames: ``map`` is the ENU world, ``map_ned`` the same
 origin with NED axes, ``<ns>/base_link`` the vehicle (heading only), ``<ns>/target`` the pad with its heading,
 ``<ns>/target_pad`` the pad without heading, in which the barrier does not move.
@@ -96,7 +96,7 @@ class Deriver:
             add("/tf", TF_MESSAGE, (frames,))
         if row.own_valid:
             add(f"{space}/pose", POSE_STAMPED, (stamp_ns, own))
-            # turn rates are zero here, because a controller step contains none
+            # turn rates are zero, because a controller step does not contain them
             twist = (_body_velocity(row), ZERO)
             odometry = (stamp_ns, self._base, (own, NO_COVARIANCE), (twist, NO_COVARIANCE))
             add(f"{space}/odom", ODOMETRY, odometry)
@@ -143,7 +143,7 @@ def frame_decoder(topic: str, spaces: Mapping[str, str] = MappingProxyType({})) 
     ``spaces``: name spaces of the vehicles by the first part of the topic.
     """
     first = topic.strip("/").partition("/")[0]
-    known: dict[tuple[int, int, int], _Decoder | None] = {}  # None: the dialect does not have the type
+    known: dict[tuple[int, int, int], _Decoder | None] = {}  # None: the dialect lacks the message
 
     def derive(log_time_ns: int, payload: bytes) -> list[Derived]:
         del log_time_ns
@@ -162,7 +162,7 @@ def frame_decoder(topic: str, spaces: Mapping[str, str] = MappingProxyType({})) 
 
 
 class Derivers:
-    """Functions that derive messages, for all clients of one recorder; a client that reconnects continues."""
+    """Derives messages from the records of all clients of a recorder, also after a client has reconnected."""
 
     def __init__(self) -> None:
         self._spaces: dict[str, str] = {}  # name spaces by the first part of the topics of frames
@@ -175,17 +175,17 @@ class Derivers:
         return self._members[name]
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Pass the metadata of a run or of an onboard process to these functions."""
+        """Use the metadata of a run or of an onboard process; ignore other metadata."""
         member, name = split(name)
         if name == "run":
             self._member(member).configure(values)
-        elif name == "onboard":  # it is sent before the first frame
+        elif name == "onboard":  # this record is sent before the first frame
             self._spaces[f"uas{values.get('system_id', '1')}"] = values.get("namespace", member)
 
     def attachment(self, name: str, data: bytes) -> None:
         member, name = split(name)
         if name == ATTACHMENT:
-            with contextlib.suppress(ConfigError):  # an incompatible version: no barrier and pad
+            with contextlib.suppress(ConfigError):  # an incompatible version: the barrier is not drawn
                 self._member(member).configure({}, read_config(data))
 
     def declare(self, topic: str, schema: str) -> Derive | None:

@@ -18,10 +18,10 @@ from typing import NamedTuple, TypeAlias
 import msgspec
 
 HEADER = struct.Struct("<IIqqI")  # payload length, channel, log time ns, publish time ns, sequence
-CONTROL = 0  # channel of the control records; the payload of the other ones is a message
+CONTROL = 0  # channel of the control records; records of other channels are messages
 SOCKET_PATH_MAX = 107  # maximum length of a socket path, bytes (unix(7))
 MAX_PAYLOAD = 16 * 2**20  # maximum payload, bytes; a longer payload shows a corrupted stream
-MAX_ATTACHMENT = MAX_PAYLOAD - 2**16  # maximum size of an attachment, bytes; the rest is for its names
+MAX_ATTACHMENT = MAX_PAYLOAD - 2**16  # maximum attachment, bytes; the rest is for its name and media type
 
 
 class Declare(msgspec.Struct, tag=True):
@@ -44,7 +44,7 @@ class Attachment(msgspec.Struct, tag=True):
 
 
 class Losses(msgspec.Struct, tag=True):
-    """Number of records that a client has dropped so far; also the client's first record."""
+    """Number of records that a client has dropped so far; the first record of a client, to send its name."""
 
     client: str
     dropped: int
@@ -96,13 +96,13 @@ def split(buffer: bytearray) -> list[Record]:
     return records
 
 
-BUFFER_LIMIT = 4 * 2**20  # maximum buffer for a slow recorder, bytes: several seconds of one vehicle's flight
+BUFFER_LIMIT = 4 * 2**20  # maximum buffer per vehicle for a slow recorder, bytes: several seconds of flight
 PATIENCE_S = 8.0  # wall time for which a lossless or closing sender waits for the recorder, s
 _SOCKET_BUFFER = 2**20  # bytes requested from the kernel, which may grant fewer
 
 
 class FeedError(ConnectionError):
-    """The recorder cannot be reached at the start of a process."""
+    """The recorder does not accept a connection at the start of a process."""
 
 
 class Feed:
@@ -115,7 +115,7 @@ class Feed:
         self._channels: dict[tuple[str, str], int] = {}
         self._log_time_ns = 0
         self._reported = 0
-        # whether the recorder accepts records; later records are ignored after it has ended
+        # whether the recorder accepts records; after it has ended, records are dropped
         self.alive = sock is not None
         self.dropped = 0  # number of dropped records: the recorder was too slow, or has ended
         if sock is not None:
@@ -177,7 +177,7 @@ class Feed:
         self._control(Attachment(name, media_type, data))
 
     def flush(self) -> None:
-        """Send the buffer, once per tick. Never raises; :attr:`alive` becomes False without a recorder."""
+        """Send the buffer, once per tick. Never raises; :attr:`alive` is False after the recorder ended."""
         if self.dropped != self._reported and len(self._buffer) < self._limit // 2:
             self._report_losses()
         if self._lossless:
@@ -185,7 +185,7 @@ class Feed:
             return
         if not self._buffer or self._sock is None:
             return
-        try:  # as much as the socket accepts, in one call that does not block
+        try:  # this call does not block, and sends as much as the socket accepts
             sent = self._sock.send(self._buffer)
         except (BlockingIOError, InterruptedError):
             return
@@ -195,7 +195,7 @@ class Feed:
         del self._buffer[:sent]
 
     def close(self) -> None:
-        """Send the buffered records and GOODBYE within a bounded time, and close the socket."""
+        """Send the buffered records and ``Goodbye`` within ``PATIENCE_S``, and close the socket."""
         if self._sock is None:
             return
         if self.dropped != self._reported:
@@ -207,7 +207,7 @@ class Feed:
         self._sock = None
 
     def _control(self, content: Control) -> None:
-        """Add a record that later records need; these few records may exceed the limit of the buffer."""
+        """Buffer a control record; these are few, and may exceed the limit of the buffer."""
         if self.alive:
             self._buffer += control(content, self._log_time_ns)
 
@@ -216,7 +216,7 @@ class Feed:
         self._reported = self.dropped
 
     def _drain(self) -> None:
-        """Send the whole buffer within a time limit; a recorder that needs longer counts as ended."""
+        """Send the whole buffer; a recorder that needs longer than ``PATIENCE_S`` counts as ended."""
         if not self._buffer or self._sock is None:
             return
         self._sock.settimeout(PATIENCE_S)

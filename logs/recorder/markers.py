@@ -14,7 +14,7 @@ from logs.reader.flight_data import Sizes
 from logs.schema.rows import ControllerStepRow
 
 ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
-LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz, s; a marker that is not sent again disappears
+LIFETIME_S = 0.5  # lifetime of a marker, s: 2.5 periods of 5 Hz; without a new message it disappears
 PATH_POINTS = 200  # maximum number of points of a path; a full path loses every second point
 PATH_PERIOD_NS = 100_000_000  # initial period of path points, 10 Hz
 REACH = 2.5  # drawn radius of the barrier surface, divided by the distance of its peak from the axis
@@ -36,7 +36,7 @@ FILTERED_COLOR: Color = (0.17, 0.63, 0.17, 1.0)
 COMMAND_COLOR: Color = (0.58, 0.40, 0.74, 1.0)
 
 # Colours of the members of a fleet; a member has the same colour in report and viewer.
-# Okabe and Ito (2008), dark ones first, then two of Paul Tol's palettes; the ninth flight repeats the first
+# Okabe and Ito (2008), dark ones first, then two of Paul Tol's palettes; the ninth member repeats the first
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#44AA99")
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
@@ -87,11 +87,11 @@ class Path:
 
 
 def shapes(own_frame: str, target_frame: str, sizes: Sizes) -> list[Marker]:
-    """Return barrier and pad in frames of the target, body and ellipsoid in that of the vehicle."""
+    """Return barrier and pad in frames of the target, body and ellipsoid in the frame of the vehicle."""
     radius_m, thickness_m = sizes.pad_radius_m, 0.01
     pad = Marker(
         target_frame, "pad", 0, CYLINDER, (2.0 * radius_m, 2.0 * radius_m, thickness_m), PAD_COLOR,
-        position=(0.0, 0.0, -0.5 * thickness_m),  # the top is at the origin of the frame
+        position=(0.0, 0.0, -0.5 * thickness_m),  # the origin of the frame is at the top of the pad
     )  # fmt: skip
     found = [pad, Marker(own_frame, "vehicle", 0, CUBE, BODY_SIZE_M, OWN_COLOR)]
     if sizes.barrier is not None:
@@ -99,7 +99,7 @@ def shapes(own_frame: str, target_frame: str, sizes: Sizes) -> list[Marker]:
         scale = (1.0, 1.0, 1.0)
         frame = f"{target_frame}_pad"
         found.insert(0, Marker(frame, "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh))
-    if sizes.ellipsoid_m is not None:  # half of a pair's ellipsoid for each vehicle
+    if sizes.ellipsoid_m is not None:  # each vehicle has an ellipsoid half as large as that of a pair
         beside_m, above_m = sizes.ellipsoid_m
         scale = (beside_m, beside_m, above_m)
         found.append(Marker(own_frame, "ellipsoid", 0, SPHERE, scale, ELLIPSOID_COLOR))
@@ -107,7 +107,7 @@ def shapes(own_frame: str, target_frame: str, sizes: Sizes) -> list[Marker]:
 
 
 def scene(row: ControllerStepRow, drawn: Iterable[Marker], own_frame: str) -> list[Marker]:
-    """Return the shapes of the bodies whose states are valid in a step, and the vehicle's velocities."""
+    """Return the shapes of the bodies whose states are valid in a step, and arrows of the velocities."""
     valid = [each for each in drawn if (row.own_valid if each.frame_id == own_frame else row.target_valid)]
     arrows = (
         (row.nominal_enu_m_s, NOMINAL_COLOR),
@@ -125,13 +125,13 @@ def scene(row: ControllerStepRow, drawn: Iterable[Marker], own_frame: str) -> li
 def surface(barrier: Barrier, reach: float = REACH) -> bytes:
     """Return the boundary h = 0 around the landing spot as triangles, three doubles per point.
 
-    ``reach``: radius, divided by the distance of the peak from the axis. At ``REACH`` the height is 56 % of
-    the peak; a larger surface would hide the flight. In a fleet the surface ends at the peak.
+    ``reach``: radius of the surface, divided by the distance of the peak from the axis. At ``REACH`` the
+    height is 56 % of the peak; a larger surface would hide the flight. In a fleet it ends at the peak.
     """
     reach_m = reach * barrier.peak_distance_m
 
     def point(ring: int, sector: int) -> Vec3:
-        d_m = reach_m * (ring / RINGS) ** 2  # rings are closer together at the apex
+        d_m = reach_m * (ring / RINGS) ** 2  # the rings are closer together near the apex
         angle = 2.0 * math.pi * sector / SECTORS
         height_m = barrier.height(d_m)
         x, y, z = (

@@ -23,10 +23,10 @@ from logs.recorder.feed import SOCKET_PATH_MAX, WireError
 from logs.recorder.recording import Client, DiskError, McapFile, Recorder, RecorderError, Statistics
 from logs.schema.schemas import typestore
 
-# Wall time, s; `recording` flushes by log time. A killed recorder loses at most 0.5 s: this period, the
-# sockets and the clients' buffers (0.1 s in lockstep). A power cut also loses the data of one `fdatasync`.
+# Flush period in wall time, s; `recording` also flushes by log time. A killed recorder loses at most 0.5 s:
+# this period and the clients' buffers (0.1 s in lockstep). A power cut also loses one `fdatasync`.
 FLUSH_PERIOD_S = 0.25
-READ_PERIOD_S = 0.004  # wall time, s; clients flush every tick, and reading in batches saves processor time
+READ_PERIOD_S = 0.004  # wall time between two reads, s; reading several ticks at once saves processor time
 GRACE_S = 3.0  # wall time for clients to finish after a stop, s
 _RECEIVE_BYTES = 2**18
 
@@ -53,11 +53,11 @@ class RecorderProcess:
         self._gone = 0
 
     def stop(self) -> None:
-        """Request the end after the last client; a second call ends immediately. For signal handlers."""
+        """End after the last client or ``GRACE_S``; a second call ends at once. For signal handlers."""
         self._stops += 1
 
     def run(self, until_clients: int | None = None) -> Statistics:
-        """Record until a stop, a failure of the disk, or the end of this many clients; return the counts.
+        """Record until a stop, a disk failure, or the end of ``until_clients`` clients; return the counts.
 
         The file is closed at the end.
         """
@@ -95,7 +95,7 @@ class RecorderProcess:
             elif isinstance(fileobj, socket.socket):
                 self._receive(fileobj)
         if ready and not self._stops:
-            time.sleep(READ_PERIOD_S)  # data collect
+            time.sleep(READ_PERIOD_S)  # meanwhile more data arrive
 
     def _accept(self) -> None:
         while True:
@@ -131,7 +131,7 @@ class RecorderProcess:
         self._recorder.gone(self._clients.pop(sock))
 
     def _finish(self) -> None:
-        """Read the sockets to their end, in bounded time, and close the file."""
+        """Read the remaining data of the sockets for at most ``GRACE_S``, and close the file."""
         self._accept()
         deadline_s = time.monotonic() + GRACE_S
         for sock in list(self._clients):
@@ -191,7 +191,7 @@ __all__ = ["RecorderError", "RecorderProcess", "problems", "record_main"]
 def record_main(socket_path: Path, out: Path, until_clients: int | None = None) -> int:
     """Run the recorder as the main program of a process; print "ready" once it listens.
 
-    Return the exit status: 0 all data are in the file, 1 some are not, 2 it could not start.
+    Return the exit status. 0: all data are in the file; 1: some data are missing; 2: it could not start.
     """
     try:
         process = RecorderProcess(socket_path, out)

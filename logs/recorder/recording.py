@@ -1,8 +1,8 @@
 """The MCAP file of one flight, and the records of the recorder's clients that are written into it.
 
-The file has the ROS 2 profile and one channel per topic, and is readable after any kind of end. Every channel
-is CDR with a ros2msg schema. The profile is "ros2", which rosbag2, Foxglove, Rerun and PlotJuggler open
-without further information (MCAP format registry).
+The file has one channel per topic and type, and is readable after any kind of end. Every channel is CDR with
+a ros2msg schema. The profile is "ros2", which rosbag2, Foxglove, Rerun and PlotJuggler open without further
+information (MCAP format registry).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _QOS = "[]"  # empty list, as rosbags writes: the sender's quality of service is
 
 
 class DiskError(OSError):
-    """The disk does not accept or keep data; the file ends at its last complete record."""
+    """The disk does not accept data, or loses them; the file ends at its last complete record."""
 
 
 class SafeStream:
@@ -50,7 +50,7 @@ class SafeStream:
         return self._position
 
     def write(self, data: bytes) -> int:
-        """Write all bytes. Raises DiskError: the disk failed, and none were written."""
+        """Write all bytes. Raises DiskError: the disk failed, and no byte of ``data`` remains in the file."""
         view, written = memoryview(data), 0
         try:
             while written < len(view):
@@ -79,7 +79,7 @@ class SafeStream:
 
 
 class McapFile(Writer):  # type: ignore[misc]
-    """The open log file of one flight or fleet; not thread-safe. Raises DiskError as ``SafeStream``."""
+    """The open log file of one flight or fleet; not thread-safe. Raises DiskError like ``SafeStream``."""
 
     def __init__(self, path: Path, *, stream: SafeStream | None = None) -> None:
         """Create the file; ``stream`` replaces the disk in tests."""
@@ -117,11 +117,11 @@ class McapFile(Writer):  # type: ignore[misc]
         self.output.close()
 
 
-# Maximum log time of a chunk, ns; important in lockstep, which runs faster than the wall clock.
+# Maximum duration of a chunk in log time, ns; needed in lockstep, which runs faster than the wall clock.
 FLUSH_LOG_TIME_NS = 250_000_000
 RECORDER_NAME = "flight_recorder"  # source of the recorder's events on /rosout; these depend on wall time
-RECORDER = "recorder"  # metadata: counts and failures of the recorder
-# errors of records with invalid content; the recorder must survive them to keep the other records
+RECORDER = "recorder"  # metadata record with the counts of the recorder
+# exceptions that a record with invalid content raises; the recorder continues with the next record
 _NONSENSE = (ValueError, msgspec.MsgspecError, struct.error)
 
 
@@ -133,7 +133,7 @@ class RecorderError(Exception):
 class Statistics:
     clients: int = 0
     invalid: int = 0  # number of records that could not be interpreted
-    unfinished_bytes: int = 0  # number of bytes of records that are incomplete because their sender crashed
+    unfinished_bytes: int = 0  # number of bytes of incomplete records, at the end of a client
     crashed: int = 0  # number of clients that ended without a goodbye
     dropped: dict[str, int] = field(default_factory=dict)  # number of dropped records by client, as reported
     syncs: int = 0  # number of fdatasync calls on the file
@@ -144,14 +144,14 @@ class Statistics:
 class Client:
     def __init__(self, number: int) -> None:
         self.name = f"client {number}"
-        self.received = bytearray()  # data without the records that are already written
-        self.channels: dict[int, int] = {}  # channel number in the file by that of the client
+        self.received = bytearray()  # received bytes of an incomplete record
+        self.channels: dict[int, int] = {}  # channel numbers in the file by channel numbers of the client
         self.derivers: dict[int, Derive] = {}
         self.goodbye = False
 
 
 class Recorder:
-    """Writes the records of any number of clients into one file. Raises DiskError as ``McapFile``."""
+    """Writes the records of any number of clients into one file. Raises DiskError like ``McapFile``."""
 
     def __init__(self, file: McapFile) -> None:
         self._file = file
@@ -166,7 +166,7 @@ class Recorder:
         return Client(self.statistics.clients)
 
     def take(self, client: Client, data: bytes) -> None:
-        """Write the data of a client. Raises WireError: no further data of the client can be read."""
+        """Write the received data of a client. Raises WireError: no further data of it can be read."""
         client.received += data
         for record in feed.split(client.received):
             try:

@@ -1,7 +1,7 @@
 """Reads a flight log tick by tick, each tick with all records of the onboard process.
 
-One process writes the records of a tick in the order of its work, and stamps all of them with the tick's
-time; so the file is read once, to its end or its first damage, with one tick in memory.
+The onboard process writes the records of a tick together, and stamps all of them with the tick's time. So
+the file is read once, to its end or its first damage, with one tick in memory.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ class ReplayError(ValueError):
 class TickRecord:
     """Records of one tick of the onboard process."""
 
-    unix_ns: int  # log time of the tick, Unix, ns
+    unix_ns: int  # log time of the tick, Unix time, ns
     given: TickInputs | None = None  # inputs of the controller; None if the log ends before their record
     step: bytes | None = None  # recorded decisions; None if the log ends before their record
-    # recorded battery, motors and thrust reserve; None in a flight without them
+    # recorded battery and motor values and thrust reserve; None: the flight has none
     power: bytes | None = None
-    told: bool = False  # whether the tick has messages of other members, which are in ``given``
-    state: ControllerStateRow | None = None  # snapshot after the tick; None in most ticks
+    told: bool = False  # whether the tick has messages of other members; they are in ``given``
+    state: ControllerStateRow | None = None  # state of the controller after the tick; None in most ticks
     events: list[LogRow] = field(default_factory=list)  # recorded events of the controller
     said: list[LogRow] = field(default_factory=list)  # other events of the onboard process
-    # MAVLink frames; an incoming frame has the name of its peer
+    # received MAVLink frames, each with the name of its peer; sent frames
     frames_in: list[tuple[bytes, str]] = field(default_factory=list)
     frames_out: list[bytes] = field(default_factory=list)
     odometry: list[bytes] = field(default_factory=list)  # CDR payloads of the received target samples
@@ -121,7 +121,7 @@ class FlightInputs:
                 given=found[given][-1] if found[given] else None,
                 step=found[step][-1] if found[step] else None,
                 told=bool(found[neighbours]),
-                # an older snapshot shows a gap in the log
+                # a snapshot of an older tick follows a gap in the log and is left out
                 state=next((each for each in found[state] if each.stamp_ns == unix_ns), None),
                 events=[row for row in said if row.name == self.names.logger(CONTROLLER)],
                 said=[row for row in said if row.name == self.names.logger(ONBOARD)],
@@ -160,7 +160,7 @@ class FlightInputs:
 
 
 def changed(table: dict[str, Any], settings: Sequence[str]) -> FlightConfig:
-    """Return the configuration with each ``section.key=value`` set; a value that is not TOML is a string."""
+    """Apply each ``section.key=value`` to the configuration; a value that is not TOML becomes a string."""
     for setting in settings:
         key, equals, text = setting.partition("=")
         steps = key.strip().split(".")

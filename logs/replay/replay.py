@@ -1,7 +1,7 @@
-"""Replays a flight log as a regression test: today's controller must reproduce its outputs bit by bit.
+"""Replays a flight log as a regression test: the current controller must reproduce its outputs bit by bit.
 
-The replay starts at tick 0 with a new controller. With another configuration it shows the changed commands
-for unchanged inputs.
+The replay starts at tick 0 with a new controller. With another configuration it shows how the commands
+change for the recorded inputs.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Result:
     states: Tally = field(default_factory=Tally)  # differences of snapshots
     # differences of the inputs and frames from the replayed MAVLink link; None if not replayed
     wire: Tally | None = None
-    notes: list[str] = field(default_factory=list)  # parts that were not replayed, with the reasons
+    notes: list[str] = field(default_factory=list)  # parts that were not compared, with the reasons
     command_ticks: int = 0  # number of ticks in which the set-point differs
     command_first: int | None = None  # first tick in which the set-point differs; None: no tick
     command_most_m_s: float = 0.0  # largest difference of the set-points of one tick, m/s
@@ -63,7 +63,7 @@ class Result:
 
 
 def replay(path: Path | str, config: FlightConfig | None = None, member: str | None = None) -> Result:
-    """Run the recorded inputs through the controller and compare."""
+    """Replay a flight with its own or another configuration, and compare the outputs with the log."""
     began_s = time.perf_counter()
     flight = FlightInputs(path, member)
     run = _Run(flight, config)
@@ -82,7 +82,7 @@ def replay(path: Path | str, config: FlightConfig | None = None, member: str | N
 
 
 class _Run:
-    """A replay: the recorded inputs of each tick run through the controller, the outputs are compared."""
+    """Passes the recorded inputs of each tick to the controller, and compares its outputs with the log."""
 
     def __init__(self, flight: FlightInputs, config: FlightConfig | None) -> None:
         self.flight, self.changed = flight, config is not None
@@ -100,7 +100,7 @@ class _Run:
 
     def whole(self, ticks: Iterator[TickRecord]) -> Iterator[TickRecord]:
         """Yield the complete ticks of the log, up to the first gap or damage."""
-        wanted, cut = 0, None  # next tick, and the record of an incomplete one
+        wanted, cut = 0, None  # number of the next tick; record of an incomplete tick
         for record in ticks:
             tick = None if record.given is None else record.given.tick
             good = tick == wanted and record.step is not None and cut is None

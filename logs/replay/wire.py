@@ -1,9 +1,8 @@
-"""Replays the recorded MAVLink frames of a flight through today's bridge and compares the results.
+"""Replays the recorded MAVLink frames of a flight through the current bridge and compares the results.
 
 The recorded MAVLink frames and target samples run through the flight code without a socket
-(``flightstack.onboard.runner``, ``bridge.mavlink.client.link``). The results must equal the recorded inputs;
-and the frames sent for the replayed decisions must equal the recorded ones, except for their sequence
-numbers.
+(``flightstack.onboard.runner``, ``bridge.mavlink.client.link``). The results must equal the recorded inputs,
+and the frames sent for the replayed decisions must equal the recorded ones, except for the sequence numbers.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ from logs.reader.reader import ROSOUT
 from logs.replay.read import FlightInputs, TickRecord
 from logs.schema.controller_rows import TickInputs
 
-_SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # prefixes of the compared texts
-_ID_AND_PAYLOAD = slice(7, -2)  # part of an unsigned frame without head, sequence number and checksum
+_SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # prefixes of the events that are compared
+_ID_AND_PAYLOAD = slice(7, -2)  # message id and payload of an unsigned MAVLink 2 frame
 
 
 class RecordedEndpoint(Endpoint):
@@ -41,12 +40,13 @@ class RecordedEndpoint(Endpoint):
         self.counters = Counter()
         self.warnings = ()
         self.local_port, self.baud = 0, None
-        self.incoming: deque[tuple[bytes, str]] = deque()  # recorded frames with the name of their peer
+        self.incoming: deque[tuple[bytes, str]] = deque()  # recorded frames, each with the name of its peer
         self.sent: list[bytes] = []
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=COMPONENT_ID)
 
     def receive(self) -> list[Received]:
-        known = [each for each in self.incoming if message_id(each[0]) in MESSAGES]  # others are raw records
+        # the log also has frames of unknown messages
+        known = [each for each in self.incoming if message_id(each[0]) in MESSAGES]
         received = [Received(decode(frame), (peer, 0)) for frame, peer in known]
         self.incoming.clear()
         return received
@@ -68,7 +68,7 @@ class WireReplay:
     """MAVLink link of one recorded flight; for each tick call ``take``, then ``answer``."""
 
     def __init__(self, flight: FlightInputs, config: FlightConfig, found: Tally) -> None:
-        """Create the replayed link at tick 0; differences between it and the log are added to ``found``."""
+        """Create the link as it was at tick 0; its differences from the log are added to ``found``."""
         self._flight, self._found, onboard = flight, found, flight.onboard
         autopilot, recognised = onboard.get("autopilot", PX4.name), flight.preflight.get("profile", AUTO)
         if autopilot == AUTO and recognised in PROFILES:
@@ -90,7 +90,7 @@ class WireReplay:
         self._endpoint.incoming += record.frames_in
         try:
             self._link.poll(given.now_s)
-        except Exception as error:  # a frame that today's dialect cannot decode is a difference, not an error
+        except Exception as error:  # a frame that the current dialect cannot decode is a difference
             self._endpoint.incoming.clear()
             self._found.add(self._flight.source, tick, [("frame", "a decodable frame", repr(error))])
             return

@@ -1,4 +1,4 @@
-"""Derived values of the report: faults, contact, shares."""
+"""Values that the report derives from a flight: faults, first contact, sides of a page."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from logs.schema.events import ContactBit
 from logs.verdict.types import Verdict
 
 BEGINS, ENDS = "Fault: ", "Fault over: "
-_RELAYED = "vehicle: "  # prefix of the vehicle's messages in events of the onboard process
+_RELAYED = "vehicle: "  # prefix of the vehicle's texts in events of the onboard process
 _ENOUGH = 200  # maximum number of shown faults
 
 
 class FaultSpan(NamedTuple):
-    """One fault, with its times since the flight's origin, s; one without an end lasts as long as the log."""
+    """A fault and its times since the flight's origin, s; without an end it lasts until the log ends."""
 
     text: str
     begin_s: float
@@ -54,7 +54,7 @@ class Side(NamedTuple):
 
 
 def touch_index(flight: Flight) -> int | None:
-    """Return the index of the first true state with contact to the pad after the landing began."""
+    """Return the index of the first true state after the start of the landing that touches the pad."""
     truth, start_s = flight.truth, flight.landing_start_s
     if truth is None or start_s is None:
         return None

@@ -52,14 +52,14 @@ class Bar(NamedTuple):
     begin_s: float
     end_s: float
     color: str
-    text: str  # shown by the pointer
-    label: str = ""  # shown on the bar if there is space
+    text: str  # text that is shown when the pointer is on the bar
+    label: str = ""  # text on the bar, if there is space
 
 
 def timeline(axis: Axis, bars: Iterable[Bar], events: Sequence[Event], zero_s: float) -> go.Figure | None:
-    """Draw bars in lanes, in the order of their first bars, and events below; ``None``: there are none.
+    """Draw bars in lanes, ordered by their first bars, and events below; ``None``: no bars and no events.
 
-    ``zero_s``: zero of the axis in the times of the events.
+    ``zero_s``: event time, s, that is zero on the axis.
     """
     found = list(bars)
     lanes = [*dict.fromkeys(bar.lane for bar in found), *["event"][: len(events)]]
@@ -92,7 +92,7 @@ def timeline(axis: Axis, bars: Iterable[Bar], events: Sequence[Event], zero_s: f
 
 
 def _bars(side: Side) -> Iterator[Bar]:
-    """Yield phases, faults and right of way of a flight; for a single one also sent and missing data."""
+    """Yield phases, faults and right of way of a flight; for a single flight also sent and missing data."""
     flight, of, zero_s = side.flight, side.of, side.offset_s
     for phase, begin_s, end_s in flight.phase_spans():
         name, color = phase_name(phase), phase_color(phase, bar=True)
@@ -110,10 +110,10 @@ def _bars(side: Side) -> Iterator[Bar]:
 
 
 def _ticks(steps: Steps, zero_s: float) -> Iterator[Bar]:
-    """Yield a lane for each state of a tick: set-point sent, barrier active, set-point refused, no data."""
+    """Yield bars of the times with set-points sent, barrier active, set-points refused, or data missing."""
 
     def lost(valid: Bools) -> Bools:
-        return np.maximum.accumulate(valid) & ~valid  # missing, and present before
+        return np.maximum.accumulate(valid) & ~valid  # missing now, but valid at an earlier tick
 
     refused = (steps.gate != GateVerdict.APPROVED) & (steps.gate != GateVerdict.NOT_IN_CONTROL)
     for lane, mask, color in (

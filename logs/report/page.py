@@ -1,7 +1,6 @@
 """HTML pages of flights and campaigns: a page is a list of panels and needs no network.
 
-``render(Page(...))`` makes a page of any figures and tables. It escapes texts, but not the HTML that ``part``
-makes.
+``render(Page(...))`` makes a page of any figures and tables. It escapes texts, but not HTML made by ``part``.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ class Panel(NamedTuple):
     key: str  # name in links: ``page.html#key``
     title: str
     note: str
-    content: Any  # plotly figure, HTML, or text; None: there are no data
+    content: Any  # plotly figure, HTML, or text; None: no data
     paper: str = ""  # number of the figure in the paper with the same content
     style: str = "wide"
 
@@ -45,7 +44,7 @@ class Page(NamedTuple):
 
 
 def render(page: Page) -> str:
-    """Return a page as text. Raises as ``need_libraries``."""
+    """Return a page as HTML text. Raises like ``need_libraries``."""
     need_libraries()
     template = _templates().get_template("report_template.html")
     text: str = template.render(page=page, plotly=plotly_source())
@@ -53,7 +52,7 @@ def render(page: Page) -> str:
 
 
 def write(path: Path, page: Page) -> Path:
-    """Write a page. Raises ReportError: it cannot be written, or as ``need_libraries``."""
+    """Write a page. Raises ReportError: it cannot be written; or raises like ``need_libraries``."""
     text = render(page)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -74,7 +73,7 @@ def need_libraries() -> None:
 
 @cache
 def plotly_source() -> str:
-    """Return the plotting library as gzip in base64, a third of its size; the page decompresses it."""
+    """Return the plotting library as gzip in base64, a third of its size; the page unpacks it."""
     packed = gzip.compress((files("plotly") / "package_data" / "plotly.min.js").read_bytes(), _LEVEL, mtime=0)
     return base64.b64encode(packed).decode("ascii")
 

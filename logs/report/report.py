@@ -41,9 +41,9 @@ _WAITS = "Times in which a member flew and gave way to neighbours, by its own me
 
 
 def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -> dict[str, Path]:
-    """Write the pages of a log with its verdict, by default beside it; return their paths by member.
+    """Write the pages of a log with its verdict, by default next to the log; return their paths by member.
 
-    The key "" is the main page. Raises as ``logs.report.page.write``.
+    The key "" is the main page. Raises like ``logs.report.page.write``.
     """
     need_libraries()
     name = "report" if fleet.path.name == "flight.mcap" else fleet.path.stem  # as `sitl` and `fly` name it
@@ -69,7 +69,7 @@ def page(
 ) -> Page:
     """Return the report of the flights in a log.
 
-    ``pages``: pages of the single flights, in the same folder; ``of``: page of all flights of the log.
+    ``pages``: pages of the single flights, in the same folder; ``of``: name of the page of the whole log.
     """
     from logs.report.figures import fleet_panels, panels
 
@@ -119,7 +119,7 @@ def page(
 
 
 def _configuration(fleet: Fleet) -> tuple[Panel, str]:
-    """Return a panel with the attachments as text to open, and the end of the page."""
+    """Return a panel that shows the attachments as text, and the footer of the page."""
     files = [
         (f"{flight.member}: Configuration of the onboard process", flight.attachments.get(ATTACHMENT),
          f"{flight.member}.{ATTACHMENT}")
@@ -169,7 +169,7 @@ _VEHICLES = ("px4", "px4-sih", "ardupilot")
 
 
 def command(run: Mapping[str, str], scenario: str) -> str:
-    """Return the command that repeats a flight, from its metadata and its scenario's name or file."""
+    """Return the command that repeats a flight; ``scenario``: name or file of its scenario."""
     parts = ["flightstack", "sitl", "--scenario", scenario, "--seed", run["seed"]]
     if "filter" in run:
         parts += ["--filter", run["filter"]]
@@ -183,7 +183,7 @@ def command(run: Mapping[str, str], scenario: str) -> str:
 def repeat_section(fleet: Fleet, member: str = "") -> str:
     """Return the section with the commands that repeat a flight, or the reason why there are none.
 
-    ``member``: name of the vehicle if it flew with others: then only the whole fleet can fly again.
+    ``member``: name of the vehicle if it flew in a fleet; only the whole fleet can fly again.
     """
     run, whole = fleet.metadata.get("run", fleet.metadata.get(FLEET, {})), fleet.attachments.get(SCENARIO)
     again = ["flightstack", "replay", fleet.path.name, "--check"]

@@ -17,7 +17,7 @@ from logs.report.style import UNSAFE, layout, layout_3d, light, line, thin
 
 _SURFACE_RINGS, _SURFACE_SPOKES = 48, 73
 _SURFACE_COLORS = [[0.0, "#fff3c4"], [0.5, "#f7b267"], [1.0, "#d55e00"]]  # low to high, as in the paper
-_DISTANCE_MIN_M = 0.6  # smallest range of the distance axis, m, so that the cone is visible
+_DISTANCE_MIN_M = 0.6  # smallest maximum of the distance axis, m, so that the cone is visible
 _BEFORE = "#9aa5b1"
 _SYMBOLS_3D = {"circle": "circle", "square-open": "square", "triangle-up": "diamond"}
 
@@ -50,7 +50,7 @@ def tracks(flight: Flight) -> list[Track]:
 
 
 def _relative(flight: Flight) -> list[tuple[Track, Floats]]:
-    """Return the tracks with known relative positions, each with these since the landing began, m, (n, 3)."""
+    """Return each track with its relative positions since the start of the landing, m, (n, 3), if known."""
     start_s = flight.landing_start_s or 0.0
     found = [(track, track.relative_m[track.t_s >= start_s]) for track in tracks(flight)]
     return [(track, e_m) for track, e_m in found if len(_known(e_m))]
@@ -108,7 +108,7 @@ def _surface(barrier: Barrier, distance_max_m: float) -> go.Surface:
 
 
 def altitude_over_distance(flight: Flight) -> go.Figure | None:
-    """Draw e_z over d with the boundary."""
+    """Draw relative altitude over horizontal distance, with the barrier's boundary."""
     found = _relative(flight)
     if not found:
         return None
@@ -140,7 +140,7 @@ def altitude_over_distance(flight: Flight) -> go.Figure | None:
 
 
 def _places(flight: Flight, path_m: Floats) -> list[tuple[str, Floats, str]]:
-    """Return name, position and symbol of a path's start, first contact and end; needs a known position."""
+    """Return name, position and symbol of start, first contact and end of a path with a known position."""
     known, touch = _known(path_m), touch_index(flight)
     found = [("start", known[0], "circle"), ("end", known[-1], "square-open")]
     if touch is not None and flight.truth is not None:
@@ -149,7 +149,7 @@ def _places(flight: Flight, path_m: Floats) -> list[tuple[str, Floats, str]]:
 
 
 def plan(flight: Flight) -> go.Figure | None:
-    """Draw the paths from above, since the landing began and, of the vehicle, also before."""
+    """Draw the paths since the start of the landing from above, and the vehicle's path before it."""
     found, figure = tracks(flight), go.Figure()
     if not found:
         return None

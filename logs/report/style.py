@@ -37,7 +37,7 @@ _SPACE_PX = 640  # height of a spatial figure, pixels
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and distance of the legend below the axis, pixels
 POINTS_MAX = 4000  # maximum number of points per line; more points are not visible and make the page large
 _FAULT_STRIP = 0.965  # lower edge of the strip that marks a fault, as a fraction of the figure's height
-LABEL_SHARE = 0.05  # smallest fraction of the axis for a band with a name
+LABEL_SHARE = 0.05  # smallest width of a band with a name, as a fraction of the axis
 BEFORE_S, AFTER_S = 1.0, 3.0  # time shown initially before and after the landing, s
 _LAST = (Phase.LANDED, Phase.ABORT)
 
@@ -91,20 +91,20 @@ class Axis(NamedTuple):
     landing: list[float]  # range of the page's button "Landing"
     whole: list[float]  # range of the page's button "Whole flight"
     first: list[float]  # initial range of the axis
-    flight: Flight | None = None  # flight whose phases and faults the charts show; None: those of none
+    flight: Flight | None = None  # flight whose phases and faults the charts show; None: they show none
 
     @property
     def zero_s(self) -> float:
-        """Zero of the axis in the times of the flight, s."""
+        """Time of the flight, s, that is zero on the axis."""
         return -self.whole[0]
 
 
 def axis_of(flight: Flight) -> Axis:
-    """Return the axis of a flight whose times count from the start of its landing, or else of the log."""
+    """Return the axis of a flight; zero is the start of its landing, or of the log if there is none."""
     began, zero_s = flight.landing_start_s is not None, flight.landing_start_s or 0.0
     whole = [-zero_s, flight.duration_s - zero_s]
     landing = whole
-    if began:  # the landing with some seconds around it
+    if began:  # the range is the landing, with some seconds before and after it
         ends_s = [begin_s for phase, begin_s, _ in flight.phase_spans() if phase in _LAST]
         end_s = min(ends_s[0] + AFTER_S, flight.duration_s) if ends_s else flight.duration_s
         landing = [max(-BEFORE_S, -zero_s), end_s - zero_s]
@@ -121,11 +121,11 @@ def fleet_axis(fleet: Fleet) -> Axis:
 
 
 def _add_phases(figure: go.Figure, axis: Axis, flight: Flight) -> None:
-    """Shade the phases over the whole height of a figure, name them on top, mark faults by a strip."""
+    """Shade the phases in a figure, write their names above it, and mark the faults by a strip."""
     (low, high), zero_s, spans = axis.first, axis.zero_s, flight.phase_spans()
     bands = [(begin_s, end_s, 0.0, phase_color(phase)) for phase, begin_s, end_s in spans]
     bands += [(fault.begin_s, fault.end_s, _FAULT_STRIP, FAULT) for fault in fault_spans(flight)]
-    # all shapes are set at once, because plotly checks all of them at each addition
+    # all shapes are added at once, because plotly checks all of them at each addition
     figure.layout.shapes += tuple(
         go.layout.Shape(
             type="rect", xref="x", yref="paper", x0=begin_s - zero_s, x1=end_s - zero_s, y0=bottom, y1=1,
@@ -168,7 +168,7 @@ def chart(
 
 
 def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter:
-    """Return one thinned line; keyword arguments set the line (``dash``, ``width``) or the trace."""
+    """Return a thinned line; keyword arguments set the line (``dash``, ``width``) or the trace."""
     keep = thin(len(x))
     style = {"color": color, "width": more.pop("width", 1.8), "dash": more.pop("dash", "solid")}
     return go.Scatter(x=light(x[keep]), y=light(y[keep]), name=name, mode="lines", line=style, **more)

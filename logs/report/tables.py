@@ -39,7 +39,7 @@ def headline(verdict: FleetVerdict) -> tuple[str, str]:
 
 
 def run_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
-    """Return run, versions and lost records from the metadata of a log as a table."""
+    """Return an HTML table of run, versions and numbers of lost records, from the metadata of a log."""
     found = {**metadata.get(FLEET, {}), **metadata.get("run", {}), **metadata.get("made", {})}
     rows = [(key.replace("_", " "), value or "–") for key, value in found.items()]
     rows += [(f"records lost by {who}", n) for who, n in metadata.get(LOSSES, {}).items()]
@@ -47,7 +47,7 @@ def run_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
 
 
 def events_table(events: Sequence[Event], zero_s: float) -> str:
-    """Return the events in order, each with a link to its time since ``zero_s``."""
+    """Return a table of the events in order, each with a link to its time since ``zero_s``."""
     rows = [
         (part("at_link", e.t_s - zero_s, number(e.t_s - zero_s, 2)), severity(e.level), e.source, e.text)
         for e in events[:EVENTS_MAX]
@@ -74,7 +74,7 @@ def _p99(values: Floats) -> float | None:
 
 
 def _of(part: str, value: Callable[[Any], float | None]) -> Callable[[Side], float | None]:
-    """Return the source of a number: a value of the steps or the timing of a flight."""
+    """Return a function that computes a number from the steps or the timing of a flight."""
 
     def found(side: Side) -> float | None:
         data = getattr(side.flight, part)
@@ -119,7 +119,7 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
 
 
 def key_numbers(verdict: FleetVerdict, sides: Sequence[Side]) -> list[tuple[str, str, str]]:
-    """Return name, value and unit of the key numbers: of each the worst value of the flights."""
+    """Return name, value and unit of each key number; the value is the worst one of all flights."""
     worst = sides[0]._replace(verdict=verdict)
     found = [
         (name, number(value(worst), digits, factor), unit)
@@ -134,7 +134,7 @@ def key_numbers(verdict: FleetVerdict, sides: Sequence[Side]) -> list[tuple[str,
 
 
 def result_table(verdict: FleetVerdict, sides: Sequence[Side], pages: Mapping[str, Path]) -> str:
-    """Return the table of the verdict: each result with its unit and a remark, a column for each flight."""
+    """Return the table of the verdict: a row for each result, a column for each flight."""
     members = [side.verdict for side in sides]
     rows = [
         ("outcome", *(each.outcome.value for each in members), "", verdict.reason),
@@ -156,7 +156,7 @@ _DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # en dash without a line break befo
 
 
 def pairs_table(fleet: Fleet) -> str:
-    """Return the smallest distances of each pair while both flew, and its collision."""
+    """Return a table with the smallest distances of each pair while both flew, and its collision time."""
     rows = []
     for (one, other), pair in sorted(fleet.pairs.items()):
         names = f"{fleet.ids.get(one, one)}{_DASH}{fleet.ids.get(other, other)}"

@@ -1,7 +1,7 @@
 """Converts inputs and decisions of a tick, and the messages of a fleet, into rows of the log and back.
 
-Live flight and replay both fill the rows here. Every input number is stored and restored bit by bit, so that
-a replay makes the decisions of the flight.
+Live flight and replay use the same functions. Every input number is stored and restored bit by bit, so that a
+replay makes the decisions of the flight.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _sample(values: Iterable[Any]) -> TargetSample:
 
 
 def power_row(tick: Tick, power: Power | None, reserve: float) -> ControllerPowerRow:
-    """Return the row with battery and motor values received in a tick, and the estimated thrust reserve."""
+    """Return the row with the battery and motor values used in a tick, and the estimated thrust reserve."""
     told = (
         (power.arrival_s, power.voltage_v, power.throttle, power.cos_tilt) if power is not None else _NO_POWER
     )
@@ -97,7 +97,7 @@ def power_row(tick: Tick, power: Power | None, reserve: float) -> ControllerPowe
 
 
 def unpack_power(data: bytes) -> Power | None:
-    """Return battery and motors in a CDR payload of ``power_row``; None: not received."""
+    """Return battery and motor values in a CDR payload of ``power_row``; None: not received."""
     row = ControllerPowerRow.unpack(data)
     return Power(row.arrival_s, row.voltage_v, row.throttle, row.cos_tilt) if row.told else None
 
@@ -145,12 +145,12 @@ def step_row(tick: Tick, out: Outputs) -> ControllerStepRow:
 
 
 def pack_neighbours(tick: Tick, neighbours: Sequence[MemberStatus]) -> bytes:
-    """Return the CDR of ``ControllerNeighbours`` with the messages that a tick used."""
+    """Return the neighbours' status messages that a tick used, as CDR of ``ControllerNeighbours``."""
     return ControllerNeighboursRow(tick.unix_ns, tick.number, tuple(map(_values, neighbours))).pack()
 
 
 def unpack_neighbours(data: bytes) -> tuple[MemberStatus, ...]:
-    """Return the messages in a CDR payload of :func:`pack_neighbours`."""
+    """Return the status messages in a CDR payload of :func:`pack_neighbours`."""
     return tuple([_neighbour(values) for values in ControllerNeighboursRow.unpack(data).neighbours])
 
 
@@ -208,7 +208,7 @@ def status_row(
 def received_status(
     row: MemberStatusRow, stamp_s: float, arrival_s: float, claim_s: float, clock_bound_s: float
 ) -> MemberStatus:
-    """Return another vehicle's message with times on the local stack clock; a claim of NaN means no claim."""
+    """Return a neighbour's status with times on the local stack clock; ``claim_s`` is NaN without a claim."""
     return MemberStatus(
         row.id,
         stamp_s,

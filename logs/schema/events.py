@@ -7,7 +7,7 @@ from enum import IntEnum, IntFlag
 from logs.schema.rows import LogRow
 from logs.schema.schemas import STRING, packer
 
-ONBOARD, CONTROLLER = "onboard", "controller"  # sources of events; a replay compares the controller's
+ONBOARD, CONTROLLER = "onboard", "controller"  # sources of events; a replay compares those of the controller
 CAUSE = "cause of the abort: "  # prefix of the event that reports the autopilot's reason
 
 _pack_string = packer(STRING)
@@ -35,7 +35,7 @@ class ContactBit(IntFlag):
 
 
 def pack_log(stamp_ns: int, level: int, name: str, text: str) -> bytes:
-    """Return an event as CDR; ``name``: process or part of the stack that reports the event."""
+    """Return an event as CDR; ``name``: source of the event, a process or the controller."""
     return LogRow(stamp_ns, level, name, text, "", "", 0).pack()
 
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from logs.schema.schemas import MAVLINK, codec, mavlink_class, packer
 
 MAVLINK_PEERS = "mavlink_peers"  # metadata record with the address HOST:PORT of each peer name
-NAMED_MAX = 99  # maximum number of named peers, since any sender can reach an open port
+NAMED_MAX = 99  # maximum number of peers with a name of their own, since any sender can reach an open port
 OTHERS = "p99"  # name that all peers after the first ``NAMED_MAX`` share
 _MARKER = 0xFD
 _FRAMING_OK = 1  # every recorded frame has passed its checksum
@@ -50,7 +50,7 @@ def pack_mavlink(stamp_ns: int, frame: bytes, peer: str = "") -> bytes:
 
 
 def unpack_mavlink(data: bytes) -> Record:
-    """Return the frame of a CDR payload of :func:`pack_mavlink`."""
+    """Return the frame in a CDR payload of :func:`pack_mavlink`."""
     (stamp_ns, peer), _, *head, message_id, checksum, payload, signature = _unpack(data)
     if head[0] != _MARKER or len(payload) != (head[1] + 7) & ~7:
         raise ValueError(f"frame record contradicts itself: {data[:48].hex()}")

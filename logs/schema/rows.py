@@ -5,8 +5,8 @@ import, and ``LogRow`` from a ROS 2 type. ``FleetEcho``, ``ReceivedStatus`` and 
 of other rows, and ``Mavlink`` is a raw frame. A row has the fields of its file, whose comments state units
 and frames; the header becomes ``stamp_ns``, integer nanoseconds (Unix time, or simulated time from 2020-01-01
 on in lockstep).
-``row.pack()`` makes CDR of the row, ``Row.unpack(data)`` a row of CDR. The columns are the same fields for
-numpy: arrays of shape (n,), or (n, 3) for a vector and (n, 4) for a quaternion.
+``row.pack()`` converts a row to CDR, ``Row.unpack(data)`` CDR to a row. The columns are the same fields as
+numpy arrays of shape (n,), or (n, 3) for a vector and (n, 4) for a quaternion.
 
 ``rows.pyi`` has the types for mypy and is generated: run ``python -m tests.unit.logs.row_stubs`` after a
 change of a definition. A test compares both.

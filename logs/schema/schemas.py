@@ -54,7 +54,7 @@ _MAVLINK_MSGS = "mavlink_msgs/msg/"
 
 @cache
 def typestore() -> Typestore:
-    """Return the store of all types, except for those that :func:`store_for` adds."""
+    """Return the store of all types; :func:`store_for` adds decoded MAVLink types when they are needed."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -83,7 +83,7 @@ def same_fields(name: str, text: str) -> bool:
 def codec(
     schema: str, frame_id: str | None = MAP, make: Callable[[tuple[Any, ...]], Any] = tuple
 ) -> tuple[Pack, Unpack]:
-    """Return the packer and unpacker of any type of the log, as ``bridge.ros2.codec.codec`` does."""
+    """Return packer and unpacker of any type in the log; arguments as in ``bridge.ros2.codec.codec``."""
     return cdr_codec(schema, frame_id, make, fields_of)
 
 
@@ -93,7 +93,7 @@ def packer(schema: str, frame_id: str | None = MAP) -> Pack:
 
 
 def store_for(name: str) -> Typestore:
-    """Return the store that has a type; a decoded MAVLink type is added. Raises ValueError: unknown type."""
+    """Return a store that has the type; a decoded MAVLink type is added. Raises ValueError: unknown type."""
     store = typestore()
     if name not in store.fielddefs and name.startswith(_MAVLINK_MSGS):
         from rosbags.typesys import get_types_from_msg
@@ -136,7 +136,7 @@ def _own_text(name: str) -> str:
 
 
 def mavlink_class(message_id: int) -> tuple[str, Any] | None:
-    """Return message type and pymavlink's class of a message id; None: not in the dialect."""
+    """Return ROS 2 type and pymavlink class of a MAVLink message; None: not in the dialect."""
     return _mavlink_classes().get(message_id)
 
 
@@ -151,7 +151,7 @@ def _mavlink_classes() -> dict[int, tuple[str, Any]]:
 
 
 def _mavlink_text(name: str) -> str:
-    """Return the definition of a decoded MAVLink message: its fields in wire order, in MAVLink's units.
+    """Return the definition of a decoded MAVLink message: its fields in wire order, with MAVLink's units.
 
     Names become lower case, as ROS requires; text of fixed length becomes a string.
     """

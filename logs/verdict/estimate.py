@@ -36,23 +36,23 @@ from logs.verdict.types import (
 )
 
 REST_SPEED_MAX_M_S = 0.10  # maximum estimated speed relative to the pad at rest, m/s; estimates are noisy
-REST_HEIGHT_MAX_M = 0.05  # maximum distance of feet and pad beyond the configured gap; estimates drift
+REST_HEIGHT_MAX_M = 0.05  # maximum distance of feet and pad beyond the contact gap, m; estimates drift
 # maximum time to the nearest valid state, s: at rest, states rounded to mm repeat and count as stuck
 REST_SEEN_S = 0.5
 _SAME_S = 1e-6  # tolerance of equal times, s; much shorter than a tick
 BEFORE_S = 0.3  # time before phase TOUCHDOWN, s: a gust may press the vehicle onto the pad before that phase
 AFTER_S = 1.0  # time after phase TOUCHDOWN, s: with the paper's rule the vehicle falls the last centimetres
-MEMORY_S = 0.15  # time before a contact from which the sink rate is computed, s
+MEMORY_S = 0.15  # time before a stop from which the sink rate of the descent is computed, s
 STOPPED_SHARE = 0.5  # fraction of the earlier median sink rate; below it the descent has stopped
-STAYS_S = 0.05  # interval after the stop whose mean sink rate must also be below STOPPED_SHARE, s
+STAYS_S = 0.05  # interval after a stop, s; the mean sink rate in it must also be below STOPPED_SHARE
 SINK_MIN_M_S = 0.05  # slowest descent whose end can be detected, m/s
-# fraction of the highest sink rate; the last step above this fraction was before the contact. A smaller one
-# includes steps of a lagging state (0.03 s at 50 Hz: 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)
+# fraction of the highest sink rate; the last step above it was before the contact. A lower fraction includes
+# steps of a lagging state (lag 0.03 s, 50 Hz: contact 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)
 BEGINS_SHARE = 0.95
 BEND_OF_NOISE = 1.65  # median size of the second difference of normal noise, in standard deviations
 FALL_S = 0.06  # time before the stop in which the last fast step is searched, s
 FIT_S = 0.05  # time before the contact that the straight line covers, s
-HEIGHT_ERROR_MAX_M = 0.05  # maximum sum of both estimates' height errors, m, beyond the configured gap
+HEIGHT_ERROR_MAX_M = 0.05  # maximum sum of the height errors of both estimates, m
 _NO_CONTACTS = "an estimate shows no contacts"
 
 
@@ -69,7 +69,7 @@ def judge_estimate(flight: Flight) -> Verdict:
     end = judged_until(flight, steps.t_s, steps.d_m)
     counts = slice(begin, end if flight.pad_carries or touch is None else min(end, touch.index + 1))
     h_m = np.where(steps.both_valid, steps.h_m, np.nan)[counts]
-    # After touchdown the filter no longer runs, and only h outside the pad counts.
+    # after the contact the filter no longer runs, and only h outside the pad counts
     needed = h_m if touch is None else h_m[: touch.index - begin]
     known = bool(np.isfinite(needed).all()) and (flight.complete or outcome is Outcome.LANDED)
     started_safe = bool(h_m[0] >= 0.0) if math.isfinite(h_m[0]) else None
@@ -103,7 +103,7 @@ def _outcome(flight: Flight, steps: Steps, touch: Touch | None) -> tuple[Outcome
     feet_m, gap_m = feet_and_gap_m(flight.config)
     d_m, height_m = float(steps.d_m[at]), float(steps.e_m[at, 2]) - feet_m
     carried = flight.pad_carries
-    if not carried:  # the target continues to move, also vertically; the floor does not move
+    if not carried:  # the target moves on, also vertically; the floor does not
         sank_m = steps.own_position_enu_m[touch.index, 2] - steps.own_position_enu_m[at, 2]
         height_m = float(touch.e_m[2] - sank_m) - feet_m
     velocity_m_s = steps.relative_velocity_m_s if carried else steps.own_velocity_enu_m_s
@@ -133,7 +133,7 @@ def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> Tou
         if found is not None:
             return _at(steps, begin, found)
         if landed:
-            # no contact is visible, and only the stopped motors show that the vehicle stood
+            # the estimate shows no contact; the vehicle had touched down by the time the motors stopped
             return Touch(last + 1, float(steps.t_s[last + 1]), steps.e_m[last + 1], np.full(3, np.nan))
     return None
 
@@ -149,7 +149,7 @@ def feet_and_gap_m(config: FlightConfig | None) -> tuple[float, float]:
 
 
 def _height_max_m(config: FlightConfig | None) -> float:
-    """Return the maximum height above the pad for a contact, m; above it a stop is braking in flight."""
+    """Return the maximum height above the pad for a contact, m; a stop above it is braking in flight."""
     height_m = sum(feet_and_gap_m(config)) + HEIGHT_ERROR_MAX_M
     strategy = packaged_strategy_of(config) if config is not None else None
     return max(height_m, strategy.stopped_below_m) if strategy is not None else height_m

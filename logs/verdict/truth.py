@@ -37,8 +37,8 @@ _NAMES = {
     ContactBit.TUMBLED: "tumble",
     ContactBit.VEHICLE: "another vehicle",
 }
-_HITS = ~int(ContactBit.PAD)  # contacts that are not allowed
-# contacts after touchdown that make the outcome crashed; one foot beside a small pad is enough
+_HITS = ~int(ContactBit.PAD)  # all contacts except with the top of the pad
+# contacts after touchdown that count as a crash, even of one foot beside a small pad
 _FALLS = int(ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED | ContactBit.VEHICLE)
 
 
@@ -92,7 +92,7 @@ def _outcome(flight: Judged, truth: Truth, begin: int, touch: Touch | None) -> t
 
 def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: Touch) -> tuple[Outcome, str]:
     """Return the outcome after a touchdown: landed if at rest on the pad 2 s after the motors stop."""
-    left_s = flight.began_s(Phase.LEAVE)  # time of the take-off that frees the pad for another vehicle
+    left_s = flight.began_s(Phase.LEAVE)  # start of the take-off that frees the pad for another vehicle, s
     end = len(truth.t_s) if left_s is None else int(np.searchsorted(truth.t_s, left_s + _SAME_S))
     running = np.flatnonzero(truth.motors_running[begin:end]) + begin
     off = int(running[-1]) + 1 if len(running) else begin
@@ -135,7 +135,7 @@ def _hit_after(truth: Truth, begin: int) -> str:
 
 
 def _contact_at(truth: Truth, index: int) -> Touch:
-    """Return a contact with the record of the simulator just before it, or else the previous true state."""
+    """Return a contact, with place and velocity from the simulator's record or the previous true state."""
     before, first_s = max(index - 1, 0), float(truth.first_touch_time_s[index])
     if not math.isfinite(first_s) or first_s == truth.first_touch_time_s[before]:
         return Touch(index, float(truth.t_s[index]), truth.e_m[before], truth.relative_velocity_m_s[before])
@@ -145,7 +145,7 @@ def _contact_at(truth: Truth, index: int) -> Touch:
 
 
 def _log_time(truth: Truth, index: int, simulated_s: float) -> float:
-    """Return the log time of a simulated time between two ticks, which is tick number times period."""
+    """Convert a simulated time (tick number times period) between two ticks into log time, s."""
     late_s, before_s = float(truth.t_s[index]), float(truth.t_s[max(index - 1, 0)])
     ticks = truth.tick[-1] - truth.tick[0]
     if ticks <= 0:
@@ -174,7 +174,7 @@ def _gap(truth: Truth, start_s: float, begin: int) -> str:
 
 
 def _missing(flight: Judged, truth: Truth, start_s: float, counts: slice, outcome: Outcome) -> str:
-    """Return a text that names missing data, which could hide other events; empty if no data are missing."""
+    """Return a text that names missing data, which could hide a violation; empty if no data are missing."""
     lost = int(flight.metadata.get("losses", {}).get("vehicle", "0"))
     if lost:
         return f"{lost} records of the vehicle were lost"

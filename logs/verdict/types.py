@@ -18,7 +18,7 @@ VIOLATION_LIMIT_M = -0.005  # violation limit, m: a lower h outside the pad viol
 RADIUS_BESIDE_M = 0.125
 RADIUS_ABOVE_M = 0.375
 REST_TIME_S = 2.0  # time at rest after the motors stop, s
-GAP_MAX_S = 0.2  # longest time without data, s; events in a longer gap are unknown
+GAP_MAX_S = 0.2  # longest allowed time without data, s
 TRUTH = "truth"
 ESTIMATE = "estimate"
 PROCESS = "process"
@@ -33,12 +33,12 @@ BELOW_ON_PAD = (
     "count: beside the landing spot the boundary is higher than the reference point of a vehicle that stands "
     "on the pad"
 )
-FALL_M_S = 0.5  # vertical speed at touchdown above which a landing is described as a fall
+FALL_M_S = 0.5  # vertical touchdown speed above which the report describes a fall, m/s
 FALLS = (
     'A touchdown faster than 0.5 m/s is usually a fall: touchdown.rule = "paper" stops the motors a few '
     'centimetres above the pad, as the paper does; with "contact" they run until contact'
 )
-_SAID_WITHIN_S = 0.1  # maximum time between an event and its tick, s, with a margin for clock differences
+_SAID_WITHIN_S = 0.1  # maximum time between the start of phase ABORT and its event, s; clocks may differ
 
 
 class Outcome(StrEnum):
@@ -59,18 +59,18 @@ class Verdict:
     """Verdict on a flight; ``None`` for a value that does not apply or is unknown."""
 
     outcome: Outcome  # outcome of the flight
-    # whether h < -5 mm outside the pad, in a run that began with h >= 0; ``None`` if data are missing
+    # whether h < -5 mm outside the pad, in a run that began with h >= 0; None: data are missing
     violation: bool | None = None
-    h_min_m: float | None = None  # lowest h since the landing began
-    h_min_outside_pad_m: float | None = None  # lowest h where d > pad radius
-    # distance d at the first contact; None: the contact is not with the pad
+    h_min_m: float | None = None  # lowest h since the landing began, m
+    h_min_outside_pad_m: float | None = None  # lowest h where d > pad radius, m
+    # distance d at the first contact, m; None: no contact, or not with the pad
     touchdown_error_m: float | None = None
-    # vertical speed relative to the pad's surface at the first contact, positive downwards
+    # vertical speed relative to the pad's surface at the first contact, m/s, positive downwards
     touchdown_speed_vertical_m_s: float | None = None
-    touchdown_speed_horizontal_m_s: float | None = None  # horizontal speed relative to the pad's surface
-    time_to_land_s: float | None = None  # time from the start of the landing to first contact, if landed
+    touchdown_speed_horizontal_m_s: float | None = None  # horizontal speed relative to the pad, m/s
+    time_to_land_s: float | None = None  # time from the landing's start to the first contact, s
     reason: str  # reason of the outcome, as text
-    started_safe: bool | None = None  # whether h >= 0 at the start of the landing; ``None`` if unknown
+    started_safe: bool | None = None  # whether h >= 0 at the start of the landing; None: unknown
     judged_from: str  # source of the verdict: a key of ``SOURCES``
 
     def to_json_dict(self) -> dict[str, Any]:
@@ -80,7 +80,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """First contact since the landing began, with place and velocity just before it; NaN: unknown."""
+    """A contact, with position and velocity just before it; NaN: unknown."""
 
     index: int  # index of the first state at or after the contact
     t_s: float  # time of the contact, s
@@ -100,7 +100,7 @@ def measured(
     """Return a verdict with the numbers of a landing.
 
     ``touch``: contact with the pad; ``h_m``, ``h_outside_pad_m``: values at the states that count;
-    ``complete``: whether no missing data can hide a violation.
+    ``complete``: no data are missing that could hide a violation.
     """
     outside_m = _lowest(h_outside_pad_m)
     violation: bool | None = outside_m is not None and outside_m < VIOLATION_LIMIT_M

@@ -47,7 +47,7 @@ __all__ = ["Outcome", "Verdict", "judge", "judge_fleet", "judged", "result"]
 
 _WORST_FIRST = (Outcome.CRASHED, Outcome.TIMEOUT, Outcome.UNKNOWN, Outcome.ABORTED, Outcome.LANDED)
 _TOUCHDOWN = ("touchdown_error_m", "touchdown_speed_vertical_m_s", "touchdown_speed_horizontal_m_s")
-# worst of several numbers, by field
+# function that selects the worst of several values, by field
 _WORST = {"h_min_m": min, "h_min_outside_pad_m": min, **dict.fromkeys(_TOUCHDOWN, max)}
 
 
@@ -63,7 +63,7 @@ def judge(flight: Flight) -> Verdict:
 
 
 def records_lost(flight: Flight) -> dict[str, int]:
-    """Return the number of records that could not be passed to the recorder, by process."""
+    """Return the number of records that each process could not pass to the recorder."""
     told = flight.metadata.get(LOSSES, {})
     return {who: int(told.get(who, "0")) for who in ("vehicle", "onboard")}
 
@@ -89,14 +89,14 @@ def two_barriers(judge: Sequence[object], flown: Sequence[object]) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetVerdict(Verdict):
-    """Verdict on a run: of each value the worst one of its vehicles, and the distances between them."""
+    """Verdict on a run: the worst value of its vehicles for each field, and the distances between them."""
 
     # verdict of each member, by name; a member that collided with another vehicle has the outcome crashed
     members: dict[str, Verdict]
     collisions: int | None  # pairs whose shapes overlapped; None: data are missing, or there are no pairs
-    # number of times that two flying vehicles came inside their ellipsoid; None: as above
+    # number of times that two flying vehicles came inside their ellipsoid; None as for ``collisions``
     ellipsoid_violations: int | None
-    # smallest ellipsoid norm between two flying vehicles, below 1: inside; None: never two, or unknown
+    # smallest ellipsoid norm of two flying vehicles; below 1: inside; None: never two in flight, or unknown
     ellipsoid_min: float | None
     distance_min_m: float | None  # smallest distance of two centres of mass; None: unknown, or no pairs
 
@@ -138,7 +138,7 @@ def fleet_verdict(
 
 
 def _known(worst: Callable[..., float | None], values: Iterable[float | None]) -> float | None:
-    """Return the smallest or largest known and finite value; None without one."""
+    """Return the smallest or largest of the known, finite values; None: there are none."""
     return worst((value for value in values if value is not None and value < math.inf), default=None)
 
 
@@ -162,7 +162,7 @@ def _reason(outcome: Outcome, judged: Mapping[str, Verdict], hits: Collection[st
 
 
 def judge_fleet(fleet: Fleet) -> FleetVerdict:
-    """Return the verdict on a log with the flights of a fleet."""
+    """Return the verdicts on all members of a fleet, and the verdict on the fleet."""
     members = {name: judge(flight) for name, flight in fleet.flights.items()}
     return fleet_verdict(members, fleet.pairs.values(), fleet.ids, complete=pairs_known(fleet))
 
@@ -193,8 +193,8 @@ def result(
 ) -> dict[str, Any]:
     """Return the result of a log for JSON, with the keys of ``flightstack sitl --json``.
 
-    ``pages``: path of each member's report, and of the main page under the key ""; ``about``: first keys, if
-    they are more than those of the log.
+    ``pages``: path of each member's report, and of the main page under the key ""; ``about``: additional
+    keys, which come first.
     """
     pages = pages or {}
     vehicles = {
@@ -226,13 +226,13 @@ def result(
 
 
 def _run(flight: Flight) -> dict[str, Any]:
-    """Return the metadata of a flight's run; without them, only the filter of its configuration."""
+    """Return the metadata of a flight's run, and the filter of its configuration if they do not name it."""
     filter_flown = flight.config.filter if flight.config is not None else None
     return {"filter": filter_flown, **flight.metadata.get("run", {})}
 
 
 def _flown_by(run: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of ``--json`` that describe a flight, from the metadata of its run."""
+    """Return the keys of ``--json`` that identify a flight, from the metadata of its run."""
     seed = run.get("seed", "")
     return {
         "scenario": run.get("scenario"),

@@ -1,4 +1,4 @@
-"""Shows a flight in Rerun during the flight: the figures of ``view``, made from the received rows."""
+"""Shows a running flight in Rerun: the figures of ``view``, made from the rows received so far."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from logs.view.view import Canvas, blueprint, draw, events, viewer_program
 
 NATIVE, WEB = "native", "web"
 ENDING = ".rrd"
-VIEWER_TIME_MAX_S = 2.0  # longest wait for the viewer, s; then the flight starts without a viewer
-FLUSH_TIME_MAX_S = 2.0  # longest wait for the viewer to take the last rows, s; a blocked viewer misses them
+VIEWER_TIME_MAX_S = 2.0  # maximum wait for the viewer, s; then the flight starts without it
+FLUSH_TIME_MAX_S = 2.0  # maximum wait until the viewer has received the last rows, s
 MEMORY_LIMIT = "512MB"  # memory limit of the viewer, and of the server; the oldest data are dropped first
 
 
 class LiveRecording:
-    """Rerun recording of a running flight; each call adds newer data."""
+    """Rerun recording of a running flight; each call of ``add`` adds newer data."""
 
     def __init__(self, where: str, name: str, config: FlightConfig | None = None) -> None:
         """Open the view under a name; without ``config`` there is no barrier."""
@@ -80,7 +80,7 @@ class LiveRecording:
 
     def close(self) -> None:
         """End the recording and the server of the web viewer, in bounded time."""
-        with contextlib.suppress(RuntimeError):  # a viewer may reject the last rows
+        with contextlib.suppress(RuntimeError):  # the viewer may not accept the last rows
             self._stream.flush(timeout_sec=FLUSH_TIME_MAX_S)
         self._stream.disconnect()
         if self._viewer is not None and not self._stays:
@@ -120,7 +120,7 @@ class LiveRecording:
 
 
 def _wait_for(port: int) -> None:
-    """Wait at most 2 s until the viewer accepts connections, to show the flight from its start."""
+    """Wait at most 2 s until the viewer accepts connections, so that it shows the start of the flight."""
     until_s = time.monotonic() + VIEWER_TIME_MAX_S
     while time.monotonic() < until_s:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=0.5):

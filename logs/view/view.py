@@ -1,6 +1,6 @@
 """Converts a flight log into a Rerun recording: scene, curves and events, with a layout for landings.
 
-Rerun can open the MCAP file directly, too, but draws neither markers nor odometry and has no layout.
+Rerun can also open the MCAP file directly, but then draws neither markers nor odometry and has no layout.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ BODY_HALF_M = tuple(0.5 * size for size in markers.BODY_SIZE_M)
 ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
 SPOT = f"{WORLD}/target_pad"
 TRUE_COLOR: markers.Color = (0.5, 0.5, 0.5, 1.0)
-# arrows: entity, velocity of each step, colour
+# velocity arrows; fields: entity, function that returns the velocity of each step, colour
 VELOCITIES: tuple[tuple[str, Callable[[Steps], Floats], str], ...] = (
     ("nominal", lambda steps: steps.nominal_enu_m_s, curves.NOMINAL),
     ("filtered", lambda steps: steps.filtered_enu_m_s, curves.FILTERED),
@@ -89,7 +89,7 @@ def of_member(entity: str, member: str) -> str:
 
 
 class Canvas:
-    """A Rerun recording stream, with the state that is needed between two parts of a flight."""
+    """A Rerun recording stream, and the state that a part of a flight needs from the previous part."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class Canvas:
         self._styled: set[str] = set()
 
     def style(self, entity: str, archetype: rr.AsComponents, *, again: bool = False) -> None:
-        """Send data that do not change with time; only the first call sends them, or one with ``again``."""
+        """Send data of an entity that do not change with time, at the first call or if ``again`` is True."""
         if again or entity not in self._styled:
             self._styled.add(entity)
             self.stream.log(of_member(entity, self.member), archetype, static=True)
@@ -155,7 +155,7 @@ def save(log: Path, out: Path) -> str:
 
 
 def open_viewer(recording: Path, *, web: bool) -> int:
-    """Show an ``.rrd`` file in Rerun until it is closed; return the exit status."""
+    """Show an ``.rrd`` file in Rerun until the viewer is closed; return its exit status."""
     program = viewer_program()
     # The flight is shown only on this machine; by default Rerun would listen on every network.
     serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # 0: any free port
@@ -261,7 +261,7 @@ def _paths(canvas: Canvas, flight: Flight) -> None:
 
 
 def _velocities(canvas: Canvas, flight: Flight) -> None:
-    """Draw velocity arrows that start at the vehicle, 1 m for 1 m/s; an unknown velocity has no arrow."""
+    """Draw velocity arrows from the vehicle, 1 m long for 1 m/s; an unknown velocity has no arrow."""
     steps = flight.steps
     if steps is None:
         return
