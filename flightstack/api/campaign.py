@@ -42,7 +42,7 @@ class Campaign:
     Attributes:
         rows: one row for each seed, in seed order: outcome, violation, lowest h, touchdown error, times.
         scenario: scenario that was flown.
-        wall_s: wall time of the campaign, without compilation.
+        wall_s: wall time of the campaign without compilation, s.
     """
 
     rows: tuple[Row, ...]
@@ -56,7 +56,7 @@ class Campaign:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """Counts, 95 % confidence bounds of the rates, quantiles, worst seeds."""
+        """Counts, rates with 95 % confidence bounds, quantiles, worst seeds."""
         flown_s = sum(row.simulated_s or 0.0 for row in self.rows)
         apart = judged_apart(self.scenario)
         return summary(
@@ -89,7 +89,7 @@ class Sweep:
     points: tuple[tuple[tuple[Any, ...], Campaign], ...]
 
     def _named(self) -> list[tuple[dict[str, Any], Campaign]]:
-        """Return the value of each key at each point, with the landings there."""
+        """Return for each point the values by key, with the landings at this point."""
         return [(dict(zip(self.keys, values, strict=True)), flown) for values, flown in self.points]
 
     @cached_property
@@ -98,7 +98,7 @@ class Sweep:
         return frame([at | _values(row) for at, flown in self._named() for row in flown.rows])
 
     def rates(self) -> list[dict[str, Any]]:
-        """Return keys, number of runs, fraction of landings and fraction of violations of each point."""
+        """Return for each point: values by key, number of runs, fractions of landings and of violations."""
         return [
             at
             | {
@@ -147,7 +147,7 @@ def campaign(
 ) -> Campaign:  # fmt: skip
     """Fly many seeds of a scenario with one or several vehicles, with a progress bar.
 
-    Workers receive a class that is defined in a notebook or function by fork. If a fork is not safe (other
+    A filter class from a notebook or function reaches the workers by fork. If a fork is not safe (other
     threads, no Linux), cloudpickle is used; without cloudpickle, this process flies the seeds.
 
     Args:
@@ -170,15 +170,15 @@ def sweep(
 ) -> Sweep:  # fmt: skip
     """Fly a set of seeds at each point of a grid of keys.
 
-    Each landing is judged by the barrier that it flew, also if the grid changes its shape, unless a key of
-    ``judge`` is changed, too.
+    Each landing is judged by the barrier with which it was flown, also if the grid changes this barrier,
+    unless the scenario or the changes contain the table ``judge``.
 
     Args:
         name: name, file or object of the scenario.
         grid: values of each key, e.g. ``{"wind.mean_m_s": [0, 1]}``; all combinations are flown.
         seeds: seeds to fly, the same at each point.
         filter: as for ``campaign``.
-        changes: keys that have the same change at all points.
+        changes: keys of the scenario to change at all points, see ``scenario``.
         workers: number of processes; None: one for each core.
 
     Raises:
@@ -194,12 +194,12 @@ def sweep(
 
 
 def _values(row: Row) -> dict[str, Any]:
-    """Return the columns of a landing in a table, which has no map of h."""
+    """Return the columns of a landing in a table: all fields of its row except the map of h."""
     return {name: value for name, value in asdict(row).items() if name != "cells"}
 
 
 def _checked(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:
-    """Return a checked scenario with the changes made for each vehicle."""
+    """Return a checked scenario with changes of each vehicle."""
     made = scenario(name, changes, filter=filter)
     refuse((each.onboard for each in made.members), made.name)
     return made
@@ -219,7 +219,7 @@ def _flown(points: Sequence[Scenario], given: Iterable[int], workers: int | None
     with Bar(console, f"{first.name}, filter {first.onboard.filter}", len(points) * len(seeds)) as bar:
         for flown in points:
             warm_up(flown)
-            rows, began_s = [], time.monotonic()  # without compilation
+            rows, began_s = [], time.monotonic()  # the wall time excludes compilation
             for row in _rows(flown, seeds, number):
                 rows.append(row)
                 bar.done(*kinds(row))

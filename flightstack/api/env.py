@@ -1,8 +1,8 @@
 """Gymnasium environment: the agent chooses the nominal velocity of the landing in each tick.
 
-The flight is equal to one of ``fs.land``: with its simulator, autopilot, connections, phase machine, gate and
-verdict. The flight runs in a greenlet that stops when the stack requests the nominal velocity, and
-continues with the agent's action.
+A flight has the simulator, autopilot, connections, phase machine, gate and verdict of ``fs.land``. The flight
+runs in a greenlet that stops when the stack requests the nominal velocity, and continues with the action of
+the agent.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from logs.verdict.types import VIOLATION_LIMIT_M, Outcome
 from sim.runners.landing import Companion, Flights, warm_up
 from sim.scenarios.scenario import Scenario
 
-# Rewards. The cost of a tick is small compared with the approach; else an agent learns to crash early.
+# Rewards. That of a tick is small compared with that of the approach; else an agent learns to crash early.
 APPROACH_REWARD_1_M = 10.0  # reward for each metre by which the distance to the landing spot decreases
 STEP_REWARD = -0.001  # reward of each tick
 VIOLATION_REWARD = -0.1  # reward of each tick with a negative barrier value outside the pad
 END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}  # reward at the end, by outcome
 OTHER_END_REWARD = -5.0
-_SPEED_FAR_M = 1e3  # bound of each observed position and velocity, m and m/s
+_SPEED_FAR_M = 1e3  # bound of each observed value, m or m/s
 
 ENV_ID = "flightstack/Landing-v0"
 
@@ -49,15 +49,15 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     command of the last tick (3); positions in m, velocities in m/s, as the controller estimates them.
 
     Action, (3,): nominal velocity of the vehicle, m/s ENU, within ``limits.velocity_max_m_s``. The stack
-    limits it to box and slew rate and, with a ``filter``, to the barrier. The robust filter also limits the
-    horizontal velocity relative to the target to ``robust.gain_1_s`` times the distance.
+    limits the velocity and its rate of change and, with a ``filter``, enforces the barrier. The robust filter
+    also limits the horizontal velocity relative to the target to ``robust.gain_1_s`` times the distance.
 
     Reward: 10 for each metre that the distance to the landing spot decreases, -0.001 for each step, and -0.1
     for each step with a negative barrier value outside the pad; at the end 10 for a landing, -10 for a crash,
     -5 for an abort.
 
-    ``terminated``: the flight is over; ``truncated``: it took too long. The last ``info`` has ``verdict``,
-    ``outcome``, ``violation`` (None: unknown), ``h_min_outside_pad_m`` and ``is_success``.
+    ``terminated``: the flight is over; ``truncated``: it exceeded its time limit. The last ``info`` has
+    ``verdict``, ``outcome``, ``violation`` (None: unknown), ``h_min_outside_pad_m`` and ``is_success``.
 
     Args:
         scenario: name, file or object of a scenario of one vehicle.

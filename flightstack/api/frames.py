@@ -15,17 +15,17 @@ from flightstack.common.text import pip_install
 from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import FilterStatus, Phase, Request
 
-# columns of a landing whose numbers become names, and columns that are computed from others
+# enumerations of the columns whose numbers become names, and names of the computed columns
 _NAMED = {"phase": Phase, "request": Request, "filter_status": FilterStatus, "gate": GateVerdict}
 _DERIVED = ("e_m", "d_m")
 _AXES = {3: "xyz", 4: "xyzw"}
 
 
 def frame(columns: Any) -> Any:
-    """Return a table with a column per array; an array (n, 3) becomes the columns ``_x``, ``_y``, ``_z``.
+    """Return a table with a column per array; an array (n, 3) becomes three columns ``_x``, ``_y``, ``_z``.
 
     The table of a landing's arrays also has ``e_m``, the position relative to the landing spot, and ``d_m``,
-    its horizontal length; phase, request, filter status and gate verdict are names instead of numbers.
+    its horizontal length, m; phase, request, filter status and gate verdict are names instead of numbers.
 
     Args:
         columns: arrays of a landing (``landing.log``, ``landing.truth``), a dict of arrays, or a list of
@@ -35,7 +35,7 @@ def frame(columns: Any) -> Any:
         A DataFrame of pandas; without pandas one of polars.
 
     Raises:
-        ModuleNotFoundError: neither is installed; the text names the extra.
+        ModuleNotFoundError: neither pandas nor polars is installed; the text names the extra.
         TypeError: ``columns`` is none of these.
     """
     if isinstance(columns, list | tuple) and all(is_dataclass(row) for row in columns) and columns:

@@ -43,7 +43,7 @@ def scenario(
     Args:
         name: name of a packaged scenario, path of a file, or scenario object.
         changes: values by key, e.g. ``{"wind.mean_m_s": 1.0, "barrier.omega_1_s": 0.7}``; keys of the flown
-        configuration need no ``onboard.`` unless the scenario has a table of that name.
+        configuration need no ``onboard.`` unless the scenario has a table of the same name.
         filter: ``"paper"``, ``"robust"``, ``MODULE:NAME`` or a class; None: that of the scenario.
 
     Raises:
@@ -60,7 +60,7 @@ def scenario(
 
 
 def single(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:
-    """Return a scenario of one vehicle as ``scenario`` does. Raises ConfigError: it has several vehicles."""
+    """Return a scenario as ``scenario`` does. Raises ConfigError also if it has several vehicles."""
     made = scenario(name, changes, filter=filter)
     made.one(0, None)
     return made
@@ -73,13 +73,13 @@ def _changed(member: Scenario, changes: Changes) -> Scenario:
         for step in reversed(_path(key)):
             part = {step: part}
         table = over(table, part)
-    if _PAD not in map(_path, changes):  # the configuration's value follows that of the robot's pad
+    if _PAD not in map(_path, changes):  # the configuration then gets the radius of the robot's pad
         del table["onboard"]["touchdown"]["pad_radius_m"]
     return from_table(Scenario, one_pad(table), keys=sorted(_SCENARIO - {"others"}))
 
 
 def whole(what: str, found: object, low: int = 0) -> int:
-    """Return a Python or numpy integer as int. Raises ConfigError: it is no integer, or below ``low``."""
+    """Return a Python or numpy integer as int. Raises ConfigError: no integer, or one below ``low``."""
     number = None if isinstance(found, bool) or not hasattr(found, "__index__") else index(found)
     if number is None or number < low:
         raise ConfigError(f"{what}: found {found!r:.60}, a whole number from {low} on is needed")
@@ -116,7 +116,7 @@ class Landing:
     Attributes:
         verdict: outcome (``landed``, ``crashed``, ``aborted``, ``timeout``), reason, lowest h, touchdown;
         from the true states if they are known.
-        flight: all data of a log, as arrays.
+        flight: data of the flight, as arrays.
         seed: seed of all random draws; None for a log.
     """
 
@@ -136,7 +136,7 @@ class Landing:
 
     @property
     def log(self) -> Steps:
-        """Controller steps, n of them: ``t_s``, ``h_m`` (n,), ``command_enu_m_s`` (n, 3), and more.
+        """Arrays of the n controller steps: ``t_s``, ``h_m`` (n,), ``command_enu_m_s`` (n, 3), and more.
 
         Raises:
             ValueError: the log contains no steps.
@@ -147,7 +147,7 @@ class Landing:
 
     @property
     def truth(self) -> Truth | None:
-        """True states from the simulator: ``t_s``, ``h_m`` (n,), ``position_enu_m`` (n, 3), and more."""
+        """True states of a simulated flight: ``t_s``, ``h_m`` (n,), ``position_enu_m`` (n, 3), and more."""
         return self.flight.truth
 
     def plot(self) -> go.Figure:
@@ -208,7 +208,7 @@ def land(
 
     try:
         done = runner.land(flown, seed, on_step=on_step)
-    except ConfigError as error:  # the traceback shows the robot's function, then this call
+    except ConfigError as error:  # then the traceback shows the robot's function and the caller of ``land``
         raise error.with_traceback(None) from error.__cause__
     steps = columns(Steps, rows, since(np.array(times_ns, dtype=np.int64), times_ns[0]))
     seen = done.seen

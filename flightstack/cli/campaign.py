@@ -94,7 +94,7 @@ def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options:
     try:
         if page is not None:
             write_page(page, wanted, flown)
-    except (ReportError, MissingExtraError) as error:  # the results stay valid
+    except (ReportError, MissingExtraError) as error:  # the results are valid without a page
         click.echo(f"flightstack: {error}", err=True)
         page = None
     if options.as_json:
@@ -149,7 +149,7 @@ def validate(options: ValidateOptions) -> None:
             console.print(f"{flight.name}: {what}: {'; '.join(reasons(flight))}", soft_wrap=True)
     folder = options.out or new_folder("validate")
     folder.mkdir(parents=True, exist_ok=True)
-    written = msgspec.json.encode(found, enc_hook=float)  # numpy's numbers, too
+    written = msgspec.json.encode(found, enc_hook=float)  # ``enc_hook`` converts numpy's numbers
     (folder / "validate.json").write_bytes(msgspec.json.format(written, indent=1) + b"\n")
     if options.as_json:
         click.echo(written)

@@ -82,17 +82,17 @@ def check(
 
 
 class Part(NamedTuple):
-    """Part of a check: one configuration, or all vehicles together."""
+    """Part of a check: one configuration, or all vehicles of a scenario together."""
 
     filter: str
     checks: Sequence[Check]
-    members: Mapping[str, Sequence[str]]  # names of its vehicles for the JSON object; empty for a single one
-    of: str  # names of its vehicles for a title
+    members: Mapping[str, Sequence[str]]  # names of the vehicles for the JSON object; empty: one only
+    of: str  # names of the vehicles, for a title
     ignored: Sequence[str]  # keys that the filter does not read
 
 
 def _parts(name_or_file: str, name: str | None) -> list[Part]:
-    """Check a configuration, or those of a scenario, with this filter; None: with the configured one."""
+    """Check a configuration, or those of a scenario, with the filter ``name``; None: the configured one."""
     from flightstack.verify.certificate import checks
 
     config = _configuration(name_or_file)
@@ -115,7 +115,7 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
         of, keys = f" ({', '.join(members)}{more})", () if more else ignored(config)
         parts.append(Part(config.filter, found, {"members": members}, of, keys))
 
-    # vehicles whose configurations differ only in the id are one part
+    # vehicles whose configurations differ only in the vehicle id form one part
     alike: dict[str, list[int]] = {}
     for n, each in enumerate(scenario.members):
         table = to_table(each.onboard)
@@ -123,7 +123,7 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
         alike.setdefault(repr(table), []).append(n)
     for numbers in alike.values():
         config = scenario.members[numbers[0]].onboard
-        worst: dict[str, Check] = {}  # by name, the result with the smallest distance to its limit
+        worst: dict[str, Check] = {}  # by name of the check: result with the smallest distance to its limit
         for result in (each for n in numbers for each in declared(scenario.members[n])):
             if result.name not in worst or result.room < worst[result.name].room:
                 worst[result.name] = result

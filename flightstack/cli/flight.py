@@ -127,7 +127,7 @@ def target(options: TargetOptions) -> None:
     """
     from flightstack.compiled.jit import OFF
 
-    # The robot computes only 100 short steps per second: loading numba would take longer than it saves.
+    # The robot needs only 100 short steps per second: loading numba would take longer than numba saves.
     if "numba" not in sys.modules:
         os.environ.setdefault(OFF, "1")
     from sim.runners.world_process import target_main
@@ -163,7 +163,7 @@ FRESH, NOTHING = 0, 1
 LOOK_S = 0.05  # time between two polls of --once, s
 DRAW_S = 0.1  # time between two updates of the 3-D view, s
 PRINT_S = 0.5  # time between two lines of JSON, s
-NICER = 10  # niceness of a 3-D view: the flight's processes have priority
+NICER = 10  # niceness of a 3-D view, so that the processes of the flight have priority
 
 
 @click.command()
@@ -219,7 +219,7 @@ def watch(options: WatchOptions) -> None:
 
 
 def _polls(flight: Watch, stop: Stop, period_s: float) -> Iterator[None]:
-    """Poll a flight, until a signal arrives or the reader of the output ends."""
+    """Poll a flight until a signal arrives or the reader of the output ends; yield after each poll."""
     while not stop.is_set and not reader_gone():
         time.sleep(period_s)
         flight.poll()
@@ -227,7 +227,7 @@ def _polls(flight: Watch, stop: Stop, period_s: float) -> Iterator[None]:
 
 
 def _recording(options: WatchOptions, where: str) -> LiveRecording:
-    """Open the 3-D view."""
+    """Open the 3-D view at ``where``, the value of ``--view``."""
     from flightstack.config import load
     from logs.view.live import LiveRecording
 

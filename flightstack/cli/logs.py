@@ -158,7 +158,7 @@ def new_file(path: Path, *, force: bool) -> Iterator[Path]:
         yield part
         part.replace(path)
     except OSError as error:
-        error.filename = error.filename or str(path)  # a full disk has no name of a file
+        error.filename = error.filename or str(path)  # the error of a full disk contains no file name
         raise
     finally:
         part.unlink(missing_ok=True)
@@ -275,7 +275,7 @@ def view(
 
 
 EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
-_STATUS = {"unusable": UNUSABLE, "different": DIFFERENT, "equal": EQUAL}  # exit statuses, the worst first
+_STATUS = {"unusable": UNUSABLE, "different": DIFFERENT, "equal": EQUAL}  # exit status by result, worst first
 
 
 @dataclass(frozen=True, kw_only=True)

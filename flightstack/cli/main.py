@@ -90,13 +90,13 @@ def _hidden(error: BaseException) -> str | None:
 
 
 class Verbs(click.Group):
-    """Group of subcommands: loads one when it is called, and reports wrong input in one line, status 2."""
+    """Group of subcommands; it loads the called one, and reports wrong input in one line (exit status 2)."""
 
     verb = ""  # name of the called subcommand
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """Run the command; it continues if the reader of its output ends, and no early signal is lost."""
-        if hangup.guard():  # True in a process of its own, False in a test
+        """Run the command, also after the reader of its output has ended; no signal at its start is lost."""
+        if hangup.guard():  # False in a test, which has replaced the output
             hangup.start()
         try:
             return super().main(*args, **kwargs)

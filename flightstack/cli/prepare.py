@@ -23,7 +23,7 @@ def config(name: Annotated[str | None, Option("[NAME]")] = None) -> None:
     """List the packaged configurations of the onboard process, or print the one with the given NAME."""
     from flightstack import config as known
 
-    def purpose(each: str) -> str:  # the first line of a file is a comment with it
+    def purpose(each: str) -> str:  # the first line of a file is a comment with its purpose
         return known.path_of(each).read_text("utf-8").partition("\n")[0].removeprefix("# ")
 
     _show(known, name, purpose)
@@ -104,7 +104,7 @@ def router(
     from bridge.zenoh import zenoh_link
 
     ends = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # inherited by Zenoh's threads, started later
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # Zenoh's threads, which start later, inherit this
     role = zenoh_link.Role.ROUTER
     try:
         if (
