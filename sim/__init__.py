@@ -2,5 +2,5 @@
 
 import os
 
-# MuJoCo only computes physics here: with rendering enabled its import starts a process that searches OpenGL.
+# MuJoCo only computes physics here; with rendering, importing it would start a process to look for OpenGL.
 os.environ.setdefault("MUJOCO_GL", "disable")

@@ -25,7 +25,7 @@ from sim.plant.sensors import BLOCK, NS, MeasurementChannel
 from sim.plant.state_error import DELAY, TURN, WIDTH, ErrorRows, PastRecord, mismeasured_path
 from sim.scenarios.tables import PathKind, TargetLink, TargetSpec
 
-DRIVE_LAG_S = 0.1  # first-order lag of the drive, s; not documented by ROBOTIS, assumed 0.05 to 0.15 s
+DRIVE_LAG_S = 0.1  # time constant of the drive, s; assumption: ROBOTIS gives none, likely are 0.05 to 0.15 s
 
 
 class Deck(NamedTuple):
@@ -37,11 +37,11 @@ class Deck(NamedTuple):
     yaw_rate_rad_s: float
 
 
-# an odometry sample: time of measurement, s; position, ENU, m; yaw; velocity in the body frame; yaw rate
+# odometry sample: measurement time, s; position, ENU, m; yaw, rad; body velocity, m/s; yaw rate, rad/s
 Sample = Sequence[float]
 
 
-# fractions of full speed and turn rate: two for the first section of the path, two for the second section
+# speed and turn rate in the first section of a path, then in the second, as fractions of the drawn values
 DEMANDS: dict[PathKind, tuple[float, float, float, float]] = {
     PathKind.STILL: (0.0, 0.0, 0.0, 0.0),
     PathKind.STRAIGHT: (1.0, 0.0, 1.0, 0.0),
@@ -59,9 +59,9 @@ REACHED_M = 0.05  # distance at which a waypoint counts as reached, m
 
 
 def course(spec: TargetSpec, speed_m_s: float, turn_rate_rad_s: float) -> Course | None:
-    """Return the steering that depends on the robot's pose; None for a path that depends only on time.
+    """Return a function that steers by the robot's pose; None: the path depends only on time.
 
-    ``speed_m_s``, ``turn_rate_rad_s``: limits, drawn from the seed.
+    ``speed_m_s``, ``turn_rate_rad_s``: limits of the returned speed and turn rate.
     Raises ConfigError: the function cannot be imported.
     """
     if spec.path is PathKind.WAYPOINTS:
@@ -89,7 +89,7 @@ def _to_waypoints(points_m: Sequence[tuple[float, float]], speed_m_s: float, tur
 
 
 def _by_function(name: str, speed_m_s: float, turn_rad_s: float) -> Course:
-    """Steer by the user's function, limited to the scenario's speed and turn rate."""
+    """Steer by the user's function; speed and turn rate are limited to the last two arguments."""
     function: Any = referred(name, "target.function")
 
     def steer(t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
@@ -115,13 +115,13 @@ _NEEDED = "called with t_s, x_m, y_m, yaw_rad it must return speed and turn rate
 
 
 def try_out(spec: TargetSpec) -> None:
-    """Call the function of a path once, at its start. Raises ConfigError: the function cannot be used."""
+    """Call a path's steering function once, at the start pose. Raises ConfigError: it cannot be used."""
     if (steers := course(spec, spec.speed_m_s, spec.turn_rate_rad_s)) is not None:
         steers(0.0, *spec.position_m, spec.heading_rad)
 
 
-# number of values of the pad's motion: time, ns; position of the pad centre, ENU, m; heading; velocity in the
-# body frame, m/s; velocity in ENU, m/s; turn rate, rad/s
+# number of values of the pad's motion: time, ns; position of the pad centre, ENU, m; heading, rad; velocity
+# in the body frame, m/s; velocity in ENU, m/s; turn rate, rad/s
 PAD = 12
 
 
@@ -175,7 +175,7 @@ def _height(m: MotionRecord, time_s: float) -> float:
 
 @jitted
 def publish(motion: Cell[MotionRecord], dt_s: float) -> None:
-    """Compute the pad's motion from the axle's state; the pad is behind the axle and swings in turns."""
+    """Compute the pad's motion from the axle's state; the pad, behind the axle, moves sideways in turns."""
     m = motion[0]
     pad, c, s = m.pad, math.cos(m.yaw), math.sin(m.yaw)
     time_s = pad[0] / NS
@@ -211,7 +211,7 @@ def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
 
 @jitted
 def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) -> None:
-    """Call ``drive`` for each row, and fill the row with the pad's motion after it.
+    """Call ``drive`` once for each row, and write the resulting motion of the pad to the row.
 
     ``dt_s``: duration of each step; ``driving``: False brakes in all steps; ``pads``: (n, PAD), filled here.
     """
@@ -223,11 +223,11 @@ def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) 
 class TargetModel:
     """Model of the target's true motion.
 
-    The twist in the body frame is constant until the next step. Heave continues also while the robot does not
-    drive, like waves.
+    The twist in the body frame is constant until the next step. The heave, like waves, continues while the
+    robot stands.
 
-    ``spec``: path, speeds, limits, pad; ``seed``: sets speed, turn rate and heading that ``spec`` leaves
-    open, the time until the first change of stop-and-go and reversing, and the phase of the heave;
+    ``spec``: path, speeds, limits, pad; ``seed``: determines speed, turn rate and heading if ``spec`` makes
+    them random, the time of the first speed change of a stop-and-go or reversing path, and the heave's phase;
     ``step_s``: expected time between steps (for the heave velocity in the first interval).
     """
 
@@ -258,7 +258,7 @@ class TargetModel:
         drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, PAD)))
 
     def stop(self) -> None:
-        """Stop suddenly, as with locked wheels; the next step shows the stop."""
+        """Stop at once, as with locked wheels; ``pad`` shows the stop after the next step."""
         self._record.v = self._record.w = 0.0
 
     @property
@@ -284,7 +284,7 @@ class TargetModel:
         return pads
 
 
-MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # position, heading, velocity in the body frame, turn rate
+MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # columns of ``PAD``: position, heading, body velocity, turn rate
 
 
 class TargetOdometry:

@@ -119,7 +119,7 @@ class Fate(NamedTuple):
 
     due_ns: tuple[int, ...]  # arrival times, ns; none if lost, two if duplicated
     damaged: bool = False  # whether the checksum is wrong
-    stall: Running | None = None  # fault for whose end the message waits, or None
+    stall: Running | None = None  # stalled link, for whose end the message waits; None: no stall
 
 
 # affected direction and message ids (None: all), by component
@@ -170,6 +170,6 @@ class LinkFaults(Component):
                 due = DUE[kind](running, due)
             elif kind is Kind.STUCK:
                 stall = running
-            elif running.happens():  # the other kinds were handled: it is GARBAGE
+            elif running.happens():  # the only kind left is GARBAGE
                 damaged = True
         return Fate(tuple(due), damaged, stall)

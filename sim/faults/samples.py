@@ -18,7 +18,7 @@ from sim.scenarios.fault_spec import Kind
 S = TypeVar("S")
 
 HELD_MAX = 8192  # maximum number of delayed samples; 5 s at 500 Hz are 2500
-ESTIMATE_PERIOD_NS = NS // 100  # period of a Crazyflie's log stream of the state estimate
+ESTIMATE_PERIOD_NS = NS // 100  # period of a Crazyflie's log stream of the state estimate, ns
 
 
 def _in_bursts(running: Running, now_ns: int) -> bool:
@@ -47,7 +47,7 @@ LOST: Mapping[Kind, Callable[[Running, int], bool]] = {
 
 
 class Shape(NamedTuple, Generic[S]):
-    """Operations of faults on one kind of sample."""
+    """Operations that the faults apply to one kind of sample."""
 
     move: Callable[[S, Vec3, float], S]  # moves a sample by offset (ENU, m) and yaw (rad)
     freeze: Callable[[S, S], S]  # returns the first sample with the time stamp of the second
@@ -97,7 +97,7 @@ class SampleFaults(Component, Generic[S]):
 
     @property
     def release_ns(self) -> int:
-        """Time at which a delayed sample is due."""
+        """Time at which the next delayed sample is due, ns."""
         return self._held[0][0] if self._held else NEVER_NS
 
     @property
@@ -135,7 +135,7 @@ class SampleFaults(Component, Generic[S]):
 
 
 def turned(q: Quat, yaw_rad: float) -> Quat:
-    """Return an attitude that is turned about the vertical by an angle, rad."""
+    """Return the attitude ``q`` after a turn of ``yaw_rad`` about the vertical."""
     c, s = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
     w, x, y, z = q
     return (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
@@ -168,7 +168,7 @@ class EstimateFaults(SampleFaults[Estimate]):
             self.due_ns = running.start_ns
 
     def end(self, running: Running, now_ns: int) -> None:
-        """End a fault; delayed samples are due now, but after the last fault nothing is delayed any more."""
+        """End a fault; delayed samples are due now, or are dropped if no other fault is active."""
         super().end(running, now_ns)
         if not self.running:
             self._held.clear()
@@ -183,7 +183,7 @@ class EstimateFaults(SampleFaults[Estimate]):
             self._arrived, self._arrived_ns = arrived, now_ns
 
     def report(self, now_ns: int, estimate: Estimate) -> Estimate:
-        """Return the estimate that the autopilot receives; it is invalid after ``INNOVATION_AGE_MAX_S``."""
+        """Return the estimate that the autopilot receives; invalid if older than ``INNOVATION_AGE_MAX_S``."""
         arrived = self._arrived
         if arrived is None:
             return estimate

@@ -14,7 +14,7 @@ from sim.chance import stream
 from sim.plant.sensors import NEVER_NS, NS
 from sim.scenarios.fault_spec import After, Fault, What
 
-TEXTS_MAX = 256  # maximum number of stored starts and ends; the oldest are dropped
+TEXTS_MAX = 256  # maximum number of stored starts and ends of faults; the oldest are dropped
 
 
 @dataclass(slots=True, eq=False)
@@ -28,7 +28,7 @@ class Running:
     memory: Any = None  # state of the effect; None before its first use
 
     def happens(self) -> bool:
-        """Return at random whether the fault acts on this item; ``value`` is its probability."""
+        """Draw whether the fault acts on this item; the fault's key ``value`` is the probability."""
         return bool(self.rng.random() < self.fault.amount)
 
     def paused(self, now_ns: int) -> bool:
@@ -62,7 +62,7 @@ class Component:
 
 
 class ScheduledFaults:
-    """Starts and ends the faults of ``components``, ignores others; times are simulated, integer ns."""
+    """Starts and ends the given faults of ``components``; times are simulated, integer ns."""
 
     def __init__(self, faults: Iterable[Fault], seed: int, components: Mapping[What, Component]) -> None:
         self._seed, self._components = seed, components
@@ -75,7 +75,7 @@ class ScheduledFaults:
         self.add((fault for fault in faults if fault.what in components), 0)
 
     def add(self, faults: Iterable[Fault], now_ns: int) -> None:
-        """Add faults; faults relative to ``time`` count from zero, others wait for an event (``refer``)."""
+        """Add faults: those relative to ``time`` are scheduled, the others wait for an event (``refer``)."""
         for fault in faults:
             rng = stream(self._seed, f"fault.{self._added}.{fault.what.value}.{fault.kind.value}")
             self._added += 1
@@ -110,7 +110,7 @@ class ScheduledFaults:
         self.change_ns = self._due[0][0] if self._due else NEVER_NS
 
     def take_texts(self) -> list[Change]:
-        """Return the starts and ends of faults since the last call; their text is a message."""
+        """Return the starts and ends of faults since the last call; ``str`` of each is a message."""
         texts = list(self._texts)
         self._texts.clear()
         return texts

@@ -1,6 +1,6 @@
 """All faults of one vehicle.
 
-This code runs only when a fault starts, ends or is active; the compiled loop has only two values per motor.
+This code runs only when a fault starts, ends or is active; the compiled loop has two numbers for each motor.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class MotorFaults(Component):
     """Motor faults: target speed = share * command + held; without a fault, share is 1 and held is 0.
 
     ``share`` and ``held`` (rpm) of M1..M4 are changed in place. ``hover_rpm``: speed at which the thrust of a
-    weak motor is exact. At other speeds the error is some per cent, because thrust is not exactly quadratic.
+    weak motor is exact. At other speeds its error is a few per cent, because thrust is not exactly quadratic.
     """
 
     def __init__(self, share: F64, held: F64, rotors: RotorRecord, rotor: Rotor, hover_rpm: float) -> None:
@@ -112,7 +112,7 @@ class Faults(ScheduledFaults):
     ) -> None:
         self.mocap = SampleFaults(MOCAP)  # faults of motion-capture samples before they reach the estimator
         self.own_state = EstimateFaults()  # faults of the state estimate before it reaches the autopilot
-        self.link = LinkFaults()  # faults of the MAVLink connection, applied by its owner
+        self.link = LinkFaults()  # faults of the MAVLink connection; the owner of the connection applies them
         components: dict[What, Component] = {
             What.MOTOR: motors,
             What.BATTERY: battery,
@@ -121,16 +121,16 @@ class Faults(ScheduledFaults):
             **dict.fromkeys(CONCERNS, self.link),
         }
         super().__init__(faults, seed, components)
-        # whether there was no fault and none is scheduled
+        # whether the scenario has no fault of these components and none was started later
         self.quiet = not any(fault.what in components for fault in faults)
 
     @property
     def next_ns(self) -> int:
-        """Time of the next start or end of a fault, or of the next due or delayed sample."""
+        """Time of the next start or end of a fault, release of a delayed sample, or sampled estimate, ns."""
         return min(self.change_ns, self.mocap.release_ns, self.own_state.due_ns)
 
     def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
-        """Start faults now; a fault relative to ``time`` does not start before its time."""
+        """Add faults, and start those that are due now."""
         self.quiet = False
         self.add(faults, now_ns)
         self.run(now_ns)

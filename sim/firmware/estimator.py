@@ -1,6 +1,6 @@
 """On-board state estimator: IMU at 500 Hz, corrected by position and yaw from motion capture.
 
-It models the Crazyflie's Kalman filter with external pose, with equal noise figures. Like the firmware, it
+It models the Crazyflie's Kalman filter with external pose and its noise figures. Like the firmware, it
 ignores the age of samples, so the estimate of a moving vehicle lags by the latency of motion capture. It
 uses the filter's stationary gains instead of a covariance. The states of each axis are position,
 velocity and acceleration error. The horizontal acceleration error is a tilt of the attitude estimate (a tilt
@@ -49,7 +49,7 @@ def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float
     """
     t = period_s
     velocity_walk = accel_std**2 * FIRMWARE_STEP_S  # variance rate of the velocity, (m/s)^2 per s
-    accel_walk = (gravity * GYRO_RAD_S) ** 2 * FIRMWARE_STEP_S  # variance rate of this error, (m/s^2)^2 per s
+    accel_walk = (gravity * GYRO_RAD_S) ** 2 * FIRMWARE_STEP_S  # variance rate of that error, (m/s^2)^2 per s
     f = np.array([[1.0, t, 0.5 * t * t], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
     q = velocity_walk * np.array([[t**3 / 3, t**2 / 2, 0.0], [t**2 / 2, t, 0.0], [0.0, 0.0, 0.0]])
     q += accel_walk * np.array(
@@ -101,7 +101,7 @@ class EstimatorRecord(Record):
     """State estimate, gains of the corrections, and constants."""
 
     sensed: SensedState
-    bias_z: float  # negative bias of the vertical accelerometer, m/s^2
+    bias_z: float  # estimated bias of the vertical acceleration, sign reversed, m/s^2
     since_sample_s: float
     kp: float  # horizontal gain on the position
     kv: float  # horizontal gain on the velocity, 1/s
@@ -176,7 +176,7 @@ def correct(e: EstimatorRecord, x: float, y: float, z: float, yaw: float) -> Non
 
 @jitted
 def correct_tilt(e: EstimatorRecord, quaternion: F64) -> None:
-    """Correct the attitude with roll and pitch of a pose; call it after ``correct``."""
+    """Correct the estimate with roll and pitch of a pose; call it after ``correct``."""
     s = e.sensed
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     mx, my, mz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
@@ -265,7 +265,7 @@ class Estimator:
         turn_estimate(sensed, by / gravity, -bx / gravity, 0.0)
 
     def estimate(self) -> Estimate:
-        """Newest estimate; it is valid as long as samples arrive."""
+        """Return the newest estimate; it is invalid ``INNOVATION_AGE_MAX_S`` after the last sample."""
         s = self._read()  # values in the order of SensedState's fields
         return Estimate(s[:3], s[3:6], s[6:10], s[-3:], self._age_s[0] < INNOVATION_AGE_MAX_S)
 

@@ -1,9 +1,9 @@
 """The paper's velocity controller, and the geometric attitude control below it.
 
 The velocity controller is eq. 8: tau_p = -K_v (v - u*) + m G. The stock Mellinger controller rejects
-velocity set-points, so the paper must have added this control law. It uses the nominal mass and thrust scale
-instead of this vehicle's. With the paper's K_v = 0.5 N s/m on 32 g the velocity gain is 16 1/s, but the
-attitude bandwidth is only about 8 1/s: the loop is under-damped by design.
+velocity set-points, so the paper must have added this control law. It uses the nominal mass and thrust scale,
+not the true ones of this vehicle. With the paper's K_v = 0.5 N s/m on 32 g the velocity gain is 16 1/s, but
+the attitude bandwidth is only about 8 1/s: the loop is under-damped by design.
 
 A limit of this module is not in the paper: the desired force has a minimum upward part and a tilt limit.
 Without it, a downward step of 0.63 m/s commands zero thrust, and a larger step an inverted attitude.
@@ -56,7 +56,7 @@ class PaperRecord(Record):
 
 @jitted
 def attitude_moments(p: PaperRecord, axes: Nine, desired: Nine, wx: float, wy: float, wz: float) -> Counts:
-    """Return the moments at 500 Hz; ``axes``: estimated; ``wx``, ``wy``, ``wz``: gyro rates, rad/s."""
+    """Return the moments at 500 Hz; ``axes``: estimate; ``wx``, ``wy``, ``wz``: gyro rates, rad/s."""
     xx, xy, xz, yx, yy, yz, zx, zy, zz = axes
     dxx, dxy, dxz, dyx, dyy, dyz, dzx, dzy, dzz = desired
     ex = dzx * yx + dzy * yy + dzz * yz - (zx * dyx + zy * dyy + zz * dyz)
@@ -128,7 +128,7 @@ def set_up_paper(p: PaperRecord, params: Params) -> None:
 
 
 def paper_trim(p: PaperRecord, force: Vec3, counts_per_n: float) -> Vec3:
-    """Return the set-point at which the loop, at rest, commands ``force`` (world, N) of this vehicle."""
+    """Return the velocity set-point, m/s, with which the loop commands ``force`` (world, N) at rest."""
     scale = counts_per_n / p.counts_per_n
     fx, fy, fz = scale * force[0], scale * force[1], scale * force[2]
     return (fx / K_V_N_S_M, fy / K_V_N_S_M, (fz - p.weight) / K_V_N_S_M)

@@ -82,8 +82,8 @@ class CascadeRecord(Record):
     yaw_rate: PidRecord
     calls: int  # number of calls since the last reset
     mode: int  # LEVEL, FREE, TO_POSITION or UNKNOWN
-    late: Annotated[F64, 2 * LATE_MAX]  # ring buffer of horizontal set-points, one for each call of the loop
-    late_calls: int  # number of calls between a set-point and its effect
+    late: Annotated[F64, 2 * LATE_MAX]  # ring buffer of horizontal velocity set-points, one per loop call
+    late_calls: int  # number of calls of the loop between a set-point and its effect
     response: float  # ratio of the loop's target velocity to the set-point
     tilt_share: float  # gain of the low-pass on the tilt command; 1: no low-pass
     roll_wanted: float  # commanded roll, degrees
@@ -113,7 +113,7 @@ def clamp(value: float, limit: float) -> float:
 
 @jitted
 def continued(before: float, angle: float) -> float:
-    """Shift an angle by multiples of 360 degrees next to ``before`` (NaN: no shift)."""
+    """Shift an angle by the multiple of 360 degrees that brings it next to ``before``; NaN: no shift."""
     if math.isnan(before):
         return angle
     turn = angle - before + 180.0
@@ -200,7 +200,7 @@ def set_up_cascade(c: CascadeRecord, params: Params) -> None:
 
 
 def cascade_trim(c: CascadeRecord, force: Vec3, counts_per_n: float, moments: Counts) -> None:
-    """Set the integrals for hover with ``force`` (world, N) at yaw 0; ``moments`` balance the motors."""
+    """Set the integrals for hover with ``force`` (world, N) at yaw 0; ``moments``: for unequal motors."""
     c.mode = FREE
     thrust = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     c.vx.integral = math.atan2(force[0], force[2]) * DEG / c.vx.ki

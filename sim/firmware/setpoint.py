@@ -10,7 +10,7 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Axes, Quaternion, Record, Vector, cell, scalars
 from flightstack.core.types import ZERO, Vec3
 
-ROOM = 256  # maximum number of set-points in transit: twice the number at 0.1 s of delay and 1 kHz
+ROOM = 256  # maximum number of set-points in transit; at 1 kHz and a delay of 0.1 s there are 100
 WIDTH = 12  # values per row: arrival time, then the fields of a set-point
 _ROW = struct.Struct(f"={WIDTH}d")
 
@@ -37,7 +37,7 @@ Setpoint = tuple[float, ...]  # values of a ``SetpointRecord``
 def set_point(
     velocity: Vec3 = ZERO, yaw_rad: float = 0.0, *, position: Vec3 | None = None, stop: bool = False
 ) -> Setpoint:
-    """Return the values of a set-point, which with ``position`` is a position."""
+    """Return the values of a set-point: a position if ``position`` is given, else a velocity."""
     yaw = yaw_rad, stop, math.cos(yaw_rad), math.sin(yaw_rad)
     return *velocity, *yaw, position is not None, *(position or ZERO)
 
@@ -96,7 +96,7 @@ class Inbox:
         self._end[0] = end + 1
 
     def set(self, setpoint: Setpoint, since_ms: int) -> None:
-        """Apply a set-point now and drop the set-points in transit."""
+        """Apply a set-point, with its age counted from ``since_ms``; drop the set-points in transit."""
         self._first[0] = self._end[0]
         self._taken_ms[0] = since_ms
         self._setpoint[0] = setpoint

@@ -64,7 +64,7 @@ def forget(f: FirmwareRecord) -> None:
 
 @jitted
 def control(f: FirmwareRecord, rpm_max: float) -> None:
-    """Run the velocity loop and the mixer once (500 Hz); motors stop without set-point or permission."""
+    """Run velocity loop and mixer once (500 Hz); stop the motors if disarmed or on a stop set-point."""
     if f.setpoint.stop or not f.supervisor.motors_allowed:
         if running(f.commands):
             forget(f)
@@ -108,7 +108,7 @@ class Firmware:
     def start_flying(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
         """Start armed in hover at yaw 0 and time zero; return the velocity set-point of the hover.
 
-        ``force``: force of nominal motors, world frame, N; ``motors``: ratio of each thrust to the mean.
+        ``force``: force of nominal motors, world, N; ``motors``: ratio of each motor's thrust to the mean.
         """
         r, trim = self.record, ZERO
         thrust_n = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)

@@ -18,14 +18,14 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import Record
 
 PERIOD_MS = 40  # period of the supervisor, 25 Hz
-WARNING_MS = 500  # set-point age from which it levels out, ms; supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
-TIMEOUT_MS = 2000  # set-point age from which it locks, ms; supervisor.c: COMMANDER_WDT_TIMEOUT_SHUTDOWN
-FLYING_HYSTERESIS_MS = 2000  # idle time that ends a flight; supervisor.c: IS_FLYING_HYSTERESIS_THRESHOLD
+WARNING_MS = 500  # set-point age that starts levelling, ms; supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
+TIMEOUT_MS = 2000  # set-point age that causes LOCKED, ms; supervisor.c: COMMANDER_WDT_TIMEOUT_SHUTDOWN
+FLYING_HYSTERESIS_MS = 2000  # idle time that ends a flight, ms; IS_FLYING_HYSTERESIS_THRESHOLD
 READY_TIMEOUT_MS = 30_000  # preflight time-out of platform_defaults.h, ms
 LANDED_TIMEOUT_MS = 3000  # landing time-out of platform_defaults.h, ms
-TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # vertical acceleration below which it is tilted, g; time, ms
+TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # tilted if body z reads less, g; tumbled after this, ms
 TUMBLE_UPSIDE_DOWN_G, TUMBLE_UPSIDE_DOWN_MS = -0.2, 100
-FREE_FALL_G = 0.1  # acceleration of free fall, which resets the tumble timers; supervisor.c
+FREE_FALL_G = 0.1  # largest reading in free fall, g, which resets the tumble timer; supervisor.c
 
 
 class State(Enum):
@@ -80,7 +80,7 @@ class SupervisorRecord(Record):
     motors_last_ms: int
     tilted_since_ms: int
     motors_allowed: bool
-    level: bool  # whether roll and pitch are zero; the vertical set-point remains active (supervisor.c)
+    level: bool  # whether zero roll and pitch are commanded; the vertical set-point remains (supervisor.c)
 
 
 @jitted
@@ -137,7 +137,7 @@ def supervise(
 
 
 def restart(s: SupervisorRecord) -> None:
-    """Set the state after power-on."""
+    """Set the state to that after power-on."""
     enter(s, STATES.index(State.DISARMED), 0)
     s.motors_last_ms, s.tilted_since_ms = -FLYING_HYSTERESIS_MS - 1, _UPRIGHT
 

@@ -6,7 +6,7 @@ vertical ratio.
 
 The wakes of the four rotors merge into one turbulent jet along the thrust. The model of its mean velocity is
 from Bauersfeld, Muller, Ziegler, Coletti and Scaramuzza, "Robotics meets Fluid Dynamics: A Characterization
-of the Induced Airflow below a Quadrotor as a Turbulent Jet" (arXiv 2403.13321), fitted to six sizes:
+of the Induced Airflow below a Quadrotor as a Turbulent Jet" (arXiv 2403.13321), fitted to six vehicles:
 
     U(s, r) = U_c (1 + (sqrt(2) - 1) (r / b)^2)^-2     U_c = U_H DECAY / (s/l - ORIGIN)
     U_H = sqrt(T / (2 rho 4 pi R^2))                   b = SPREAD (s/l - ORIGIN) l
@@ -36,7 +36,7 @@ from sim.scenarios.tables import Wind
 
 
 class NoiseRecord(Record):
-    """State of the noise on three axes; each value is divided by its standard deviation."""
+    """State of the noise on three axes, in the unit of its standard deviation."""
 
     now: Vector
     decay: Vector  # factor on the value in one step
@@ -54,9 +54,9 @@ def vary(n: NoiseRecord) -> None:
 
 
 def set_up_noise(n: NoiseRecord, rms: Vec3, time_s: Vec3, seed: int, purpose: str, step_s: float) -> Tape:
-    """Initialise the record of correlated noise; return its tape, which needs new numbers every 340 steps.
+    """Initialise the record of correlated noise; top up the returned tape at least every 340 steps.
 
-    ``rms``: standard deviation of each axis, all zero for no noise; ``time_s``: correlation times.
+    ``rms``: standard deviation of each axis, all zero for no noise; ``time_s``: correlation times, s.
     """
     tape = Tape(seed, purpose, n.tape)
     n.on = any(axis > 0.0 for axis in rms)
@@ -101,7 +101,7 @@ DECAY = 10.11  # decay of the velocity on the axis; DECAY, ORIGIN and SPREAD are
 ORIGIN = -5.817  # virtual origin of the jet below the rotors, divided by l; negative: above the rotors
 SPREAD = 0.07668  # half width of the jet, divided by the distance from its virtual origin
 NEAR = 2.5  # distance from the rotors at which the four wakes have merged, divided by l
-EDGE = 4.0  # outer radius of the jet, divided by its half width; the velocity fades out from 3 to 4
+EDGE = 4.0  # outer radius of the jet, in half widths of the jet; the velocity fades out from 3 to 4
 PLATE_DRAG = 1.18  # drag coefficient of a flat plate across the flow
 _NARROWS = math.sqrt(2.0) - 1.0
 
@@ -116,7 +116,7 @@ class DownwashRecord(Record):
     air: Vector  # air velocity at the centre of mass, world ENU, m/s
     along: Motors  # air velocity along body z at the rotors, m/s
     loss: float  # thrust loss of each rotor divided by the air velocity, N s/m
-    across: float  # rotor drag across body z, N s/m
+    across: float  # rotor drag across body z divided by the air velocity, N s/m
     moment: float  # moment of the rotor drag about the centre of mass, N m per m/s
     plate: float  # drag of the body divided by the squared velocity, N s^2/m^2
     arm: float  # distance of the rotor axes from the centre along body x and y, m

@@ -21,8 +21,8 @@ CONTROL_STEP_S = 0.002  # period of the control loops, s; firmware stabilizer_ty
 class Body:
     """Rigid body of the vehicle.
 
-    The drag acts ``drag_above_com_m`` above the centre of mass, along body z. ``rate_damping_n_m_s`` is a
-    torque against roll and pitch rates, because a rotor that moves down has more thrust.
+    The drag acts at the point of body z ``drag_above_com_m`` above the centre of mass. A roll or pitch rate
+    times ``rate_damping_n_m_s`` is a torque against it, because a rotor that moves down has more thrust.
     """
 
     mass_kg: float
@@ -174,8 +174,8 @@ class VelocityGains:
     xy_i: float = 1.0
     z_p: float = 25.0
     z_i: float = 15.0
-    xy_dead_time_s: Annotated[float, span(0.0, 0.6)] = 0.0  # dead time from set-point to velocity error
-    tilt_time_s: Annotated[float, span(0.0, 1.0)] = 0.0  # time constant of the commanded tilt's low-pass
+    xy_dead_time_s: Annotated[float, span(0.0, 0.6)] = 0.0  # dead time from set-point to velocity error, s
+    tilt_time_s: Annotated[float, span(0.0, 1.0)] = 0.0  # time constant of the tilt command's low-pass, s
     # ratio of the loop's target velocity to the set-point
     xy_response: Annotated[float, span(0.5, 3.0)] = 1.0
 

@@ -10,7 +10,7 @@ w_i), and the torque -dh/dt - w x h acts on the body.
 Thrust gain close to a surface: Cheeseman and Bennett 1955, T/T0 = 1 / (1 - (R/4h)^2), per rotor.
 ``gain`` multiplies the increase: measured increases of small quadrotors are 1 to 4 times the formula's
 (Sanchez-Cuevas 2017). Heights below 20 mm are treated as 20 mm. The effect fades out between 3 R and 4 R.
-Over the pad's edge, the fraction of a rotor's disc that is over the pad is linear across the diameter.
+At the pad's edge, the fraction of a rotor's disc over the pad is linear in the distance from the edge.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class RotorRecord(Record):
     q2: float
     arm: float
     gyro: float  # angular momentum of a rotor divided by its speed, N m s / rpm
-    reaction: float  # torque per change of speed in one step
+    reaction: float  # torque on the body divided by a rotor's change of speed in one step, N m / rpm
     gain: float  # gain of the first-order lag in one step; exact for a constant command
     slow_rise: float
     slow_fall: float
@@ -55,7 +55,7 @@ class RotorRecord(Record):
 
 @jitted
 def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
-    """Advance the speeds towards ``command`` (rpm); compute force and torque; ``wx``, ``wy``: body rates."""
+    """Advance the speeds towards ``command`` (rpm); compute force and torque; ``wx``, ``wy``: rad/s."""
     r1, r2, r3, r4 = r.rpm[0], r.rpm[1], r.rpm[2], r.rpm[3]
     c1, c2, c3, c4 = command[0], command[1], command[2], command[3]
     d1, d2, d3, d4 = c1 - r1, c2 - r2, c3 - r3, c4 - r4
@@ -106,7 +106,7 @@ class BatteryRecord(Record):
     """Charge and voltage of the battery, and the parameters of ``params.Battery``."""
 
     voltage_v: float  # voltage under load, V
-    sag_v: float  # voltage drop under load
+    sag_v: float  # voltage drop under load, V
     used_a_s: float
     hover_power: float  # sum of the cubed rotor speeds in hover, rpm^3
     charge_a_s: float
@@ -192,7 +192,7 @@ def ground_effect(
 ) -> None:
     """Compute the ground effect's factors on the four thrusts; a factor is 1 without a surface nearby.
 
-    ``ex``, ``ey``, ``ez``: vehicle minus pad centre, ENU, m; ``pad_height_m``: its height above the floor.
+    ``ex``, ``ey``, ``ez``: vehicle minus pad centre, ENU, m; ``pad_height_m``: height of the pad, m.
     """
     factors[:] = 1.0
     height = ez + pad_height_m

@@ -1,4 +1,4 @@
-"""Measurements: their noise, loss and delay, and gyro and accelerometer at the control rate.
+"""Measurements with noise, loss and delay; gyro and accelerometer at the control rate.
 
 Gyro and accelerometer have a random bias, white noise and first-order filters. The filters have the group
 delay of the firmware's second-order Butterworth filters, sqrt(2) / (2 pi f).
@@ -27,7 +27,7 @@ NS = 1_000_000_000
 NS_PER_MS = 1_000_000
 NEVER_NS = 1 << 62
 NO_NOISE = -0.0  # zero noise; adding -0.0 does not change the sign of a zero
-BLOCK = 1024  # count of numbers in one draw; single draws of numpy take twenty times as long for each number
+BLOCK = 1024  # number of random values in one draw; single draws take twenty times as long for each value
 
 
 def ms_from(time_ns: Time) -> Time:
@@ -42,7 +42,7 @@ def normals(rng: np.random.Generator) -> F64:
 
 
 class NoiseRows:
-    """Noise for samples of several values; each value with a sigma uses one standard normal number."""
+    """Noise for samples of several values; each value with a nonzero sigma uses one normal number."""
 
     def __init__(self, sigmas: Sequence[float], seed: int, purpose: str) -> None:
         self._sigmas = np.array(sigmas, dtype=np.float64)
@@ -57,7 +57,7 @@ class NoiseRows:
         return self._left.pop()
 
     def block(self) -> F64:
-        """Return noise of the next samples, one row each, in the order of use; as few blocks as possible."""
+        """Return the noise of the next samples, one row for each; draw as few blocks as possible."""
         width = int(self._noisy.sum())
         if width == 0:
             return np.full((BLOCK, len(self._sigmas)), NO_NOISE)
@@ -131,7 +131,7 @@ class Losses:
         return by_chance or measured_ns >= self._drop_start_ns
 
     def _chance(self) -> float:
-        if self._drop_start_ns != NEVER_NS:  # drop-outs also use this random stream: no block is drawn
+        if self._drop_start_ns != NEVER_NS:  # drop-outs also use this stream, so no block is drawn ahead
             return float(self._rng.random())
         if not self._chances:
             self._chances = self._rng.random(BLOCK)[::-1].tolist()
@@ -155,9 +155,9 @@ class MeasurementChannel:
     def run(self, times_ns: Sequence[int], measure: Callable[[list[int]], F64]) -> tuple[list[int], F64]:
         """Measure the samples that are due at these times, in increasing order, and release samples.
 
-        ``measure``: function from the indices of the times of due samples to their values, (n, width).
-        Returns for each released sample the index of its release, and (m, 1 + width): time of measurement,
-        ns, and values.
+        ``measure``: function from the indices (in ``times_ns``) of n due samples to their values, (n, width).
+        Returns the index of the time at which each sample is released, and the m released samples,
+        (m, 1 + width): time of measurement, ns, and values.
         """
         due: list[int] = []
         for n, now_ns in enumerate(times_ns):

@@ -39,13 +39,13 @@ class PastRecord(Record):
 
     states: Annotated[F64, 6 * PAST]  # ring buffer of position (m) and velocity (m/s), ENU
     count: int  # number of states stored since the start
-    rate: float  # states per second
-    late: Annotated[F64, 6]  # measured (delayed) position and velocity
+    rate: float  # number of stored states per second
+    late: Annotated[F64, 6]  # measured (delayed) position, m, and velocity, m/s
 
 
 @jitted
 def _recall(past: PastRecord, delay_s: float, first: int) -> None:
-    """Write three components of the stored state of ``delay_s`` (>= 0) before now."""
+    """Write three components of the state ``delay_s`` (>= 0) ago to ``past.late``, from ``first`` on."""
     back = max(0.0, min(delay_s * past.rate, float(min(past.count, PAST) - 1)))
     whole = int(back)
     share = back - whole
@@ -72,7 +72,7 @@ def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None
     lead_s = max(0.0, -row[DELAY])
     for i in range(3):
         late[i] += velocity[i] * lead_s + row[POSITION + i]
-        if row[VELOCITY_DELAY] < 0.0:  # extrapolation from the last change: a derivative jumps at an impact
+        if row[VELOCITY_DELAY] < 0.0:  # extrapolate by the last change: a derivative jumps at an impact
             late[3 + i] = 2.0 * velocity[i] - late[3 + i]
     speed = math.sqrt(late[3] * late[3] + late[4] * late[4])
     x, y = 1.0, 0.0
@@ -127,7 +127,7 @@ _NOISY = (*range(POSITION, POSITION + 3), AHEAD, ASIDE, VELOCITY + 2, *range(TUR
 
 
 class ErrorRows:
-    """Errors from the statistical model of ``StateError``; streams of all purposes share the delay."""
+    """Errors from the model of ``StateError``; with ``delay_shared``, all purposes have one mean delay."""
 
     def __init__(self, spec: StateError, seed: int, purpose: str, rate_hz: float) -> None:
         self._spec = spec

@@ -63,7 +63,7 @@ class Estimate(NamedTuple):
     valid: bool
 
 
-TRUTH = 41  # number of values of a true state: time in s, then those of ``TrueStateRow`` after its tick
+TRUTH = 41  # number of values of a true state: time, s, then the fields of ``TrueStateRow`` after ``tick``
 
 
 def truth_row(values: Sequence[float], stamp_ns: int, tick: int = 0) -> TrueStateRow:
@@ -74,7 +74,7 @@ def truth_row(values: Sequence[float], stamp_ns: int, tick: int = 0) -> TrueStat
 
 
 def truth_of(row: Any) -> TrueStateRow:
-    """Return the state with these ``TRUTH`` values, at tick 0; columns give arrays."""
+    """Return the state with these ``TRUTH`` values and tick 0; values that are arrays give arrays."""
     return TrueStateRow(
         row[0], 0, row[1:4], row[4:7], row[7:11], row[11:14], row[14:18], row[18:21], row[21:24], row[24],
         row[25], row[26], row[27], row[28], row[29:32], row[32:35], row[35], row[36], row[37], row[38:],

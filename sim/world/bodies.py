@@ -56,7 +56,7 @@ def midpoint_rates(rates: F64, s: WrenchRecord) -> tuple[float, float, float]:
     """Return the body rates in the middle of the step, rad/s."""
     half = 0.5 * STEP_S
     x, y, z = rates[0], rates[1], rates[2]
-    for _ in range(4):  # each iteration reduces the error by the factor rate * half a step, at most 0.01
+    for _ in range(4):  # each iteration multiplies the error by rate * half a step, at most 0.01
         gx, gy, gz = gyroscopic(s.inertia, x, y, z)
         x = rates[0] + half * (s.torque[0] - gx) / s.inertia[0]
         y = rates[1] + half * (s.torque[1] - gy) / s.inertia[1]
@@ -93,7 +93,7 @@ def move_body(body: BodyRecord, s: WrenchRecord) -> None:
 
 @jitted
 def arc_of_step(rate: float) -> tuple[float, float, float, float]:
-    """Return cosine and sine of the turn, and the displacements of ``DeckRecord``, for a turn rate, rad/s."""
+    """Return cosine and sine of one step's turn, then ``along`` and ``across``; ``rate``: rad/s."""
     turn = rate * STEP_S
     sine = math.sin(0.5 * turn)
     chord = sine / (0.5 * turn) if turn else 1.0  # ratio of chord to arc length

@@ -31,10 +31,10 @@ STILL_M = 1e-4  # largest motion relative to the pad in these steps, m
 DIAGONAL = 1.4143  # ratio of a square's diagonal to its side, rounded up: the feet are at the corners
 SAME_RAD = 0.002  # largest change of attitude in these steps, rad
 UPRIGHT = 0.99  # smallest cosine of the tilt at which the vehicle stands on all feet
-LOADED = 0.5  # smallest fraction of the weight that loads the feet
-HOLDS = 0.25  # largest used fraction of the holding force of friction and weight; above it MuJoCo is used
-TICK_S = 0.01  # time in which the deck changes to a new velocity, s; the velocity is set in steps
-MOVED_M, TURNED_RAD = 1e-4, 1e-3  # largest motion of the deck in one step; more: the deck was moved
+LOADED = 0.5  # smallest load on the feet of a vehicle at rest, divided by its weight
+HOLDS = 0.25  # fraction of the holding force (friction, weight) above which MuJoCo computes the steps
+TICK_S = 0.01  # assumed time between velocity updates of the deck, s; acceleration = change / time
+MOVED_M, TURNED_RAD = 1e-4, 1e-3  # largest correction of the deck's pose, m, rad; a larger one is a jump
 
 
 class RestRecord(Record):
@@ -138,7 +138,7 @@ def look(r: RestRecord, body: BodyRecord, deck: DeckRecord, on_pad: bool) -> Non
 
 @jitted
 def carried(r: RestRecord, wrench: WrenchRecord, body: BodyRecord, deck: DeckRecord) -> bool:
-    """Advance the deck and a resting vehicle by one step; if it does not rest, only return False."""
+    """If the vehicle rests on the pad, advance vehicle and deck by one step; else only return False."""
     if r.steps < r.wait_steps:
         return False
     if not _holds(r, wrench, deck):
@@ -193,7 +193,7 @@ TUMBLE_COS = 0.5  # cosine of 60 degrees, the tilt of a tumble
 class ReachRecord(Record):
     """Outer bounds of the shapes, m, margin included."""
 
-    vehicle: float  # radius about the centre of mass
+    vehicle: float  # radius of a sphere around the vehicle, about the centre of mass
     side: float  # radius of the cylinder around the vehicle, about the body's z axis
     bottom: float  # bottom of this cylinder on the body's z axis, negative
     top: float  # top of this cylinder on the body's z axis
@@ -220,7 +220,7 @@ class WorldRecord(Record):
     deck: DeckRecord
     reach: ReachRecord
     wrench: WrenchRecord
-    contacts: int  # ``ContactBit`` of the state before the last step
+    contacts: int  # ``ContactBit`` values of the contacts at the start of the last step
     rest: RestRecord
     mujoco: MujocoRecord
 

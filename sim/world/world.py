@@ -1,4 +1,4 @@
-"""The MuJoCo model and the memory of vehicle and moving deck."""
+"""The MuJoCo model, and the record with the states of vehicle and moving deck."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def mujoco_function(name: str) -> int:
 
 
 def measure_reach(model: mujoco.MjModel, reach: ReachRecord) -> None:
-    """Fill in the bounds of a model with the bodies ``vehicle`` and ``robot_body`` and a floor at z = 0."""
+    """Compute the bounds ``reach``; ``model`` has bodies ``vehicle``, ``robot_body`` and a floor at z = 0."""
     roots = model.body_rootid[model.geom_bodyid]
     of_vehicle, of_robot = (roots == model.body(name).id for name in ("vehicle", "robot_body"))
     margin = MARGIN_M + model.geom_margin.max() + model.geom_gap.max()
