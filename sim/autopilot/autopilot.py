@@ -102,7 +102,7 @@ _FOR_QGROUNDCONTROL = (
 # A table in sim.autopilot.flight maps the values of COM_OBL_RC_ACT to modes.
 _OWN = (
     real("COM_OF_LOSS_T", 0.5, 0.1, 5.0),  # time without a set-point before COM_OBL_RC_ACT applies, s
-    one_of("COM_OBL_RC_ACT", 4, 0, 4, 5),  # action on lost set-points: land, land, hold
+    one_of("COM_OBL_RC_ACT", 4, 0, 4, 5),  # action on lost set-points: 0 and 4 land, 5 holds
     real("COM_DISARM_LAND", 2.0, 0.1, 20.0),  # time on the ground until disarming, s; PX4's default
     real("COM_DISARM_PRFLT", 10.0, 1.0, 120.0),  # time without take-off until disarming, s; PX4's default
     fixed("COM_RC_IN_MODE", 4),  # there is no stick input
@@ -111,11 +111,11 @@ _OWN = (
     fixed("NAV_DLL_ACT", 0),  # a lost ground station causes no action
     real("BAT1_V_EMPTY", 3.5, 2.5, 4.0),  # voltage of the empty cell at rest, V
     real("BAT1_V_CHARGED", 4.15, 3.5, 4.35),  # voltage of the full cell at rest, V
-    real("BAT1_V_LOAD_DROP", 0.37, 0.0, 1.0),  # voltage drop at full throttle, V; 0.25 V in hover at 0.67
+    real("BAT1_V_LOAD_DROP", 0.37, 0.0, 1.0),  # voltage drop at full throttle, V; in hover (0.67) 0.25 V
     fixed("GF_ACTION", 0),  # there is no fence
     fixed("GF_MAX_HOR_DIST", 0.0, REAL32),
     fixed("GF_MAX_VER_DIST", 0.0, REAL32),
-    fixed("SYS_FAILURE_EN", 0),  # no failures by command 420
+    fixed("SYS_FAILURE_EN", 0),  # command 420 (MAV_CMD_INJECT_FAILURE) is not available
     real("MIS_TAKEOFF_ALT", 0.5, 0.1, 20.0, in_flight=True),  # height above the take-off position, m
     real("MPC_TKO_SPEED", 0.5, 0.1, 1.0, in_flight=True),  # climb speed of the take-off, m/s
     real("MPC_LAND_SPEED", 0.3, 0.1, 0.8, in_flight=True),  # sink speed of the landing, m/s

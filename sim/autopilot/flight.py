@@ -22,22 +22,22 @@ from flightstack.compiled.records import Cell, Record, cell, new, scalars
 from sim.autopilot.pilot import Event, Pilot
 from sim.vehicle.vehicle import VehicleSim
 
-PERIOD_S = 0.1 - 1e-6  # time between two checks, s
+PERIOD_S = 0.1 - 1e-6  # time between two filter steps, s; 1e-6 s allow for rounding
 _SMOOTH_S = 1.0  # time constant of the low-pass filter, s
 
 
 class WatchRecord(Record):
     """State of ``Watches``."""
 
-    due_s: float  # time of the next check
-    last_s: float  # time of the last check; NaN before the first check
+    due_s: float  # time of the next filter step
+    last_s: float  # time of the last filter step; NaN before the first
     voltage_v: float  # battery voltage, low-pass filtered
     throttle: float  # mean motor command, low-pass filtered
 
 
 @jitted
 def check(watches: Cell[WatchRecord], now_s: float, voltage_v: float, throttle: float) -> None:
-    """Filter voltage and throttle with a first-order low-pass filter; set the time of the next check."""
+    """Filter voltage and throttle with a first-order low-pass filter; set the time of the next step."""
     w = watches[0]
     dt_s = now_s - w.last_s if w.last_s == w.last_s else 0.0
     share = 1.0 - math.exp(-dt_s / _SMOOTH_S)
@@ -65,7 +65,7 @@ class Watches:
         return min(max((rest_v - empty_v) / max(full_v - empty_v, 0.01), 0.0), 1.0)
 
     def step(self, now_s: float) -> None:
-        """Filter voltage and throttle if the time of the next check has come."""
+        """Filter voltage and throttle if the next filter step is due."""
         if now_s >= self._due_s[0]:
             check(self.cell, now_s, self._vehicle.battery_v, throttle(self._vehicle))
 
@@ -235,7 +235,7 @@ class Flight(Commander):
         return None
 
     def flown(self, now_s: float, setpoint: Setpoint | None, sender: Sender) -> None:
-        """Update the state after ticks that flew set-points without ``control``; ``setpoint``: last one."""
+        """Update the state after ticks that flew set-points without ``control``; ``setpoint``: newest."""
         self._control_s = self._estimate_seen_s = now_s
         if setpoint is not None:
             self._owner, self._setpoint_s = sender, now_s

@@ -18,10 +18,10 @@ from flightstack.core.types import ZERO, Vec3
 from sim.plant.states import Estimate
 from sim.vehicle.vehicle import VehicleSim
 
-_INTEGRAL_GAIN_1_S2 = 0.25  # gain that cancels wind and mass error in seconds; slower than the position loop
+_INTEGRAL_GAIN_1_S2 = 0.25  # gain of the integral, which cancels wind and mass errors in some seconds
 _INTEGRAL_MAX_M_S = 0.4  # limit of the integral: above the steady error at 10 % mass error and 2 m/s of wind
 _LEARN_BELOW_M_S = 0.1  # proportional velocity above which the integral is constant (anti-windup)
-_SLEW_M_S2 = 1.0  # slew limit; with K_v = 0.5 a step of 0.53 m/s would command zero thrust (27 g)
+_SLEW_M_S2 = 1.0  # slew limit; at 27 g and K_v = 0.5 N s/m a step of 0.53 m/s would command zero thrust
 _ARRIVED_M = 0.05  # height error at which a height counts as reached, half of the Crazyflie's size
 _ARRIVED_M_S = 0.15  # vertical speed below which a height counts as reached
 
@@ -37,7 +37,7 @@ class Event(Enum):
 class Pilot:
     """Computes velocity set-points for the firmware from mode, estimate and received set-point.
 
-    Except for OFFBOARD they are those of a position loop with a clamped integral and a slew limit.
+    In all modes but OFFBOARD, a position loop with a clamped integral and a slew limit computes them.
     """
 
     def __init__(self, vehicle: VehicleSim, parameters: Parameters) -> None:
@@ -62,7 +62,7 @@ class Pilot:
 
     @property
     def passes_on(self) -> tuple[float, float, float] | None:
-        """Speeds (horizontal, up, down) up to which set-points pass unchanged, m/s; None: any may change."""
+        """Speeds (horizontal, up, down) up to which set-points pass unchanged, m/s; None: all may change."""
         return self._clip if self._engaged and self._setpoint is not None else None
 
     def handed_on(self, setpoint: Setpoint) -> None:
@@ -122,7 +122,7 @@ class Pilot:
         self._engaged = True
 
     def _approach(self, estimate: Estimate, dt_s: float, *, lands: bool, learn: bool) -> None:
-        """Fly towards the hold point, or sink; level without an estimate; on the ground nothing is learnt."""
+        """Fly towards the hold point, or sink; level without an estimate; ``learn``: change the integral."""
         p, (xy_m_s, up_m_s, down_m_s) = self._parameters, self._clip
         down_m_s = min(down_m_s, p["MPC_LAND_SPEED"])
         wanted = (0.0, 0.0, -down_m_s if lands else 0.0)

@@ -1,4 +1,4 @@
-"""Messages of the simulated autopilot in addition to those of every vehicle, and its geodetic position."""
+"""Telemetry of the simulated autopilot besides the messages of all vehicles; origin of the room (WGS84)."""
 
 from __future__ import annotations
 

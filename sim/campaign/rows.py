@@ -65,7 +65,7 @@ class Row:
     h_min_e_z_m: float | None = None  # height e_z at the tick of ``h_min_m``
     touchdown_error_m: float | None = None  # horizontal distance d at first contact
     touchdown_speed_vertical_m_s: float | None = None  # sink rate relative to the pad at first contact
-    touchdown_speed_horizontal_m_s: float | None = None  # horizontal speed relative to the pad
+    touchdown_speed_horizontal_m_s: float | None = None  # horizontal speed relative to the pad at contact
     time_to_land_s: float | None = None  # time from the start of the landing to first contact, if landed
     retries: int | None = None  # number of go-arounds, which return to the approach
     # duration of each phase, s
@@ -85,7 +85,7 @@ class Row:
     # number of times that two vehicles in flight entered the ellipsoid around each other
     ellipsoid_violations: int | None = None
     ellipsoid_min: float | None = None  # smallest ellipsoid norm between two flying vehicles; below 1: inside
-    distance_min_m: float | None = None  # smallest distance of two vehicles
+    distance_min_m: float | None = None  # smallest distance between two vehicles
     wait_max_s: float | None = None  # longest time that a vehicle waited for its right of way
     # keys with which the scenario exceeds its configuration's proof, also for single vehicles
     outside_envelope: str = ""
@@ -101,7 +101,7 @@ class Row:
 
 
 def judge_landing(flown: Landing) -> FleetVerdict:
-    """Judge a run as its log is judged."""
+    """Return the verdict on a run; the verdict on the log of the run is equal."""
     names = {number: member_name(number) for number, _ in enumerate(flown.members, 1)}
     members = {names[n]: landing.verdict for n, landing in enumerate(flown.members, 1)}
     return fleet_verdict(members, flown.pairs, names)
@@ -131,7 +131,7 @@ def row_of(flown: Landing) -> Row:
 
 
 def _values(landing: Landing) -> dict[str, Any]:
-    """Return the values of one vehicle by column; those of ``cells`` are d, e_z and h since the start."""
+    """Return the values of one vehicle by column; ``cells`` has d, e_z and h since the landing started."""
     h_m, seen = landing.verdict.h_min_outside_pad_m, landing.seen
     steps, truth, start_s = seen.steps, seen.truth, seen.landing_start_s
     begin = len(truth.t_s) if start_s is None else int(np.searchsorted(truth.t_s, start_s))
@@ -140,7 +140,7 @@ def _values(landing: Landing) -> dict[str, Any]:
     if h_m is not None:
         at = begin + int(np.argmin(np.where(np.isnan(outside_m), np.inf, outside_m)))
         lowest_d_m, lowest_e_z_m = float(truth.d_m[at]), float(truth.e_m[at, 2])
-    # a phase lasts until the next step
+    # the phase of a step lasts until the next step
     lengths_s = np.diff(steps.t_s, append=steps.t_s[-1])
     landing_steps = slice(0, 0) if start_s is None else slice(int(np.searchsorted(steps.t_s, start_s)), None)
     return {
@@ -255,7 +255,7 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
 
 @contextmanager
 def appending(path: Path) -> Iterator[Callable[[Row], None]]:
-    """Open a file of rows without a truncated last line; yield a function whose rows survive any crash."""
+    """Open a file of rows, cut off an incomplete last line; yield a function that stores a row durably."""
     with path.open("a+b") as file:
         file.seek(0)
         whole = file.read().rfind(b"\n") + 1

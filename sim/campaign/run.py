@@ -168,7 +168,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
                         on_row(row)
         except KeyboardInterrupt:
             pass  # the result reports the number of missing rows
-        if todo:  # landings were flown: an interrupt may have lost a row of the list
+        if todo:  # after an interrupt, the file may have a row that the list lacks
             rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)
         write_rows(folder / ROWS, rows)
         told = None
@@ -210,7 +210,7 @@ def _filter(name: str) -> dict[str, str]:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Lock a folder against other campaigns, and name it in an error of the system, such as a full disk.
+    """Lock a folder against other campaigns; add its name to a system error, such as that of a full disk.
 
     Raises RowsError: another campaign holds the lock.
     """
@@ -240,7 +240,7 @@ _MAP = (
     "Cells below it were entered on the last centimetres over the pad, or by a violation."
 )
 
-# panel, title, axis, factor, column of the rows
+# name of the panel, title, text of the x axis, factor from the column to the axis, column of the rows
 _HISTOGRAMS = (
     ("error", "Touchdown error", "d at first contact [cm]", 100.0, "touchdown_error_m"),
     ("vertical", "Touchdown speed, vertical", "relative to the pad, downwards [m/s]", 1.0,

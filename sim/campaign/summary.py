@@ -90,7 +90,7 @@ def summary(
     }
 
 
-# values of all vehicles together, and the functions that join those of the rows
+# values over all vehicles, and the function that combines a value's rows
 _OF_ROOMS: Mapping[str, Callable[[Iterable[Any]], Any]] = {
     "vehicles": sum, "vehicles_landed": sum, "collisions": sum, "ellipsoid_violations": sum,
     "ellipsoid_min": min, "distance_min_m": min, "wait_max_s": max,
@@ -109,7 +109,7 @@ def _of_rooms(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def worst(rows: Sequence[Row], most: int = WORST_MAX) -> list[Row]:
-    """Return the worst rows: failures first, then by the distance of the touch from the pad's centre."""
+    """Return the worst rows: failures first, then by the distance of the touchdown from the pad's centre."""
     return sorted(rows, key=_badness)[:most]
 
 
@@ -133,7 +133,7 @@ def why(row: Row) -> str:
     return f"{told}; violation {found}"
 
 
-# line of a summary: key, key within that object, name, unit, factor
+# line of the printed summary: key, key within the value if it is an object, name, unit, factor
 _LINES: tuple[tuple[str, str, str, str, float], ...] = (
     ("runs", "", "landings flown", "", 1.0),
     ("landed", "", "landed", "", 1.0),

@@ -32,7 +32,7 @@ SLOWEST = 0.05  # smallest ratio of simulated to wall time; a slower worker is e
 
 @lru_cache(maxsize=4)
 def loaded(scenario_toml: str) -> Scenario:
-    """Return the scenario of a text, with all code compiled."""
+    """Return the scenario in a text; compile all code that it needs."""
     scenario = from_text(scenario_toml)
     warm_up(scenario)
     return scenario
@@ -40,7 +40,7 @@ def loaded(scenario_toml: str) -> Scenario:
 
 @lru_cache(maxsize=4)
 def prepared(scenario_toml: str) -> Scenario:
-    """Return the scenario of a text; compile all code and exclude present objects from garbage collection."""
+    """Return the scenario in a text; compile its code and exclude present objects from garbage collection."""
     scenario = loaded(scenario_toml)
     quiet_garbage_collector()
     return scenario
@@ -140,7 +140,7 @@ def fly_on_cluster(address: str, scenario_toml: str, seeds: Iterable[int]) -> It
         for seed, future in results(client.get_executor(pure=False), work, deque(seeds), ahead):
             try:
                 yield future.result()
-            except Exception as died:  # its workers died: ``fly_seed_as`` turns every other error into a row
+            except Exception as died:  # its workers died or have other code; other errors are rows already
                 yield error_row(seed, f"{type(died).__name__}: {died}")
 
 

@@ -159,15 +159,15 @@ def clock_lag_s(recording: Recording) -> Floats:
 
 Mask = NDArray[np.bool_]
 
-GAP_FACTOR = 5.0  # sample distance that counts as a gap, in periods
+GAP_FACTOR = 5.0  # time between two samples that counts as a gap, in sample periods
 SPEED_MAX_M_S = 6.0  # largest speed between two motion-capture samples; no Crazyflie in a room is faster
 FROZEN_S = 0.05  # duration after which a repeated pose counts as frozen, s; motion capture lost the body
 ESTIMATE_OFF_M = 0.3  # distance from motion capture above which an estimate has diverged; good flights: 0.2 m
 CLOCKS_OFF_S = 0.05  # allowed clock offset, s; at 1 m/s it causes 5 cm, as much as the compared errors
 CLOCKS_S = 0.5  # minimum duration of a clock offset, s; a shorter offset is chance
-VOLTAGE_V = (2.5, 4.4)  # voltage range of one LiPo cell under load
-ABOVE_GROUND_M = 0.15  # height of flight without ground effect (3 propeller diameters)
-START_S = 0.5  # time after lift-off and before landing in which contact is possible, s
+VOLTAGE_V = (2.5, 4.4)  # voltage range of one LiPo cell under load, V
+ABOVE_GROUND_M = 0.15  # height above which there is no ground effect (3 propeller diameters), m
+START_S = 0.5  # excluded time after lift-off and before landing, as contact is possible, s
 MARGIN_S = 0.1  # excluded time on both sides of a marked sample, s
 DAMAGED_MAX = 0.05  # largest allowed fraction of damaged time in the air; gaps do not count
 PIECE_MIN_S = 2.0
@@ -247,7 +247,7 @@ def _highest_m(r: Recording) -> float:
 
 
 def _checks(r: Recording, flying: Mask) -> Iterator[tuple[str, bool, Mask]]:
-    """Yield failures and gaps with their samples; damage: the vehicle's link or estimator failed."""
+    """Yield the text of each check, whether it finds damage (failed link or estimator), and the samples."""
     steps = np.diff(r.time_s, prepend=r.time_s[0] - r.step_s)
     needed = [r.position_m, r.velocity_m_s, r.attitude, r.rates_rad_s, r.duty, r.battery_v[:, None]]
     with np.errstate(invalid="ignore"):

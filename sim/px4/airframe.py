@@ -29,7 +29,7 @@ PX4_OF_M = (0, 3, 1, 2)  # index of the PX4 output that drives M1..M4
 
 
 def share(control: float) -> float:
-    """Limit an output to 0 to 1; NaN, which PX4 sends for a stopped motor, gives 0."""
+    """Limit an output to the range 0 to 1; NaN, which PX4 sends for a stopped motor, gives 0."""
     return min(1.0, max(0.0, control)) if math.isfinite(control) else 0.0
 
 
@@ -53,8 +53,8 @@ _MOTOR_1 = 101  # number of PX4's output function "Motor 1"
 _NATURAL = 1.3  # product of the rate loop's natural frequency and the motor lag
 _DAMPING = 0.8
 _SLOWER = 4.0  # ratio of the rate loop's natural frequency to the attitude loop's bandwidth
-_INTEGRAL_1_S = 1.3  # ratio of I to P, as in PX4's defaults 0.2 and 0.15
-_YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths of yaw rate and yaw
+_INTEGRAL_1_S = 1.3  # ratio of I to P, 1/s, as in PX4's defaults 0.2 and 0.15
+_YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths of the loops of yaw rate and yaw, 1/s
 _THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # outputs are fractions of the highest thrust
 # parameters that the pre-flight check requires of every PX4 in a simulation without a radio
 SAFE_PARAMETERS: dict[str, float] = {
@@ -90,7 +90,7 @@ def torque_over_thrust_m(params: Params) -> float:
 
 
 def parameters(params: Params, mocap: OdometryLink | None = None) -> dict[str, float]:
-    """Return the parameters that differ from PX4's defaults (v1.16); with ``mocap`` no satellites."""
+    """Return the parameters that differ from PX4's defaults (v1.16); ``mocap`` replaces satellites."""
     rotor, (jx, jy, jz) = params.rotor, params.body.inertia_kg_m2
     ratio = torque_over_thrust_m(params)
     found: dict[str, float] = {"CA_AIRFRAME": 0, "CA_ROTOR_COUNT": 4}

@@ -60,7 +60,7 @@ def fly_commanded(vehicle: Cell[VehicleRecord], wanted: F64, begin_ms: int, end_
 
 
 def start_position(scenario: Scenario, params: Params, pad_enu_m: Vec3) -> Vec3:
-    """Return the start position on the floor: the scenario's ground start, or the point below its hover."""
+    """Return the start position on the floor: a ground start, or the point below a hover start."""
     z = -params.geometry.foot_bottom_m - 1e-5
     if scenario.start.kind is StartKind.GROUND:
         return (*scenario.start.ground_position_m, z)
@@ -73,7 +73,7 @@ def start_position(scenario: Scenario, params: Params, pad_enu_m: Vec3) -> Vec3:
 
 
 class Px4Plant(Physics):
-    """One vehicle at rest on the floor, and its deck; set ``wanted`` before ``advance``."""
+    """One vehicle, which starts at rest on the floor, and its deck; set ``wanted`` before ``advance``."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         if scenario.fault:
@@ -101,11 +101,11 @@ GPS_EVERY = 25  # number of IMU readings per satellite fix: 10 Hz
 DECLINATION_RAD = 0.05713
 INCLINATION_RAD = 1.10208
 STRENGTH_GAUSS = 0.48197
-MAG_NOISE_GAUSS = 0.003  # Bosch BMM150 data sheet: 0.3 uT rms
+MAG_NOISE_GAUSS = 0.003  # rms noise: 0.3 uT, Bosch BMM150 data sheet
 
 SEA_LEVEL_HPA, SEA_LEVEL_K, LAPSE_K_M, EXPONENT = 1013.25, 288.15, 0.0065, 5.25588  # values of ISO 2533
 ZERO_CELSIUS_K = 273.15
-BARO_NOISE_HPA = 0.012  # Bosch BMP388 data sheet: 1.2 Pa rms
+BARO_NOISE_HPA = 0.012  # rms noise: 1.2 Pa, Bosch BMP388 data sheet
 
 # assumed standard deviations of a receiver with base station (RTK fix), which a pad of 0.1 m requires, m
 GPS_NOISE_M = (0.010, 0.010, 0.020)
@@ -148,13 +148,13 @@ def pressure_altitude_m(hpa: float) -> float:
 
 
 def _within(flu: F64, limit: float) -> Vec3:
-    """Return a vector of the body in FRD, each component limited."""
+    """Convert a body vector from FLU to FRD, each component limited to ``limit``."""
     x, y, z = (max(-limit, min(limit, c)) for c in flu.tolist())
     return frd_from_flu((x, y, z))
 
 
 class Px4Sensors:
-    """All sensors of one vehicle at rest, read every ``STEP_MS``; ``mocap`` replaces the satellites."""
+    """All sensors of a vehicle that starts at rest, read every ``STEP_MS``; ``mocap`` replaces satellites."""
 
     def __init__(self, params: Params, body: Body, seed: int, mocap: OdometryLink | None = None) -> None:
         raw = replace(params.imu, gyro_filter_hz=math.inf, accel_filter_hz=math.inf)
@@ -173,7 +173,7 @@ class Px4Sensors:
         self._count += 1
         if self._poses is not None:
             messages = self._poses.poll(body, count * STEP_MS * 1_000_000, now_us)
-        elif count % GPS_EVERY == GPS_EVERY - 1:  # PX4's clock runs by then
+        elif count % GPS_EVERY == GPS_EVERY - 1:  # by then PX4's clock has started
             messages = [self._fix(body, now_us)]
         velocity, rates = np.array(body.velocity_enu_m_s), np.array(body.angular_velocity_flu_rad_s)
         self._imu.top_up()
@@ -187,7 +187,7 @@ class Px4Sensors:
         return [*messages, dialect.MAVLink_hil_sensor_message(now_us, *accel, *gyro, *slow, fields)]
 
     def _slow(self, body: Body) -> tuple[float, ...]:
-        """Return magnetic field (3, G), pressure and its difference (hPa), altitude (m), temperature (C)."""
+        """Return magnetic field (3, G), pressure and differential pressure (hPa), altitude (m), T (C)."""
         x, y, z = frd_from_flu(body_from_world(body.quaternion, enu_from_ned(FIELD_NED_GAUSS)))
         nx, ny, nz = self._mag.take()
         height = body.position_enu_m[2]
@@ -214,7 +214,7 @@ def _cm_s(speed_m_s: float) -> int:
     return max(-_INT16, min(_INT16, round(speed_m_s * 100.0)))
 
 
-RATE_MAX_HZ = 50.0  # maximum rate of poses, Hz; equal to the mocap bridge's
+RATE_MAX_HZ = 50.0  # maximum rate of poses, Hz; equal to that of the mocap bridge
 _SIGMA_MIN_M, _SIGMA_MIN_RAD = 1e-4, 1e-3  # minimum standard deviations; EKF2 needs a variance
 
 

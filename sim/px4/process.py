@@ -29,7 +29,7 @@ from sim.runners.published_robot import RealTimeDeck
 from sim.scenarios.scenario import Scenario
 
 _LOG_EVERY = 3  # steps between two logged true states: 83 Hz
-_BEHIND_MAX_NS = 50_000_000  # largest difference between log times of true state and clock; above: corrected
+_BEHIND_MAX_NS = 50_000_000  # largest difference between log time and clock, ns; a larger one is corrected
 _NS_PER_STEP = STEP_MS * 1_000_000
 
 

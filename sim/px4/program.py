@@ -27,13 +27,13 @@ _POSITIONED = "Ready for takeoff!"  # PX4 prints this when all its estimators ha
 _CHECKED = "Preflight check: OK"
 _LOOK_S = 0.05  # time between two reads of the output, s
 _ASK_S = 0.2  # time between two repeated console commands, s
-_SAME_PLACE_DEG = 1e-5  # tolerance of the origin, 1 m; PX4 prints its reference with six decimals
+_SAME_PLACE_DEG = 1e-5  # tolerance of the origin, about 1 m; PX4 prints its reference with six decimals
 _REFERENCE = re.compile(r"^\s*(ref_lat|ref_lon): (\S+)", re.MULTILINE)
 _ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
 # rcS multiplies these time-outs by the speed, for clients in real time; our clients run at the simulation's
 # speed. PX4 1.18 has a fixed value of 5 s instead of COM_OBC_LOSS_T.
 _SCALED_WITH_SPEED = ("COM_DL_LOSS_T", "COM_RC_LOSS_T", "COM_OF_LOSS_T", "COM_OBC_LOSS_T")
-# Waits for the program, whose output becomes that of the errors. SIGHUP, sent when this process is killed,
+# Waits for the program, whose output goes to standard error. SIGHUP, sent when this process is killed,
 # immediately kills the whole group: during its start script PX4 ignores SIGTERM, and the script's commands
 # would wait for a killed PX4 without end.
 _END_TOGETHER = """
@@ -111,7 +111,7 @@ class Px4Program(Child):
 
     ``parameters``: PX4's parameters by name, with integers for PX4's integers; ``speed``: ratio of simulated
     to real time for ``SIHSIM_QUADX`` (with ``NONE_IRIS`` the simulator sets it); ``origin_wgs84``: origin of
-    the room, degrees, degrees, m; None keeps PX4's origin.
+    the room (latitude, longitude, degrees; altitude, m); None keeps PX4's origin.
     """
 
     end_signal, lines_max = signal.SIGHUP, 12
@@ -126,7 +126,7 @@ class Px4Program(Child):
         files = find_px4(binary)
         self.folder = folder.absolute()  # working folder: parameters, PX4's log (log/), output (px4.txt)
         self.instance = instance  # instance number, which PX4 adds to all port numbers
-        # UDP port to which PX4 sends the MAVLink of a companion
+        # UDP port to which PX4 sends the MAVLink messages for a companion
         self.onboard_port = 14540 + instance
         self._parameters = dict(parameters or {})
         self._speed, self._model, self._origin = speed, model, origin_wgs84

@@ -30,7 +30,7 @@ class Lockstep:
         self.started = False  # whether PX4 has sent an answer
         self.old = 0  # number of ignored answers to an earlier HIL_SENSOR
         self.newest_us = -1  # time in the newest answer, us; -1: no answer yet
-        # times that the answer to the last HIL_SENSOR may contain, us: new PX4s count from the first one
+        # times that the answer to the last HIL_SENSOR may contain, us: newer PX4s subtract the first time
         self.expected_us: tuple[int, ...] = ()
 
     def sent(self, time_us: int) -> None:
@@ -60,7 +60,7 @@ STEP_S = STEP_MS * 1e-3
 HELLO_MAX_S = 10.0  # time-out of PX4's first message, s of wall time; PX4 sends it on connection
 BOOT_MAX_S = 60.0  # time-out of PX4's first motor outputs, s of wall time
 NUDGE_S = 1.0  # wall time after which one step runs without an answer, s; PX4 may wait for a sensor
-_BEHIND_MAX_S = 0.1  # largest delay that simulated time catches up, s
+_BEHIND_MAX_S = 0.1  # delay above which simulated time no longer catches up, s
 
 
 class Px4Session:

@@ -61,7 +61,7 @@ class Batches:
     """Flies batches of ticks of one landing.
 
     ``ticks``: clock and link of the companion; ``target``: the robot; ``node``: the vehicle; ``ends_s``: time
-    limit of the flight.
+    limit of the flight, s.
     """
 
     def __init__(
@@ -86,13 +86,13 @@ class Batches:
         )  # fmt: skip
         self._most = max(1, min(TICKS, int(SPAN_S * grid.rate_hz)))
         self._ages = np.zeros(TICKS)
-        # views of fields: attributes of a record are slow
+        # views of fields, because access to an attribute of a record is slow
         self._plan, self._own_sent, self._setpoint = batch.plan, batch.own_sent, batch.setpoint
         (self._stream_until_s,) = scalars(batch, "stream_until_s")
         self._flies, self._yaw_rad = False, 0.0
         self._off = False  # whether Python runs all ticks from now on
-        self._asked_s = math.nan  # newest tick in which compiled code called an agent or a user's filter
-        self._raised: BaseException | None = None  # exception of the agent
+        self._asked_s = math.nan  # time of the newest tick that called an agent or a user's filter, s
+        self._raised: BaseException | None = None  # exception of an agent or a user's filter
         self._next, self._wait = 0, 1  # first tick of the next attempt; ticks to wait after a failed one
         self._sender = (node.autopilot.system_id, COMPANION_ID, PEER)
 
@@ -124,7 +124,7 @@ class Batches:
         return done
 
     def _until_s(self, tick: int) -> float | None:
-        """Return until when only vehicle states and set-points are sent; None: Python has to run ``tick``."""
+        """Return the time until which only states and set-points are sent, s; None: ``tick`` needs Python."""
         until_s = self._quiet_until_s(tick)
         return self._quiet_until_s(tick) if until_s is None and self._speak(tick) else until_s
 
@@ -254,7 +254,7 @@ class Batches:
         return done, how if same and flight.standing != flies and flight.ground.settled else BEFORE
 
     def _ask(self) -> int:
-        """Request a velocity from agent or user's filter; compiled code calls this within a tick.
+        """Request a velocity from an agent or a user's filter; compiled code calls this within a tick.
 
         Return 0, or 1 if Python has to run this tick.
         """
@@ -276,7 +276,7 @@ class Batches:
                 self._off = objects.numbers(strategy) != self._numbers
                 if result.status is FilterStatus.REJECTED or self._off:
                     return 1
-        except BaseException as error:  # C cannot pass it on
+        except BaseException as error:  # compiled code cannot pass an exception on
             self._raised = error
             return 1
         objects.write_one(given)

@@ -45,7 +45,7 @@ OnStep = Callable[[Tick, Outputs], None]
 
 
 class _Wires(VehicleTicks):
-    """Wires of a companion whose vehicle, robot and neighbours are in the same process."""
+    """Inputs of a companion whose vehicle, robot and neighbours are in the same process."""
 
     def __init__(self, link: VehicleLink, rate_hz: int, target: DirectTarget) -> None:
         super().__init__(link, rate_hz)
@@ -57,7 +57,7 @@ class _Wires(VehicleTicks):
 
 
 class Companion(Leaving):
-    """The onboard process; the vehicle's loop calls it when the loop waits for an answer.
+    """Replaces the onboard process; the vehicle's loop calls it where it would wait for an answer.
 
     ``controller`` replaces the scenario's controller. ``on_step`` is called after every controller step.
     ``system_id``: MAVLink system id of the vehicle. ``target_seed``: seed of the robot; if None, ``seed`` is
@@ -92,7 +92,7 @@ class Companion(Leaving):
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id)
         # message of the newest tick to the other vehicles; None: no message, or the flight is over
         self._message: MemberStatus | None = None
-        # longest wait for the right of way, and the present wait, ticks
+        # longest and present wait for the right of way, ticks
         self.waits = self._waiting = 0
         self._notes = self.log_type(config, scenario.target.pad_radius_m, Names(self.name, system_id))
         here.answer = self._answer
@@ -162,7 +162,7 @@ class Landing:
     seen: Seen  # recorded data from which the verdict was computed
     simulated_s: float  # duration of the flight, simulated time
     wall_s: float  # duration of the run, wall time
-    retries: int  # number of restarts of the landing
+    retries: int  # number of go-arounds
     wait_s: float  # longest wait for the right of way
     pairs: tuple[FleetPairRow, ...] = ()  # all pairs of vehicles, (1, 2) first
     others: tuple[Landing, ...] = ()  # flights of cf2, cf3 and so on

@@ -25,7 +25,7 @@ from sim.runners.room import Room
 from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # wall time between two checks for signals, s
-_REPEAT_EVERY = 10  # checks after which an unanswered request is repeated
+_REPEAT_EVERY = 10  # number of checks after which an unanswered request is repeated
 _FLUSH_EVERY = 10  # period of the log flush, ticks; a shorter one would wake up the recorder more often
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
@@ -56,14 +56,14 @@ Exchange = Callable[[int, Sequence[Any]], Sequence[Any]]
 class LockstepVehicle(VehicleNode):
     """One vehicle, with its companion and its robot."""
 
-    robot: Robot | None  # None: a deck that does not move
+    robot: Robot | None  # robot that carries the deck; None: the deck does not move
     grid: TickGrid
     stop: Stop  # ends every wait
     words: FleetEnd | None = None  # link between the companion and the other members; None: no fleet
     answered: bool = field(default=False, init=False)  # whether the companion answered the previous tick
     _companion: Peer | None = field(default=None, init=False)  # the peer that answered first
     _alive: bool = field(default=True, init=False)  # whether the companion has answered so far
-    _replies: list[Message] = field(default_factory=list, init=False)  # sent with the next tick
+    _replies: list[Message] = field(default_factory=list, init=False)  # replies for the next tick
     _late: list[Received] = field(default_factory=list, init=False)  # frames that belong to the next tick
     _request: Message = field(default=None, init=False)  # request of this tick
 
@@ -79,7 +79,7 @@ class LockstepVehicle(VehicleNode):
 
     @property
     def rests(self) -> bool:
-        """Whether the vehicle needs no more ticks; without its companion it first lands by its autopilot."""
+        """Whether the vehicle needs no more ticks; without a companion the autopilot lands it first."""
         return self.over or not (self._alive or self.vehicle.armed)
 
     @property
@@ -176,7 +176,7 @@ class LockstepVehicle(VehicleNode):
                 self.endpoint.wait(_WAIT_S)
                 self.answered = self._take(self.endpoint.receive(), now_ns)
                 if not self.answered and next(looks) % _REPEAT_EVERY == 0:
-                    # equal bytes, since new sequence numbers would make the log depend on wall time
+                    # the same bytes, because new sequence numbers would make the log depend on wall time
                     self.endpoint.repeat(bytes(self._request.get_msgbuf()), self._companion)
                 return self.answered
 
@@ -200,7 +200,7 @@ class LockstepVehicle(VehicleNode):
                 this_tick = message.ts1 == now_ns
                 if this_tick:
                     self._companion = received.peer
-                if self._companion and not self._alive:  # also an old answer shows a live companion
+                if self._companion and not self._alive:  # even an old answer shows that it is alive
                     self._alive = True
                     self.report(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
                 if this_tick:

@@ -24,7 +24,7 @@ from logs.schema.events import ContactBit, Severity, pack_log
 from logs.schema.rows import TrueStateRow
 from sim.plant.states import truth_of, truth_row
 
-# level by MAV_SEVERITY, 0 (emergency) to 7 (debug)
+# level in the log by MAV_SEVERITY, 0 (emergency) to 7 (debug)
 _LEVELS = (
     Severity.FATAL, Severity.FATAL, Severity.ERROR, Severity.ERROR, Severity.WARN, Severity.INFO,
     Severity.INFO, Severity.DEBUG,
@@ -127,7 +127,7 @@ class Notes(VehicleLog):
         self._config, self._pad_radius_m = config, pad_radius_m
         self._steps: list[tuple[int, int, float, float]] = []
         self._truth_ticks: list[tuple[int, int]] = []
-        self._truths: list[Sequence[float] | Floats] = []  # ``TRUTH`` values of one state or more each
+        self._truths: list[Sequence[float] | Floats] = []  # each: ``TRUTH`` values of one or more states
         self._events: list[Event] = []
 
     def step(self, tick: Tick, out: Outputs) -> None:
@@ -151,7 +151,7 @@ class Notes(VehicleLog):
     def batch(
         self, first: int, times_ns: Sequence[int], phase: Phase, ages_s: Floats, truths: Floats
     ) -> None:
-        """Record the steps and true states of consecutive ticks, each with a vehicle state estimate.
+        """Record steps and true states of consecutive ticks; a vehicle state arrived in each tick.
 
         ``first``: number of the first tick; ``times_ns``: times of the n ticks; ``phase``: phase of all
         ticks; ``ages_s``: (n,) age of the target state; ``truths``: (n, 41) values of the true states.

@@ -114,14 +114,14 @@ def odometry(stamp_ns: int, values: Sample) -> bytes:
 
 
 class LockstepRobot(PublishedRobot):
-    """A robot that computes its motion for future ticks, as far as its reader's credit allows."""
+    """A robot that computes its motion for future ticks, as far as the companion's credit allows."""
 
     lockstep = True
 
     def _open(self) -> None:
         self._ticks = zenoh_link.blocking_publisher(self._session, f"{self.namespace}/sim/target/ticks")
         self._credits = zenoh_link.fifo_subscriber(self._session, f"{self.namespace}/sim/credit")
-        self._credit = self._published = 0  # newest tick that the reader has announced; number of samples
+        self._credit = self._published = 0  # newest tick announced by the companion; published samples
         self._silent = False  # whether the wait for credit timed out
 
     def begin(self) -> None:
@@ -137,7 +137,7 @@ class LockstepRobot(PublishedRobot):
     def await_credit(self, tick: int) -> None:
         """Wait for the companion's credit; after a time-out, do not wait again.
 
-        Without credit, the landing may have started before this tick.
+        Only this credit shows whether the landing has started before this tick.
         """
         if tick > self.tick and not self._silent:
             stop, most_s = self._stop, COMPANION_SILENT_S
@@ -169,7 +169,7 @@ class LockstepRobot(PublishedRobot):
 
 
 class RealTimeRobot(PublishedRobot):
-    """A robot that detects the start of the landing in the controller's steps."""
+    """A robot that detects the start of the landing in the published controller steps."""
 
     lockstep = False
 
@@ -205,7 +205,7 @@ def robots_of(
 ) -> dict[int, R]:
     """Create the robots of a scenario, by number; ``options`` may also publish their odometry to ROS 2.
 
-    ``make``: class of the robots with their common arguments; ``stack``: closes its session.
+    ``make``: class of the robots with their common arguments; ``stack``: closes the ROS 2 session.
     """
     shared, robots = team.target_seed(options.seed), {}
     for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):

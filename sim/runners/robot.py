@@ -2,7 +2,7 @@
 
 ``Robot`` computes some ticks ahead and returns true poses to the deck. ``DirectTarget`` also gives samples to
 a controller in this process. Values equal those received over Zenoh: CDR carries doubles, so only the frame
-rotations are computed.
+rotations change them.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Ticks(NamedTuple):
 
     pads: F64  # (n, PAD) motion of the pad at each tick
     come: I64  # (n,) number of samples that were released up to each tick
-    samples: F64  # (m, 9)
+    samples: F64  # (m, 9) released samples
 
 
 class Robot:
@@ -91,7 +91,7 @@ class Robot:
         # substeps per tick; the odometry measures at most one sample per substep
         self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
         self._step_s = grid.period_s / self._substeps
-        self._go_tick, self._grid = NO_GO, grid  # tick from which the robot drives
+        self._go_tick, self._grid = NO_GO, grid  # tick at which the robot starts to drive
         self._driving = not scenario.target.wait_for_landing
 
     def begin(self) -> None:
@@ -109,14 +109,14 @@ class Robot:
         raise NotImplementedError
 
     def await_credit(self, tick: int) -> None:
-        """Wait until the companion permits to compute this tick, if the robot depends on the companion."""
+        """Wait until the companion permits the robot to compute this tick, if it depends on the companion."""
 
     def run_ahead(self, tick: int) -> None:
         """Compute future ticks while the companion computes, if that saves time."""
 
     @property
     def waits(self) -> bool:
-        """Whether the start of the landing can still change its path or its faults."""
+        """Whether the start of the landing can still change the robot's path or faults."""
         return not self._driving or self.faults.waits_for(After.LANDING)
 
     def run(self, ticks: int, driving: bool) -> Ticks:
@@ -273,7 +273,7 @@ class DirectTarget(Robot):
         return self._come[self._at - 1] if self._at else 0
 
     def _keep(self, new: Ticks) -> None:
-        """Append states and samples of new ticks; drop those already returned."""
+        """Append states and samples of new ticks; drop the ticks already returned."""
         decks = deck_rows(new.pads)
         before, left = self._come_before, self._ahead
         samples = left.samples[before:]

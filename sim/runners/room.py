@@ -83,7 +83,7 @@ class Room:
         shapes = [Shape.of(each.params) for each in self._vehicles]
         self._pairs, self._team = list(combinations(members, 2)), Team(shapes)  # pairs: (1, 2) first
         number = len(self._pairs)
-        # of each pair: time of the collision, times and duration inside the ellipsoid, state at the last tick
+        # for each pair: time of collision; number and duration of stays in the ellipsoid; whether inside now
         self._collided_ms = np.full(number, NEVER)
         self._violations, self._inside_ms = np.zeros(number, np.int64), np.zeros(number, np.int64)
         self._inside = np.zeros(number, np.bool_)
@@ -172,12 +172,12 @@ class Words:
         link, numbers = team.exchange, range(1, len(team.members) + 1)
         ticks = max(1, math.ceil(link.delay_s * team.rate_hz - 1e-9))
         self._loss = link.loss
-        # random numbers of each receiver by sender
+        # random streams: one for each receiver and sender
         self._chances = [[stream(seed_of(seed, n), f"words.{m}") for m in numbers] for n in numbers]
         self._under_way: deque[list[list[Any]]] = deque([[] for _ in numbers] for _ in range(ticks - 1))
 
     def __call__(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
-        """Take the messages of one tick, in any form; return the messages that each member receives next.
+        """Take the messages of one tick, in any form; return what each member receives next.
 
         ``told``: message of each member, or None.
         """
@@ -214,7 +214,7 @@ class MemberWords:
         self._told = zenoh_link.fifo_subscriber(session, f"{namespace}/{TOLD}")
         self._heard = zenoh_link.blocking_publisher(session, f"{namespace}/{HEARD}")
         self._tick, self._payload = -1, b""
-        self._last: int | None = None  # tick after which the member's process ended
+        self._last: int | None = None  # last tick of the member's process
         self._silent = False
 
     @property
@@ -226,7 +226,7 @@ class MemberWords:
     def take(self, stop: Stop) -> bytes | None:
         """Wait for the member's message of this tick and return it; None: no message.
 
-        If a member answers its vehicle but sends no message, the next ticks do not wait for it.
+        If no message arrives in time, later ticks do not wait for one until the onboard process sends again.
         """
         waits = COMPANION_SILENT_S if not self._silent else 0.0
         self._silent = not wait_until(self._told_now, lambda: stop.is_set, waits)

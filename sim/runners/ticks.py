@@ -32,7 +32,7 @@ class BatchRecord(Record):
     """Plan, constants and results of a batch of ticks; times are on the controller's clock."""
 
     # first tick, number of ticks to fly, number of target samples before the first tick; the last element
-    # receives the number of ticks flown, a tick whose second part is missing included
+    # receives the number of ticks flown, including a tick whose second part is missing
     plan: Annotated[I64, 4]
     rate_hz: int
     radio_ms: int  # delay of set-points by the radio
@@ -63,8 +63,10 @@ def _watch(watches: Cell[WatchRecord], v: VehicleRecord, now_s: float) -> None:
     check(watches, now_s, v.battery.voltage_v, total / 4.0)
 
 
-END, BEFORE, MIDDLE = 0, 1, 2  # how a call ends: all ticks done; Python runs the next tick, or its rest
-_LARGEST = 1e6  # largest accepted value, m or m/s (bridge.mavlink.client.vehicle_state)
+# how a call ends: END: all ticks are done; BEFORE: Python runs the next tick; MIDDLE: Python completes the
+# last counted tick
+END, BEFORE, MIDDLE = 0, 1, 2
+_LARGEST = 1e6  # largest accepted number, m, m/s or rad/s (bridge.mavlink.client.vehicle_state)
 _POLE = 0.999  # sine of the pitch above which the nose is nearly vertical, and Python runs the tick
 
 
@@ -158,7 +160,7 @@ def _decided(
     if not abs(2.0 * (attitude[0] * attitude[2] - attitude[3] * attitude[1])) < _POLE:
         raise NotOrdinary
     source_s, yaw_rad = round(now_s * 1000) * 1e-3, _yaw_enu(narrow(_euler(attitude)[2]))
-    kernel.track.memory.settled = True  # ``step`` sets ``settled`` from the take-off on
+    kernel.track.memory.settled = True  # as ``step`` sets it from the take-off on
     for row in samples:
         take(kernel, row, now_s)
     own = OwnState(now_s, source_s, position, velocity, yaw_rad)

@@ -31,7 +31,7 @@ class Held(Generic[T]):
     """Queue of items that wait for a time or for the end of a stalled link."""
 
     def __init__(self) -> None:
-        self._items: list[tuple[int, Running | None, T]] = []  # time, or stall; item
+        self._items: list[tuple[int, Running | None, T]] = []  # time, ns; stalled link or None; item
 
     @property
     def size(self) -> int:
@@ -146,7 +146,7 @@ class VehicleNode:
         self.log.target(now_ns, robot.payload)
 
     def control(self, now_s: float) -> None:
-        """Run the autopilot; judging starts when it first flies the companion's set-points."""
+        """Run the autopilot; judging starts when the vehicle first flies set-points."""
         vehicle = self.vehicle
         self.autopilot.control(now_s)
         if self.over:

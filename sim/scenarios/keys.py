@@ -19,14 +19,14 @@ from sim.scenarios.scenario import IN_FILES, Scenario, load
 
 _NOT_LISTED = ("name", "description", "fault", "member")  # keys that a new file does not list
 _MEMBERS = "keys of one vehicle, see [teams](../how_to/campaign.md#teams)"
-_TABLES = {"Fault": "see [faults](faults.md)", "Scenario": _MEMBERS}  # arrays of tables on their own pages
+_TABLES = {"Fault": "see [faults](faults.md)", "Scenario": _MEMBERS}  # arrays of tables on other pages
 _UNITS = {"m_s": "m/s", "m_s2": "m/s²", "m_s3": "m/s³", "rad_s": "rad/s", "rad_s2": "rad/s²", "1_s": "1/s",
           "1_m": "1/m", "hz": "Hz", "v": "V", "n": "N"}  # fmt: skip
 _FIELD = re.compile(r"    (\w+): (?:[^#]*# (?!fmt|noqa)(.*))?")
 
 
 class Key(NamedTuple):
-    """A key; ``default`` is in TOML, empty for a required key."""
+    """A key; ``default`` is written in TOML, and empty for a required key."""
 
     table: str  # table of the key; empty: top level
     name: str

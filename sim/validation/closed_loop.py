@@ -25,9 +25,9 @@ from sim.scenarios.tables import Start, StartKind, StateError, TargetSpec, Vehic
 from sim.vehicle.vehicle import VehicleSim
 
 SETTLE_S = 0.2  # time on the floor before the first set-point, s
-AWAY_M = 100.0  # distance of the ground robot to the east, out of reach
+AWAY_M = 100.0  # distance of the ground robot to the east, out of reach, m
 SATURATED = 1.0 - 1e-6  # duty cycle from which a motor counts as saturated
-KNOWN_S = 8.0  # length of the compared time from which the airframe is identified, s
+KNOWN_S = 8.0  # duration of the first compared samples, which identify the airframe, s
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class ClosedLoop:
 
 
 def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
-    """Fly the set-points of a flight; return None without set-points of the PID from the ground on.
+    """Fly the set-points of a flight; return None if it lacks set-points of the PID from the ground on.
 
     Only the usable pieces are compared. The noise is drawn from ``seed`` and the name of the flight.
     """
@@ -79,7 +79,7 @@ def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
 
 
 def _commanded(r: Recording) -> slice | None:
-    """Return the samples from the first set-point to the last; None if the motors run before the first."""
+    """Return the samples from the first set-point to the last; None if the recording starts in flight."""
     if r.setpoint_position_m is None:
         return None
     given = np.isfinite(r.setpoint_position_m).all(axis=1) & np.any(r.setpoint_position_m != 0.0, axis=1)
@@ -92,7 +92,7 @@ def _commanded(r: Recording) -> slice | None:
 def _simulate(
     r: Recording, span: slice, params: Params, plant: Plant, seed: int
 ) -> tuple[Floats, Floats] | None:
-    """Fly the set-points; return positions, duties (n, 4), NaN outside ``span``; None: arming is rejected."""
+    """Return positions (n, 3), duty cycles (n, 4), NaN outside ``span``; None: arming is rejected."""
     start, stop = span.start, span.stop
     assert r.setpoint_position_m is not None
     x, y, ground = r.position_m[start].tolist()

@@ -185,7 +185,7 @@ MEANING = {
 }
 _HALF = "a model that knows the motor commands must halve the error of one that does not know them"
 _TORQUE = "unknown torque is integrated twice: 0.63 was reached, 0.25 with the recorded attitude"
-OPEN_LOOP_MAX = {  # largest ratios to the errors of constant velocity: position, velocity
+OPEN_LOOP_MAX = {  # by horizon, s: largest ratio to the error of constant velocity: position, velocity
     0.1: ((0.5, _HALF), (0.5, _HALF)),
     0.25: ((0.5, _HALF), (0.5, _HALF)),
     0.5: ((0.5, _HALF), (0.75, _TORQUE)),

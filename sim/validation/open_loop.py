@@ -41,7 +41,7 @@ SAMPLE_S = 0.01  # period to which recordings are resampled, s
 STEPS = 10  # plant steps per sample
 CALIBRATION_S = 1.0
 BACK = round(CALIBRATION_S / SAMPLE_S)
-COMMAND_DELAY_MS = 8  # delay from a logged command to the gyro, in addition to the motors' lag; fitted
+COMMAND_DELAY_MS = 8  # delay from a logged command to the gyro besides the motors' lag, ms; fitted
 # gains of the observer; they minimise the errors after 0.5 s, with a flat minimum
 RATE_GAIN = 1.4  # correction of the rate divided by its error in a sample; above 1 due to the gyro's filter
 FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # gains of the missing angular acceleration's fast and slow part, 1/s
@@ -115,9 +115,9 @@ def _continuous(quaternion: F64) -> F64:
 
 
 def commanded_rpm(params: Params, duty: F64, battery_v: F64) -> F64:
-    """Return settled motor speeds (n, 4) for duty cycles (n, 4) and voltage under load (n,)."""
+    """Return settled motor speeds (n, 4), rpm, for duty cycles (n, 4) and voltage under load (n,), V."""
     rotor, battery = params.rotor, params.battery
-    if rotor.volt_map is None:  # the duty cycle is a thrust, limited by the battery
+    if rotor.volt_map is None:  # the duty cycle is a fraction of the highest thrust
         a, b = rotor.thrust_square_n_rpm2, rotor.thrust_linear_n_rpm
         rpm = (np.sqrt(b * b + 4.0 * a * rotor.thrust_max_n * duty) - b) / (2.0 * a)
         limit = battery.speed_at_zero_v_rpm + battery.speed_per_volt_rpm * battery_v
@@ -151,8 +151,8 @@ def _follow(
 def _observe(acceleration: F64, rates: F64, fade: float, fast: F64, slow: F64) -> None:
     """Estimate the missing angular acceleration at each sample from earlier ones: ``fast``, ``slow`` (n, 3).
 
-    ``acceleration``: of the plant at the recorded rates until the next sample, (n, 3), rad/s^2; ``fade``:
-    fraction of the fast part that remains after a sample.
+    ``acceleration``: angular acceleration of the plant at the recorded rates until the next sample, (n, 3),
+    rad/s^2; ``fade``: fraction of the fast part that remains after a sample.
     """
     for axis in range(3):
         rate, fades, stays = rates[0, axis], 0.0, 0.0
@@ -224,7 +224,7 @@ class Model:
         """Calibrate before each start and predict.
 
         ``starts``: (m,) samples, later than ``BACK``; ``ends``: (h,) samples after the start, increasing.
-        Returns states (m, h, 10), misalignments of the markers (m), thrust factors (m,).
+        Returns states (m, h, 10), misalignments of the markers (m,), thrust factors (m,).
         """
         commands = commanded_rpm(self._params, np.clip(piece.duty, 0.0, 1.0), piece.battery_v)
         n = len(commands)

@@ -30,7 +30,7 @@ SLOWEST = 10.0  # percentage of the samples, the slowest ones, that determine th
 class Error:
     """Error of an estimate in a flight."""
 
-    delay_s: float  # delay of the estimate behind the truth with the best fit
+    delay_s: float  # delay of the estimate behind the true state, from the best fit
     # rms horizontal error without delay and offset in each band of speed, m or m/s; NaN: speed not flown
     by_speed: tuple[float, ...]
 

@@ -27,14 +27,14 @@ from sim.scenarios.tables import PathKind, StartKind, TargetSpec
 from sim.vehicle.judge import Shape
 from sim.world.step import DIAGONAL
 
-DELAY_M_S = 0.02  # allowed difference of a declared delay, s; smaller than the errors from noise
+DELAY_M_S = 0.02  # allowed difference between declared and simulated delay, s; noise causes larger errors
 NOISE_SHARE = 0.5  # smallest declared fraction of a link's noise; an estimator filters the noise
-SPEED_SHARE = 0.01  # relative excess of a speed or acceleration that is allowed; smaller than their errors
+SPEED_SHARE = 0.01  # allowed relative excess of the target's acceleration over the declared one
 # smallest ratio of the declared vertical velocity error to the gusts' rms; tier lab has the lowest ratio
 GUST_SHARE = 0.066
 RADIO_SHARE = 0.5  # largest fraction of the declared lag spread that the radio's delay may use
-# Share of the certificate's bound of the touchdown distance for which the feet need room on the pad. Of 300
-# landings of tier lab 19 crash on a pad of 6 cm, 3 on 7 cm, none on 8 cm, where half of the bound has room.
+# Fraction of the certificate's bound of the touchdown distance at which all feet must be on the pad. Of 300
+# landings of tier lab 19 crash on a pad of 6 cm, 3 on 7 cm, none on 8 cm, where half of the bound fits.
 FEET_SHARE = 0.5
 TOUCH_STEP_M = 0.001  # step at which the boundary is compared with the height of a touchdown, m
 STEP_M, FAR_M = 0.005, 10.0  # step and largest distance at which the barriers are compared, m
@@ -48,8 +48,8 @@ class _Row(NamedTuple):
     unit: str
     found: float | None = None  # value in the scenario; None: that of the key ``there``
     share: float = 1.0  # smallest declared fraction of the value
-    near: float | None = None  # largest difference of a value that must be equal; None: more is allowed, too
-    room: float | None = None  # margin, if it is not that of share or difference
+    near: float | None = None  # largest allowed difference; None: the declared value may also be larger
+    room: float | None = None  # margin; None: it follows from ``share`` or ``near``
     remedy: str = ""  # change that makes this margin positive
 
     def check(self, scenario: Scenario) -> Check:
@@ -113,7 +113,7 @@ def _rounded_up(value: float) -> float:
 
 
 def _rows(scenario: Scenario) -> list[_Row]:
-    """Return the comparisons of robot, feet and altitude, and except for the paper of vehicle and links."""
+    """Return comparisons of robot, feet and altitude; with a robust filter also of vehicle and links."""
     config, target, start, spec = scenario.onboard, scenario.target, scenario.start, scenario.vehicle
     drawn_m = start.h_m[1] + scenario.judged_by.peak_height_m
     rows = [
@@ -126,7 +126,7 @@ def _rows(scenario: Scenario) -> list[_Row]:
         _Row("limits.altitude_max_m", "start.offset_m or start.h_m, above the pad,", "m",
              drawn_m if start.offset_m is None else start.offset_m[2]),
     ]  # fmt: skip
-    if config.filter == "paper":  # its configuration declares no vehicle, wind or links
+    if config.filter == "paper":  # the paper's filter declares no vehicle, wind or links
         return rows
     radio_s = RADIO_SHARE * config.envelope.lag_spread * config.velocity_loop.lag_xy_s
     link_hz = scenario.odometry.rate_hz
@@ -145,7 +145,7 @@ def _rows(scenario: Scenario) -> list[_Row]:
              room=link_hz - config.envelope.target_rate_hz,
              remedy=f"set onboard.envelope.target_rate_hz to {link_hz:g} or less, or raise odometry.rate_hz"),
     ]  # fmt: skip
-    # errors of the link, table of the configuration, tables of the scenario with noise and with errors
+    # errors of a link, table of the configuration, tables of the scenario with noise and with errors
     links = (
         (scenario.odometry.error, "target", "odometry", "odometry.error"),
         (spec.own, "own", "vehicle.mocap", "vehicle.own"),
@@ -179,7 +179,7 @@ def _feet(scenario: Scenario) -> Check:
     """Return the check that the pad has room for the feet around the usual places of a touchdown.
 
     The certificate bounds the distance of the vehicle's centre from the middle of the pad. Feet and the whole
-    bound together exceed even the pads of the tiers, on which campaigns land: the check uses a share of it.
+    bound exceed even the pads of the tiers, where campaigns land. So the check uses a fraction of the bound.
     """
     geometry, pad_m = load(scenario.vehicle.airframe).geometry, scenario.target.pad_radius_m
     foot_m, (reach_m, where) = DIAGONAL * geometry.foot_offset_m, _reach_m(scenario.onboard)
@@ -194,7 +194,7 @@ def _feet(scenario: Scenario) -> Check:
 
 
 def _reach_m(config: FlightConfig) -> tuple[float, str]:
-    """Return the distance from the middle within which touchdowns are usual, m, and its origin."""
+    """Return the usual distance of a touchdown from the pad's centre, m, and a text that names its source."""
     if config.filter == "paper":
         (key, touch_m), barrier = touch_height(config), config.barrier
         steps = range(math.ceil(config.touchdown.pad_radius_m / TOUCH_STEP_M) + 1)
@@ -263,7 +263,7 @@ def _acceleration_m_s2(target: TargetSpec) -> float:
 
 
 def crowd(scenario: Scenario) -> list[Check]:
-    """Return the checks of all vehicles together; none without neighbours."""
+    """Return the checks of all vehicles together; empty for a single vehicle."""
     shapes = [Shape.of(load(each.vehicle.airframe)) for each in scenario.members]
     radius_m = 2.0 * max(shape.radius_m for shape in shapes)
     up_m = max(shape.top_m for shape in shapes) - min(shape.bottom_m for shape in shapes)

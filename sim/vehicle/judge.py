@@ -23,7 +23,7 @@ from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
 from sim.plant.params import STEP_S, Params
 from sim.world.step import GROUND, PAD, WorldRecord, tumbled
 
-GAP_MS = 30  # shortest gap that ends a contact, ms; a bounce is shorter
+GAP_MS = 30  # longest gap that does not end a contact, ms; a bounce is shorter
 NONE_MS = -1_000_000
 BESIDE_M, ABOVE_M = 2.0 * RADIUS_BESIDE_M, 2.0 * RADIUS_ABOVE_M  # half axes of the ellipsoid
 
@@ -65,7 +65,7 @@ class ContactRecord(Record):
     ground_ms: int
     judging: bool  # whether the next touch of the pad counts as the first touch
     touch_ms: int  # time of the first touch
-    touch_e: Vector  # vehicle minus pad centre at the start of the touch's step, m
+    touch_e: Vector  # vehicle minus pad centre at the start of the step of the touch, m
     touch_velocity: Vector  # velocity of the vehicle relative to the pad below it, m/s
 
 
@@ -165,8 +165,8 @@ class Team:
         # (P, 3) smallest values, infinite at first: distance of the centres of mass, m; this distance while
         # both vehicles flew; norm of the ellipsoid while both flew
         self.least = np.full((number, 3), np.inf)
-        # inside: (P,) whether the last call found both flying and one inside the ellipsoid; overlap_ms: (P,)
-        # time from the first tick to the first overlap of the shapes, ms; -1: no overlap
+        # inside: (P,) whether both flew in the last call, one inside the other's ellipsoid; overlap_ms:
+        # (P,) time from the first tick of that call to the first overlap of the shapes, ms; -1: no overlap
         self.inside, self.overlap_ms = np.zeros(number, dtype=np.int64), np.full(number, -1, dtype=np.int64)
 
     def follow(self, before: F64, after: F64, flew: I64, steps: int) -> bool:

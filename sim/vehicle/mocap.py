@@ -4,7 +4,7 @@ Time, noise and loss of a sample depend only on the seed, so the compiled code o
 random numbers and their order equal those of ``MeasurementChannel``.
 
 With the errors of recorded flights (``StateError``) a sample is a complete on-board estimate: it arrives
-without delay and replaces the estimate. A fault that diverts samples receives position and heading of it.
+without delay and replaces the estimate. A fault that diverts samples receives only position and heading.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sim.plant.states import rotation_axes
 from sim.scenarios.tables import OdometryLink, StateError
 from sim.world.bodies import BodyRecord
 
-ROWS = 512  # number of samples; at most 250 are in transit (500 Hz, 0.5 s)
+ROWS = 512  # number of stored samples; at most 250 are in transit (500 Hz, 0.5 s)
 LOST = -1
 VALUES = 4  # x, y, z (ENU, m), yaw (rad)
 
@@ -87,7 +87,7 @@ def correct_estimate(m: MocapRecord, estimator: EstimatorRecord, body: BodyRecor
 
 
 class MocapTape:
-    """Fills the rows with random numbers; ``error`` of recorded flights replaces noise and delay."""
+    """Fills the rows with random numbers; with ``error``, recorded errors replace noise and delay."""
 
     def __init__(
         self, link: OdometryLink, seed: int, record: MocapRecord, body: BodyRecord,
@@ -147,7 +147,7 @@ class MocapTape:
         return samples
 
     def next_ms(self) -> int:
-        """Return the time at which ``take`` next measures or releases a sample."""
+        """Return the time at which ``take`` next measures or releases a sample, ms."""
         measuring, arriving = int(self._measuring[0]), int(self._arriving[0])
         measured_ms = int(self._measured_ms[measuring])
         return min(measured_ms, int(self._arrives_ms[arriving])) if arriving < measuring else measured_ms

@@ -182,8 +182,8 @@ def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
         move(v, now_ms)
 
 
-AIRBORNE_AFTER_MS = 200  # time without contact after which the vehicle counts as airborne
-SUPPLY_MS = 320  # time for which random numbers are drawn in advance: the IMU uses six every 2 ms
+AIRBORNE_AFTER_MS = 200  # time without contact after which the vehicle counts as airborne, ms
+SUPPLY_MS = 320  # time for which random numbers are drawn in advance, ms; the IMU uses six every 2 ms
 TUMBLED = ContactBit.TUMBLED.value
 
 
@@ -196,7 +196,7 @@ _wrapped, _h = twin(_turned_back, jitted), twin(barrier_h, jitted)
 
 @jitted
 def write_truth(vehicle: Cell[VehicleRecord], now_ms: int, row: F64) -> None:
-    """Write the true state, and the extremes and contacts since the last call, to the ``TRUTH`` elements."""
+    """Write the true state, and extremes and contacts since the last call, to ``row`` (TRUTH,)."""
     v = vehicle[0]
     body, deck, j, c = v.world.body, v.world.deck, v.judge, v.contact
     p, d = body.position, deck.position
@@ -226,7 +226,7 @@ def write_truth(vehicle: Cell[VehicleRecord], now_ms: int, row: F64) -> None:
 
 
 class Physics(ABC):
-    """Body and surroundings of one vehicle; ``plant`` replaces the one that is drawn from the seed."""
+    """Body and surroundings of one vehicle; ``plant`` replaces the ratios drawn from the seed."""
 
     def __init__(
         self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None
@@ -260,7 +260,7 @@ class Physics(ABC):
         self._barrier = judge = scenario.judged_by
         cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
         r.contact.since_ms = r.contact.pad_ms = r.contact.ground_ms = r.contact.touch_ms = NONE_MS
-        # arrays with one element
+        # arrays with one element, in the memory of the record
         self._since_ms, self._pad_ms, self._ground_ms, self._judging = scalars(
             r.contact, "since_ms", "pad_ms", "ground_ms", "judging"
         )
@@ -285,18 +285,18 @@ class Physics(ABC):
             self._judging[0] = True
 
     def _supply(self) -> int:
-        """Draw random numbers in advance for the compiled code; return until when they suffice, ms."""
+        """Draw random numbers for the compiled code; return the time up to which they suffice, ms."""
         for tape in self._tapes:
             tape.top_up()
         return self._ms + SUPPLY_MS
 
     @abstractmethod
     def _fly(self, end_ms: int) -> int:
-        """Run steps up to ``end_ms`` or less; return the time that is reached, ms."""
+        """Run steps, at most up to ``end_ms``; return the time reached, ms."""
 
     @property
     def on_pad(self) -> bool:
-        """Whether the vehicle touches the pad's top; a gap below 30 ms does not end the contact."""
+        """Whether the vehicle touches the pad's top; a gap of at most 30 ms does not end the contact."""
         return bool(self._ms - self._pad_ms[0] <= GAP_MS)
 
     @property

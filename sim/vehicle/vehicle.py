@@ -30,9 +30,9 @@ from sim.vehicle.judge import NONE_MS
 from sim.vehicle.mocap import MocapTape
 from sim.vehicle.physics import Physics, fly
 
-LANDED_AFTER_MS = 150  # time of contact after which the vehicle counts as landed
+LANDED_AFTER_MS = 150  # time of contact after which the vehicle counts as landed, ms
 _KEPT = "vehicle"  # name of the compiled flight code in the cache folder
-WARM_UP_MS = 100  # simulated time in which every firmware loop runs and motion capture arrives
+WARM_UP_MS = 100  # simulated time in which all firmware loops run and motion capture arrives, ms
 _COLLISION = ContactBit.VEHICLE.value
 _BROKEN = tuple(Fault(What.MOTOR, Kind.DEAD, motor=motor) for motor in range(1, 5))
 
@@ -102,7 +102,7 @@ class VehicleSim(Physics):
         return (distance * math.cos(bearing), distance * math.sin(bearing), height)
 
     def _settle(self) -> None:
-        """Run the estimator at the start until its estimate has converged."""
+        """Set the IMU filters and the estimator to their steady state at the start."""
         position, velocity, quaternion, _ = self.body()
         axes, g = rotation_axes(quaternion), self._gravity
         self._imu.settle(velocity, (g * axes[2], g * axes[5], g * axes[8]))
@@ -115,13 +115,13 @@ class VehicleSim(Physics):
         return end_ms
 
     def supplied_until(self, end_ms: int) -> bool:
-        """Draw random numbers up to ``end_ms``; return False if this is not possible."""
+        """Draw random numbers in advance; return whether they suffice up to ``end_ms``."""
         if end_ms > self._supplied_ms:
             self._supplied_ms = self._supply()
         return end_ms <= self._supplied_ms
 
     def flown(self, now_ms: int) -> None:
-        """Update this object after another function has called ``fly``."""
+        """Set the simulated time, ms, after other code has called ``fly``."""
         self._ms = now_ms
 
     def _supply(self) -> int:
@@ -158,7 +158,7 @@ class VehicleSim(Physics):
         return self.firmware.arm(self._ms, self.battery_v)
 
     def disarm(self, force: bool) -> str | None:
-        """Disarm and stop the motors; without ``force`` only in contact. Return the reason of a rejection."""
+        """Disarm and stop the motors; ``force``: also in flight. Return the reason of a rejection."""
         if not force and self.armed and self.motors_running and not (self.on_pad or self.on_ground):
             return "in the air; land first, or force"
         self.firmware.disarm(self._ms)
@@ -182,7 +182,7 @@ class VehicleSim(Physics):
         self.firmware.send(setpoint, self._ms - self.sent_before_ms)
 
     def stop_setpoint(self) -> None:
-        """Send a stop set-point; the motors are off as long as it is the newest set-point and not too old."""
+        """Send a stop set-point; the motors are off as long as it is the newest set-point."""
         self.firmware.send(STOP, self._ms - self.sent_before_ms)
 
     def begin_judging(self) -> None:
