@@ -33,7 +33,7 @@ SOURCES = (
     *(f"sim/runners/{name}.py" for name in ("ticks", "robot", "room")),
 )
 OFF = "NUMBA_DISABLE_JIT"  # environment variable of numba that disables compilation
-_NEEDLESS = ("scipy.linalg", "coverage")
+_NEEDLESS = ("scipy.linalg", "coverage")  # optional imports of numba that compiled code does not use
 
 
 def is_off() -> bool:
@@ -150,8 +150,8 @@ def _say(text: str) -> None:
 def load_numba() -> Any:
     """Return numba, loaded without optional imports that this package does not use.
 
-    This saves half a second (a sixth) of the load time, and another half at the first machine code. Without
-    scipy.linalg compiled code cannot multiply matrices.
+    This saves half a second (a sixth) of the load time, and another half second with the first machine code.
+    Without scipy.linalg compiled code cannot multiply matrices.
     """
     absent = [name for name in _NEEDLESS if name not in sys.modules]
     sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # with None, an import fails

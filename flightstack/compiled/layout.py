@@ -15,7 +15,7 @@ from flightstack.core.numeric import UNSEEN
 
 _UNIONS = (Union, UnionType)
 WORD = 8  # size of a double or integer, bytes
-_texts: list[str] = [""]
+_texts: list[str] = [""]  # texts of fields; compiled memory has the index of a text in this list
 
 
 def _code(text: str) -> int:
@@ -112,7 +112,7 @@ def objects_of(cls: Any) -> dict[str, Any]:
 
 @cache
 def reader_of(cls: Any) -> Callable[[Any, tuple[Any, ...]], None]:
-    """Return a function that sets the fields of an object, except objects, from elements of memory."""
+    """Return a function that sets an object's fields from memory, except fields that hold objects."""
     scope: dict[str, Any] = {"texts": _texts}
     lines = [
         f"    o.{name} = {kind.made((f'v[{n}]' for n in count(at)), scope)}"

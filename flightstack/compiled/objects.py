@@ -53,7 +53,7 @@ class Objects:
         self._at = {one: begin + place for one, place in self._places.items()}
         for one in found[len(self._state) :]:
             self.write_one(one)
-        self.kind, self.address = kind_of(root), self._at[id(root)]  # what compiled code gets
+        self.kind, self.address = kind_of(root), self._at[id(root)]  # type and address for compiled code
 
     def write(self) -> bool:
         """Copy the state from Python's objects; return False if one of the fields is ``None``."""
@@ -170,7 +170,7 @@ else:
                 overload_method(made, name, strict=False)(_chooser(STAND_INS.get(one, one)))
 
     def _chooser(function: Any, cls: type | None = None) -> Any:
-        """Return the overload of a method; ``cls``: named tuple to whose values it applies."""
+        """Return the overload of a method for numba; ``cls``: named tuple whose method it is."""
 
         @cache
         def copied() -> Any:

@@ -132,7 +132,7 @@ def reader(source: Record | F64) -> Callable[[], Values]:
 
 
 def writer(record: Record) -> Callable[..., None]:
-    """Return a function that sets all elements of a record, one argument each, in a quarter of the time."""
+    """Return a function that sets a record's elements from as many arguments, 4 times as fast as numpy."""
     array = np.asarray(cast(np.record, record)).reshape(1)
     return partial(struct.Struct("=" + _format(array.dtype)).pack_into, array.view(np.uint8).data, 0)
 

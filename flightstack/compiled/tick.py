@@ -44,7 +44,7 @@ from flightstack.core.types import (
 
 _SAMPLES = 4  # maximum number of target samples in a compiled tick
 _OWN, _SAMPLE = struct.Struct("=11d"), struct.Struct("=10d")
-_NONE = -1.0  # value instead of the number of samples, for a call that only compiles
+_NONE = -1.0  # value in place of the number of samples in a call that only compiles
 
 
 def _solve(one: Osqp, numbers: tuple[float, ...]) -> tuple[Vec3, bool, int]:
@@ -131,7 +131,7 @@ def _land(kernel: CompiledController, given: F64) -> None:
 
 
 class CompiledController(Controller):
-    """Controller that computes an ordinary landing tick in one compiled call; see ``compiled``.
+    """Controller that computes an ordinary landing tick in one compiled call.
 
     The state is copied back at the next access to ``memory`` or ``state``, after the set-point was sent.
     """
@@ -151,7 +151,7 @@ class CompiledController(Controller):
         land: Any = _land
         with suppress(NotOrdinary):
             land(self._objects, self._given)
-        # without the dispatcher, which spends 2 us on the types of the arguments
+        # called without numba's dispatcher, which needs 2 us for the types of the arguments
         self._land = land.overloads[self._objects.kind, land.typeof_pyval(self._given)].entry_point
 
     @property

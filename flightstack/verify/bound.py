@@ -2,7 +2,7 @@
 
 Samples can miss the worst point. This module bounds a function over any interval from above, with the exact
 ranges of its monotone pieces (``Shape``: slope and curvature). The interval with the largest bound is halved
-until no bound exceeds the largest computed value by more than ``TOLERANCE``. It may reach to infinity.
+until no bound exceeds the largest computed value by more than ``TOLERANCE``. Intervals may be unbounded.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class Span(NamedTuple):
     high: float
 
     def middle(self) -> float:
-        """Return the point that halves the interval; for an unbounded one, a multiple of its lower end."""
+        """Return the point that halves the interval; for an unbounded one, a point beyond its lower end."""
         return 2.0 * self.low + 1.0 if math.isinf(self.high) else 0.5 * (self.low + self.high)
 
 
 def wider(low: float, high: float) -> Span:
-    """Return an interval, widened by the rounding errors of its computation."""
+    """Return the interval from ``low`` to ``high``, widened by the rounding errors of both values."""
     return Span(low - ROUNDING * (1.0 + abs(low)), high + ROUNDING * (1.0 + abs(high)))
 
 
@@ -77,7 +77,7 @@ class Shape:
     """Boundary of the safe set, with a margin that may have any value of a range."""
 
     barrier: Barrier  # the paper's boundary
-    margin_m: Span  # smallest and largest margin m
+    margin_m: Span  # smallest and largest margin far from the pad
     fade_radius_m: float  # radius w within which the margin fades
 
     def slope(self, d: Span) -> Span:

@@ -22,7 +22,7 @@ class Extremes:
 
     barrier: Barrier  # the paper's barrier
     shape: Shape  # boundary; the margin ranges from that of ``usual`` to that of a target at the age limit
-    usual: Shape  # boundary with the margin as long as all samples arrive
+    usual: Shape  # boundary with the margin that applies while all samples of the target arrive
     pad_radius_m: float  # radius outside which the barrier must hold
     box_speed_m_s: float  # largest approach speed: diagonal of the velocity box plus fastest target
     target_speed_m_s: float  # horizontal speed of the target, also relative to a hovering vehicle
@@ -30,12 +30,12 @@ class Extremes:
     target_acceleration_m_s2: float  # horizontal acceleration of the target
     heave_acceleration_m_s2: float  # vertical acceleration of the target; 0 without heave
     slip_m_s: float  # horizontal speed relative to the target while the vehicle follows it
-    position_error_m: float  # horizontal error of vehicle minus target, sigma_factor deviations
-    height_error_m: float  # vertical error of vehicle minus target, sigma_factor deviations
+    position_error_m: float  # horizontal error of the relative position, sigma_factor deviations
+    height_error_m: float  # vertical error of the relative position, sigma_factor deviations
     growth_m: float  # growth of the margin between two samples of the target
-    velocity_error_m_s: float  # error of the target's velocity per axis, sigma_factor deviations
-    lag_xy_s: float  # horizontal and vertical lag of the slowest vehicle
-    lag_z_s: float
+    velocity_error_m_s: float  # error of the relative velocity on each axis, sigma_factor deviations
+    lag_xy_s: float  # horizontal lag of the slowest vehicle
+    lag_z_s: float  # vertical lag of the slowest vehicle
 
 
 def extremes(config: FlightConfig) -> Extremes:

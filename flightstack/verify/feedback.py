@@ -29,14 +29,14 @@ BANDWIDTH = 2.5  # largest ratio of feedback rate to velocity loop rate; the mod
 OBSERVER = 0.5  # smallest ratio of observer rate to velocity loop rate, so that a disturbance is found soon
 # largest acceleration by velocity_loop.error_max_m_s, m/s^2, for which the linear model holds
 ACCELERATION_MAX_M_S2 = 3.0
-MIN_DECAY_1_S = 0.1  # required proven decay rate: half of an error in seven seconds
+MIN_DECAY_1_S = 0.1  # required proven decay rate, 1/s: an error halves in 7 s
 
 
 def linear(config: FlightConfig, faster: float, damped: float | None = None) -> F64:
-    """Return the loop's matrix for a vehicle whose velocity loop is ``faster`` than the declared one.
+    """Return the loop's matrix for a vehicle whose w is ``faster`` times the declared one.
 
-    Its D is ``damped`` times the declared one; the default is the factor of w. The gains of the estimator of
-    the vehicle state act once a tick.
+    D is ``damped`` times the declared one; the default is ``faster``. The gains of the estimator of the
+    vehicle state act once a tick.
 
     States: position relative to the target, velocity, acceleration; state of the delay; velocity,
     acceleration and disturbance of the observer; smoothed derivative of the velocity command. With an
@@ -160,7 +160,7 @@ def _bandwidth(config: FlightConfig) -> float:
 
 
 STEP_S = 3e-3  # step of the impulse responses, s; their values between two steps are bounded
-DOUBLINGS = (11, 14)  # numbers of doublings: responses of 6 s, or up to 49 s; the remainder is bounded
+DOUBLINGS = (11, 14)  # least and most doublings: responses of 6 s to 49 s; the remainder is bounded
 SLACK = 0.03  # largest fraction of a result that vehicles beside the interval's centre may cause
 FOLLOW_PIECE_MIN = 1e-4  # smallest width of an interval of lag factors
 _POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # state indices of ``linear``
@@ -168,7 +168,7 @@ _TARGET, _ERROR, _OTHER = range(3)  # indices of the loop's inputs
 
 
 def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """Return the largest distance from the pad's centre during following, m, and the worst vehicle's factor.
+    """Return the largest distance from the pad's centre of a following vehicle, m, and the worst factor.
 
     The distance is infinite if no bound is proven, and always for an estimated vehicle state. The factor is
     the ratio of the vehicle's velocity loop rate to the declared one.
@@ -192,7 +192,7 @@ def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 
 
 def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
-    """Return the bound of an interval's central vehicle, and the additional distance of other vehicles."""
+    """Return the bound of an interval's central vehicle, m, and the addition for its other vehicles, m."""
     middle, loop = 0.5 * (low + high), config.velocity_loop
     inputs, outputs, through = _ports(config, middle)
     gains = _gains(linear(config, middle), inputs, outputs)

@@ -5,9 +5,9 @@ h is the value of a neighbour's barrier and g its gradient. The worst constraint
 
     g . u >= |g| w + a t - rate h,
 
-where w is the neighbour's speed and a t the growth of its ellipsoid at the largest latency; this vehicle has
-the whole share, and the neighbour flies straight to it. g is a unit vector whose vertical part is multiplied
-by k = radius_xy / radius_z. The box is reduced to its horizontal disc, without slew limit.
+where w is the neighbour's speed and a t the growth rate of its ellipsoid at the largest latency; this vehicle
+has the whole share, and the neighbour flies straight to it. g is a unit vector whose vertical part is
+multiplied by k = radius_xy / radius_z. Of the box the checks use the horizontal disc, without slew limit.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
     late ones; the sender keeps the whole share in all ticks until HOLD_LATENCIES.
 
     For an active constraint g . (u - c) = -rate h, g . u has to grow by rate times the closing speed plus the
-    acceleration of the other vehicle; the curvature of h reduces this sum, and half of a share halves it. The
+    acceleration of the other vehicle; the curvature of h reduces this sum, and the half share halves it. The
     room below the slew limit is homogeneous in g and concave, so it is smallest along an axis.
     """
     fleet, speeds_m_s = config.fleet, config.limits.velocity_max_m_s
@@ -169,7 +169,7 @@ def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
 def _landings(config: FlightConfig, descent_s: float, landing_s: float) -> list[Check]:
     """Return the checks of simultaneous touchdowns and of the wait for the right of way."""
     fleet, target_m_s = config.fleet, config.touchdown.target_speed_max_m_s
-    ahead_s = fleet.age_max_s + descent_s  # horizon of the conflict search: message age, then the descent
+    ahead_s = fleet.age_max_s + descent_s  # horizon of the conflict check, s: message age plus descent
     closer_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time in which pads may approach each other
     accelerated_m = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
     moved_m = min(accelerated_m + target_m_s * closer_s, 2.0 * target_m_s * ahead_s)
@@ -249,7 +249,7 @@ def _common_points(config: FlightConfig, slope: float, climb_m_s: float) -> list
     from_m, reach_m = anywhere_m(config), fleet.reach_m - fleet.radius_xy_m
     short_m_s, elevation = one_short_m_s(config, up_the_slope_m_s(config, slope, climb_m_s), -math.pi / 2.0)
     open_m_s, _ = one_short_m_s(config, min(vx, vy), 0.0)
-    # needed speed away from the landing barrier
+    # speed that is needed far from the landing barrier, between two neighbours
     opposite_m_s = max(1.0, fleet.flat) * speed_m_s + fleet.growth_m_s
     return [
         Check(

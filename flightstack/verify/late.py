@@ -22,8 +22,8 @@ from flightstack.verify.types import PROOF, Check
 
 DAMPING_MIN = 0.5  # minimum damping of the position loop around the lagging velocity loop
 LATE_TICKS = 1  # number of ticks between the inputs and their set-point
-MIN_DECAY_1_S = 0.1  # required decay rate, half of an error in 7 s; half the gain of a slow position loop
-SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # deviations of the checked lags, divided by ``lag_spread``
+MIN_DECAY_1_S = 0.1  # required decay rate, 1/s: an error halves in 7 s; for gains below 0.2, half the gain
+SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # checked deviations from the declared lag, divided by ``lag_spread``
 RESPONSES = (1.0, 1.15, 1.3)  # ratios of steady velocity to set-point; identified vehicles reach 1.3
 # Ratio of steady velocity to set-point at which a loop with a dead time must still be stable: its phase lag
 # has no bound, so only the gain limits oscillation; identified gains are means of large and small commands.
@@ -79,7 +79,7 @@ def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: fl
 
 
 def drift_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
-    """Return the largest distance from the pad's centre of all vehicles, and the lag over the declared lag.
+    """Return the largest distance of a vehicle from the pad's centre, m, and its lag over the declared lag.
 
     The distance, within a time after the final descent starts, is the free motion from the largest distance
     and speed at the start, plus the bounds of the target's acceleration and the velocity command's error

@@ -1,10 +1,10 @@
 """Checks of eq. 11 that any filter needs: some velocity in the box always meets the barrier.
 
-At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box gives
-``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target takes ``|s| w + w_z``. The difference must not be
-negative at any distance and in any direction; it is smallest along the slower axis of the box. Near the apex
-the filter's gradient is smaller than s. The difference is linear in |s|, and the check at the peak includes
-s = 0. Therefore the bound also holds at the apex.
+At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box raises h
+by ``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target lowers h by ``|s| w + w_z``. The difference must
+not be negative at any distance and in any direction; it is smallest along the slower axis of the box. Near
+the apex (d = 0) the smoothing factor makes the filter's gradient smaller than s. The difference is linear in
+|s|, and the check at the peak includes s = 0. Therefore the bound also holds at the apex.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CENTRES = 1.5
 
 
 def shortfall(shape: Shape, box_m_s: Vec3, target_speed_m_s: float, target_climb_m_s: float) -> Most:
-    """Return the fastest fall of h with the best velocity of the box, m/s, and its distance, m."""
+    """Return the fastest fall of h with the best velocity of the box, m/s, and the distance d there, m."""
     excess_m_s = target_speed_m_s - min(box_m_s[:2])
 
     def lost(d: Span) -> float:
@@ -51,7 +51,7 @@ def basics(
     end = "outruns the box" if fastest_m_s > 0.0 else "does not outrun the box"
     most_1_s, axis = 0.5 * hz, max(range(3), key=lambda i: gains[i])
     key, slew_m_s2 = slew
-    most_m_s2 = [2.0 * limit * hz for limit in box]  # the largest change that the box allows in a tick
+    most_m_s2 = [2.0 * limit * hz for limit in box]  # acceleration from one limit to the other in a tick
     side = min(range(3), key=lambda i: most_m_s2[i] - slew_m_s2[i])
     return [
         Check("barrier", "some velocity in the box meets the barrier wherever h >= 0", -fastest_m_s, "m/s",

@@ -29,7 +29,7 @@ def demand(x: Extremes, slope: Span) -> float:
 
 
 def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign: float = 1.0) -> float:
-    """Return how fast ``demand`` rises (sign 1) or falls (sign -1) by motion over the boundary, m/s^2."""
+    """Return how fast ``demand`` can rise (sign 1) or fall (sign -1) as the vehicle moves, m/s^2."""
     slope, bend = shape.slope(d), shape.curvature_1_m(d)
     ax, ay, _ = config.slew_max_m_s2
     # the inward speed may be high; it reduces the demand
@@ -184,7 +184,7 @@ def _reserve(config: FlightConfig, growth: Most) -> list[Check]:
 def _own_estimator(config: FlightConfig) -> list[Check]:
     """Return the check that a velocity error is estimated faster than the position loop acts on it.
 
-    Without the velocity loop's model, the estimate of the velocity is wrong by the error for the time T.
+    Without the velocity loop's model, a new error makes the estimate of the velocity wrong for the time T.
     """
     if not config.own.learns or config.velocity_feedback.horizontal:
         return []

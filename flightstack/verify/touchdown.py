@@ -81,7 +81,7 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
     """
     gain, decay_1_s = config.robust.gain_over_pad_1_s, 1.0 / max(lag_s, STEP_S)
     error = x.velocity_error_m_s + gain * x.position_error_m
-    rates = np.zeros((3, 3))  # of y, z and the constant 1
+    rates = np.zeros((3, 3))  # derivatives of y, z and the constant 1
     rates[0] = -gain, 1.0, error
     pushed = x.target_acceleration_m_s2 + gain * error
     rates[1] = rho * gain * gain, rho * gain - decay_1_s, rho * pushed
@@ -161,8 +161,8 @@ def over_pad(config: FlightConfig, x: Extremes) -> list[Check]:
 def _tilts(config: FlightConfig, x: Extremes) -> Check:
     """Check that the bound of the set-point allows the required acceleration.
 
-    docs/how_it_works/robust_filter.md, *Limits of the lead*, derives the acceleration. From rest to the full
-    speed v the vehicle lags by v / (2 A), minus v / (2 a) of the command's ramp, in addition to its lag.
+    docs/how_it_works/robust_filter.md, *Limits of the lead*, derives the required acceleration A. A
+    vehicle that accelerates to the speed v lags v / (2 A) - v / (2 a) longer; a is the slew limit.
     """
     loop, (ax, ay, _) = config.velocity_loop, config.slew_max_m_s2
     speed, slew = max(config.limits.velocity_max_m_s[:2]), min(ax, ay)

@@ -22,7 +22,7 @@ class Check:
     """Result of one check of the certificate.
 
     Attributes:
-        name: short, unique name.
+        name: short name, unique among the checks of a configuration.
         claim: statement that is true in the whole envelope if ``room`` is not negative.
         room: distance to the limit at the worst point.
         unit: unit of ``room``.
