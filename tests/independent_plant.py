@@ -23,16 +23,16 @@ DRAG = np.array([0.0147, 0.0147, 0.0128])  # drag coefficients along the body ax
 ARM = 0.03253  # distance of a rotor from the centre along x and along y, m
 ROTOR_XY = ARM * np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]])  # M1 front right, then clockwise from above
 SPIN = np.array([1, -1, 1, -1])  # sense of rotation; M1 and M3 turn counter-clockwise
-THRUST = np.array([2.4583e-10, -5.382e-7, 0.0])  # thrust, N, as polynomial of rpm
-TORQUE = np.array([1.4593e-12, 1.4105e-9, 0.0])  # torque, N m, as polynomial of rpm
+THRUST = np.array([2.4583e-10, -5.382e-7, 0.0])  # thrust of a rotor, N: coefficients of rpm^2, rpm, 1
+TORQUE = np.array([1.4593e-12, 1.4105e-9, 0.0])  # drag torque of a rotor, N m: coefficients of rpm^2, rpm, 1
 ROTOR_INERTIA = 34.5e-9  # moment of inertia of one rotor, kg m^2
 RAD_S = 2.0 * np.pi / 60.0
 
 
 @dataclass(frozen=True)
 class Lag:
-    """Lag of the motors: first order with ``time_s``, or rates up (1/s of the difference) and down
-    (1/rpm s)."""
+    """Lag of the motors: first order with ``time_s``, or different rates for a rise (times the difference of
+    the speeds) and a fall (times the difference of their squares)."""
 
     time_s: float = 0.07
     rise_1_s: float | None = None
@@ -57,7 +57,7 @@ def rotation(q):
 
 
 def derivative(state, command, lag, drag, wind):
-    """Return the derivative of position, velocity, quaternion, body rates and rotor speeds (17 numbers)."""
+    """Return the time derivative of position, velocity, quaternion, body rates, rotor speeds (17 numbers)."""
     v, q, w, rpm = state[3:6], state[6:10], state[10:13], state[13:]
     r = rotation(q / np.linalg.norm(q))
     thrusts, speed_rate = np.polyval(THRUST, rpm), lag.rate(rpm, command)

@@ -135,7 +135,7 @@ class Line:
 
     def __init__(self, baud: int | None) -> None:
         self._rate = baud / 10 if baud else None
-        self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes, for 0.05 s of data
+        self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes: 0.05 s, at least 576
         self._buffer = bytearray()
         self._credit = 0.0
 

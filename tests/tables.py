@@ -30,7 +30,7 @@ _ATTRIBUTES = ("id", "msgname", "crc_extra", "fieldnames", "fieldtypes", "ordere
 
 def messages_table() -> str:
     """Return the text of the file: messages of pymavlink are generated again, others are unchanged."""
-    table = {row["id"]: row for row in wide_rows()}  # a part of ardupilotmega.mavlink_map, too
+    table = {row["id"]: row for row in wide_rows()}  # the bridge also adds these to ardupilotmega.mavlink_map
     made = {id_: row for id_, row in table.items() if id_ not in everything.mavlink_map}
     for id_ in everything.mavlink_map.keys() - (ardupilotmega.mavlink_map.keys() - table.keys()):
         cls = everything.mavlink_map[id_]

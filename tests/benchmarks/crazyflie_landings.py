@@ -79,7 +79,7 @@ def scenario(seed: int) -> Scenario:
 
 
 def fly(one: Scenario, seed: int, *options: str, flights: int = 1) -> list[Landing]:
-    """Fly in a row with the same firmware and bridge; ``options``: options of ``bridge crazyflie``."""
+    """Fly ``flights`` times with the same firmware and bridge; ``options``: those of ``bridge crazyflie``."""
     here, there = free_endpoint(), free_endpoint()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.toml"

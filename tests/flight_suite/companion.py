@@ -36,7 +36,7 @@ class Radio:
         self._near.bind(("127.0.0.1", 0))
         self._far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._far.bind(("127.0.0.1", local_port))
-        self.url = f"udpout:127.0.0.1:{self._near.getsockname()[1]}"  # the companion's URL of the vehicle
+        self.url = f"udpout:127.0.0.1:{self._near.getsockname()[1]}"  # vehicle URL for the onboard process
         self._companion: tuple[str, int] | None = None
         self._cut, self._end = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._forward, daemon=True)

@@ -51,7 +51,7 @@ def write_kept(
         for name in METADATA:
             values = dict(log.metadata().get(name, {}))
             if name == "onboard" and not wire:
-                values.pop("lockstep", None)  # without MAVLink frames their exchange cannot be replayed
+                values.pop("lockstep", None)  # no frames: MAVLink cannot be replayed
             writer.add_metadata(names.record(name), values)
         channels: dict[str, int] = {}
         for message in log.messages(topics):

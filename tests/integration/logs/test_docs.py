@@ -75,7 +75,7 @@ def run_each(chosen, cwd):
 
 
 def run_here(pages):
-    """Return the commands that the test can run unchanged in a short time, without repetitions."""
+    """Return the commands that a test can run unchanged in a short time, without duplicates."""
     return [*dict.fromkeys(c for c in commands(pages) if verb(c) in RUN_HERE and not real_time(c))]
 
 
@@ -103,7 +103,7 @@ def test_the_parts_apart_land(tmp_path):
     page = on_free_ports("\n".join(commands()))
     parts = {verb(c): c for c in page.splitlines() if verb(c) in APART}
     assert list(parts) == list(APART)
-    run(f"{BIN}/python --version", tmp_path)  # this command creates the .venv of the folder
+    run(f"{BIN}/python --version", tmp_path)  # ``run`` creates the .venv of the folder
     running = []
     try:
         for name, command in parts.items():
@@ -150,7 +150,7 @@ def test_make_fly_lands():
 
 # topics that are recorded only with a certain table of the configuration, or with a fleet
 WITH_TABLE = {"/cf1/controller/power", "/cf1/controller/neighbours", "/cf1/fleet/status", "/fleet/pairs"}
-DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # line of the page that stands for many topics
+DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # line of the page for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")
 PAGE = ROOT / "docs/reference/logs.md"
 log_docs = pytest.mark.xdist_group("log docs")  # these tests share a flight

@@ -27,7 +27,7 @@ CONFIG = ROOT / "flightstack" / "config" / "sitl-1kg.toml"
 KEYS = ("controller/step", "loop/timing")
 PAD_RADIUS_M = 0.5  # radius of the pad in the configuration, m
 ROWS = landing().steps[::5]  # rows at 20 Hz, the published rate
-PUTS = 2000  # samples of a 20 Hz loop, more than all queues hold
+PUTS = 2000  # number of samples, more than all queues hold
 PUT_TIME_MAX_S = 0.01
 
 
@@ -94,7 +94,7 @@ def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching)
         row, timing = next(flight)
         puts["controller/step"].put(row.pack())
         puts["loop/timing"].put(timing.pack())
-        time.sleep(0.02)  # this loop sends at the rate of a flight; a slow viewer drops old data
+        time.sleep(0.02)  # at most 50 Hz, because a slow viewer drops old data
         sizes.add(out.stat().st_size)
         return len(sizes) > 20
 
@@ -178,5 +178,5 @@ def test_sitl_shows_the_flight_and_flies_as_without(tmp_path):
     assert done.code == 0, done.err
     assert done.json["outcome"] == "landed"
     rows, columns = entities(out)
-    assert rows["/world/vehicle"] > 0  # lockstep is faster than the view, which drops old data
+    assert rows["/world/vehicle"] > 0  # only > 0: lockstep is faster than the viewer, which drops old data
     assert "/world/target_pad/barrier" in columns

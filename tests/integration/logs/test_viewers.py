@@ -56,7 +56,7 @@ def vector(v):
 
 
 def test_own_odometry_is_what_the_vehicle_sent(bag):
-    """LOCAL_POSITION_NED and the ENU odometry give one position at each tick; the bridge is not used."""
+    """LOCAL_POSITION_NED and the ENU odometry agree at each tick; the conversion here is independent."""
     sent = dict(bag["/cf1/mavlink/sys1/comp1/LOCAL_POSITION_NED"])
     compared = 0
     for time_ns, odometry in bag["/cf1/odom"]:

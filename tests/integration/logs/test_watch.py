@@ -128,7 +128,7 @@ def test_a_sender_that_repeats_itself_is_stale():
         clock.now_s += STALE_S + 1.0
         sender.puts["controller/step"].put(payload)
         sender.puts["loop/timing"].put(landing().timing[5].pack())
-        until(watch, lambda: watch.timings, "nothing came")  # it is sent last, so the step has arrived
+        until(watch, lambda: watch.timings, "nothing came")  # timings are sent last, so the step has arrived
         assert not watch.fresh
         sender.puts["controller/step"].put(step(1).pack())
         until(watch, lambda: watch.fresh, "a new step is news")
@@ -187,7 +187,7 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        # the health is sent less often than the phase: the newest one may be older than the arming
+        # health is sent less often than steps: the newest health message may be older than the arming
         seen = list(
             _lines(
                 watching,

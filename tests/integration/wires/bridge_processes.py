@@ -22,7 +22,7 @@ from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import pose_stamped
 
 OFFBOARD, HOLD = 0x00060000, 0x03040000
-HOVERS_M = 0.3  # height above the start from which the vehicle counts as hovering after a take-off to 0.5 m
+HOVERS_M = 0.3  # height above the start from which the vehicle hovers, after a take-off to 0.5 m
 ASKS_EVERY_S = 1.5  # period of a pilot's requests, s; heartbeats, which show the result, arrive once a second
 
 
@@ -143,7 +143,7 @@ class Mocap:
 
 @contextmanager
 def plain_vehicle(autopilot: int) -> Iterator[Client]:
-    """Provide a socket that sends an autopilot's heartbeat and decodes messages with pymavlink only."""
+    """Provide a client that plays an autopilot with ``beat`` (a heartbeat), and uses only pymavlink."""
     one = Client(f"udpin:127.0.0.1:{free_port(udp=True)}", 1, 1, listen=True)
     try:
         one.beat = lambda: one.send(mav.MAVLink_heartbeat_message(2, autopilot, 0, 0, 3, 3))

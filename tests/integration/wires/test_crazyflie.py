@@ -25,7 +25,7 @@ from tests.processes.ports import free_endpoint
 pytestmark = pytest.mark.xdist_group("real-time")
 
 LAND = 0x06040000
-TABLES = (567, 334)  # table sizes of logs and parameters in firmware 2026.08
+TABLES = (567, 334)  # numbers of log variables and parameters in firmware 2026.08
 
 
 def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
@@ -90,7 +90,7 @@ def test_connects_over_a_radio_that_loses_every_tenth_packet_of_the_real_tables(
 
 
 def stays_unlocked(server):
-    """Wait for the time after which the supervisor locks without set-points; it must remain unlocked."""
+    """Wait until the supervisor would lock for missing set-points; it must remain unlocked."""
     ended_s = server.now_s
     wait_for(lambda: server.now_s > ended_s + TIMEOUT_S + 2 * PERIOD_S, "the end of the watchdog's time")
     wait_for(lambda: server.firmware.supervisor.state in (State.CHECKS_PASSED, State.READY), "readiness")

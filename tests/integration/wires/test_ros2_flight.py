@@ -32,7 +32,7 @@ def commands():
 
 
 class Node:
-    """Plays a ROS 2 node: subscribes to every topic of domain 0, decoded by another library."""
+    """Plays a ROS 2 node: subscribes to every topic of domain 0, and decodes with another library."""
 
     def __init__(self, endpoint):
         self.session = rmw_session(endpoint)
@@ -50,7 +50,7 @@ class Node:
             self.messages[key.topic].append(decode(key.type_name, sample.payload.to_bytes()))
 
     def has_all_of_the_flight(self):
-        """Whether all data of the robot have arrived; on a busy machine they are late."""
+        """Whether the robot's data have arrived up to the vehicle's last ones; a busy machine delays them."""
         self.poll()
         own, target = self.messages["/cf1/odom"], self.messages["/cf1/target/odom"]
         return seconds(target[-1]) >= seconds(own[-1])
@@ -82,7 +82,7 @@ class Parts:
             self.line(name, "ready")
 
     def line(self, name, words):
-        """Read the output of a process up to a line that contains these words; return the line."""
+        """Read the output of a process up to a line that contains these words."""
         child, deadline_s = self.running[name], time.monotonic() + WALL_MAX_S
         while time.monotonic() < deadline_s:
             line = line_of(child.stdout, WALL_MAX_S)

@@ -94,7 +94,7 @@ class Companion(Client):
                     continue
                 raw = bytes(message.get_msgbuf())
                 answer = mav.MAVLink_timesync_message(message.ts1 + 1, message.ts1)
-                if raw == self.last_request:  # a repeated request after a pause of the machine
+                if raw == self.last_request:  # request repeated after a pause of the machine
                     self.frames.remove(raw)
                     self.send(answer)
                     continue

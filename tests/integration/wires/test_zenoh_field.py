@@ -59,7 +59,7 @@ def at_home(home, monkeypatch):
 
 
 def client_file(kind, name, secret=None):
-    """Return the page's client configuration, changed to one machine and a time-out of one second."""
+    """Write the page's client configuration for this client, with a time-out of 1 s; return its path."""
     text = (FILES / f"client_{kind}.json5").read_text()
     text = text.replace("connect: {", "connect: { timeout_ms: 1000,", 1).replace("keys/me", f"keys/{name}")
     text = text.replace('"robot"', f'"{name}"').replace("change me", secret or USERS.get(name, ""))
@@ -85,16 +85,16 @@ questions = itertools.count()
 
 
 def who_hears(sessions, sender, key):
-    """Return the names of the clients that receive a sample on this key."""
+    """Return the names of the clients that receive a sample that ``sender`` sends on this key."""
     asked, marks = (f"{word} {next(questions)}".encode() for word in ("asked", "mark"))
     publisher = zenoh_link.dropping_publisher(sessions[sender], key)
     mark = zenoh_link.dropping_publisher(sessions["robot"], TARGET)
     heard = {name: zenoh_link.ring_subscriber(session, "cf1/**") for name, session in sessions.items()}
     others = [name for name in sessions if name not in (sender, "robot")]
-    found, marked = set(), set()  # clients that this sample reached
+    found, marked = set(), set()  # clients that received the tested sample, and the robot's sample
 
     def passed():
-        # This valid sample follows the tested one, so its arrival is the time to check.
+        # The robot's valid sample follows the tested one; when it has arrived, the result is known.
         publisher.put(asked)
         mark.put(marks)
         for name, subscriber in heard.items():
@@ -162,7 +162,7 @@ def test_without_a_certificate_nobody_gets_in(at_home):
 def test_a_router_under_another_name_is_not_believed(at_home):
     file = client_file("tls", "robot")
     with router("tls") as endpoint:
-        address = endpoint.replace("localhost", "127.0.0.1")  # the certificate does not contain this name
+        address = endpoint.replace("localhost", "127.0.0.1")  # the certificate does not contain this address
         with pytest.raises(ZenohLinkError):
             zenoh_link.open_session(connect=[address], config_file=file)
 
@@ -237,8 +237,8 @@ def test_the_verb_router_wants_a_router_and_a_free_port(at_home):
 
 @pytest.mark.xdist_group("real-time")
 def test_sitl_is_watched_by_certificate_and_seen_by_ros_2(at_home, tmp_path):
-    """The companion's own rules: loopback flies, a watcher reads, and watcher and robot can do
-    nothing else."""
+    """The companion's access rules: processes on loopback fly, a watcher can read, and nothing else is
+    allowed."""
     listen, ros_router = free_endpoint().replace("tcp/", "tls/"), free_endpoint()
     dial = listen.replace("127.0.0.1", "localhost")
     with ExitStack() as stack:

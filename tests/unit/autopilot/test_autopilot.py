@@ -98,7 +98,7 @@ def test_disarms_itself_when_nothing_happens_and_after_landing_in_offboard() -> 
     assert rig.vehicle.armed
     rig.run(1.5, (0.0, 0.0, 0.3))
     assert not rig.vehicle.armed
-    assert rig.mode is FlightMode.OFFBOARD  # the mode lasts until its stream ends
+    assert rig.mode is FlightMode.OFFBOARD  # the mode lasts until the set-points end
     rig.run(0.6)
     assert rig.mode is FlightMode.HOLD
 
@@ -166,7 +166,7 @@ def test_stream_that_comes_back_does_not_take_over_by_itself() -> None:
 def test_safety_parameters_are_fixed_while_armed_and_types_must_fit() -> None:
     rig = Rig()
     wrong_type = mav.MAVLink_param_set_message(1, 1, b"COM_OF_LOSS_T", 1.0, mav.MAV_PARAM_TYPE_INT32)
-    error, in_force = rig.handle(wrong_type)  # MAVSDK repeats a write without an error reply
+    error, in_force = rig.handle(wrong_type)  # without an error reply, MAVSDK repeats the write
     assert error.error == mav.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
     assert in_force.param_value == 0.5
     rig.command(400, 1.0)

@@ -22,7 +22,6 @@ from tests.unit.mavlink.server.served import NAN, OFFBOARD, as_int
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
 NEAR = tuple(v / 1e7 for v in degrees_e7(1.0, 2.0))  # latitude, longitude, degrees
 NAN7 = (NAN,) * 7
-# Parameters to test for each command; every command of the table must be here.
 
 
 def test_heights_above_home_and_above_the_sea() -> None:

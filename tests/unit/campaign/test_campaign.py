@@ -160,7 +160,7 @@ def test_appended_rows_survive_and_a_cut_line_is_dropped(tmp_path):
 
 
 class Growing(io.StringIO):
-    """File to which a campaign appends: one read ends within a line, the next read returns the rest of it."""
+    """File to which a campaign appends: a read ends within a line; the next one returns the line's rest."""
 
     def __init__(self, text, first):
         super().__init__(text[:first])
@@ -237,7 +237,7 @@ def test_cells_keep_the_lowest_h_of_each():
     level = math.floor((0.02 - E_Z_LOW_M) / CELL_M)
     assert lowest_m[level, 0] == pytest.approx(-0.050)
     assert visits[level, 0] == 2
-    assert lowest_m[0, 1] == pytest.approx(0.3)  # the lowest cells contain values below the map
+    assert lowest_m[0, 1] == pytest.approx(0.3)  # values below the map are in its lowest cells
     assert lowest_m[-1, -1] == pytest.approx(1.0)
     assert visits.sum() == 4
     assert np.isnan(lowest_m[5, 5])

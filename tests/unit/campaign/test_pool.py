@@ -1,4 +1,4 @@
-"""Tests worker processes: the results of all items arrive, although items end or hang their processes."""
+"""Tests worker processes: all results arrive, also if an item ends or blocks its process."""
 
 import os
 import time

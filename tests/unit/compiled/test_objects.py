@@ -1,4 +1,4 @@
-"""Tests objects in compiled code: equal fields and methods, and the cases that Python computes."""
+"""Tests objects in compiled code: their fields, their methods, and the cases left to Python."""
 
 from copy import deepcopy
 from dataclasses import fields

@@ -18,7 +18,7 @@ LINK_CELLS = [(what, kind) for what in CONCERNS for kind in TABLE[what]]
 
 
 class FakeEndpoint:
-    """Packs messages and stores the sent ones."""
+    """Packs messages, and stores those that are sent."""
 
     peers = (PEER,)
 
@@ -48,7 +48,7 @@ def heartbeat(base_mode=157):
 
 
 def out(*faults, make=position, seconds=10.0, end_s=None):
-    """Return (sent_ms, decoded) of a message every 10 ms, with faults from 1 s on."""
+    """Send a message every 10 ms, with faults from 1 s on; return (sent_ms, decoded) of those that arrive."""
     link, parser = LinkFaults(), mav.MAVLink(None)
     endpoint = FakeEndpoint()
     wire, got = Wire(endpoint, link), []

@@ -15,7 +15,10 @@ SHAPE = Shape(lambda s, o, turn: (s[0], s[1] + o[0], s[2] + turn), lambda first,
 
 
 def flow(*faults, seconds=5.0, end_s=None):
-    """Return (arrived_ms, (sent_ms, x, yaw)) at 100 Hz with faults from 1 s on; x is the time in s."""
+    """Pass on samples at 100 Hz, with faults from 1 s on; return (arrived_ms, (sent_ms, x, yaw)).
+
+    The value x of a sample is the time at which it is sent, s.
+    """
     stage = SampleFaults(SHAPE)
     out = []
     for ms in range(0, round(seconds * 1000), 10):

@@ -17,7 +17,7 @@ FOR_HALF_A_SECOND = [
     for what, kind in OF_THE_VEHICLE
     if TABLE[what][kind].healable and kind not in (Kind.WEAK, Kind.DEAD)
 ]
-NEUTRAL = {What.LINK_IN, What.LINK_OUT, What.HEARTBEAT, What.SETPOINTS, What.CLOCK}  # faults of processes
+NEUTRAL = {What.LINK_IN, What.LINK_OUT, What.HEARTBEAT, What.SETPOINTS, What.CLOCK}  # not in the vehicle
 
 
 def test_a_stuck_motor_turns_on_after_disarming():

@@ -36,7 +36,7 @@ def nearest(before, after, steps, one, other):
 
 
 def states(position, velocity, acceleration, seconds):
-    """Return the relative state at start and end of a constant acceleration."""
+    """Return the relative states before and after a time with constant acceleration."""
     p, v, a = (np.array(each, dtype=float) for each in (position, velocity, acceleration))
     after = np.concatenate((p + v * seconds + 0.5 * a * seconds**2, v + a * seconds))
     return np.concatenate((p, v)), after
@@ -97,8 +97,8 @@ HOVER_M_S, SIZE_M = jet()[6:]
 
 
 def below(x, y, down, *, jets=None, axes=UPRIGHT):
-    """Return force and torque on a Crazyflie with its rotors ``down`` below those of one that hovers
-    at x, y."""
+    """Return force, N, and torque, N m, on a Crazyflie at the origin, whose rotors are ``down`` m below those
+    of another one that hovers at x, y."""
     d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
     jets = np.array([[x, y, 0.0, 0.0, 0.0, -1.0, HOVER_M_S, SIZE_M]]) if jets is None else jets
     feel(d, jets, 99, np.array([0.0, 0.0, -down - d.above]), axes)
@@ -125,7 +125,7 @@ def test_the_axis_and_the_half_width_are_the_published_ones(lengths):
 
 
 def test_the_jet_carries_the_momentum_of_the_thrust():
-    """The constants fit their unit of length l; with a quarter of l the result would be 0.06."""
+    """The constants belong to this unit of length l; with l / 4 the carried fraction would be 0.06."""
     for down in (0.3, 1.0, 2.0):
         r = np.linspace(0.0, 3.0, 6001)
         u = np.array([jet_speed(down, each, HOVER_M_S, SIZE_M) for each in r])

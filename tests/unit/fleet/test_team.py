@@ -64,7 +64,7 @@ def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier()
 
 
 ROOT = Path(__file__).parents[3]
-# with a wrong position the third vehicle waits for a minute, so only one of these moments is flown
+# if a member lies, the third vehicle waits for a minute, so only one of these moments is flown
 CELLS = [(way, m) for way in Way for m in MOMENTS_S if way is not Way.LIES or m == "touchdown"]
 PAGE = (ROOT / "docs" / "reference" / "fault_grid.md").read_text()
 
@@ -116,7 +116,7 @@ def test_three_take_off_again_and_the_last_one_stays(flown):
 
 @turns
 def test_the_next_one_lands_when_the_one_before_has_left(flown):
-    """No vehicle is above the pad as long as another vehicle stands on it."""
+    """No vehicle descends to the pad as long as another vehicle stands on it."""
     stays, lands = [], []
     for landing in flown.members:
         found = phases(landing)

@@ -22,7 +22,7 @@ from tests.unit.fleet.fleet_helpers import FIELD, team_of
 
 
 def words(number=3, seed=5, **link):
-    """Return an exchange of plain texts between the members."""
+    """Return the message exchange of a team; here the messages are texts."""
     return Words(replace(team_of(*[FIELD] * number), exchange=ExchangeLink(**link)), seed)
 
 
@@ -38,7 +38,7 @@ def test_words_are_late_by_whole_ticks(delay_s, ticks):
     heard = [exchange(tick, [f"a{tick}", None]) for tick in range(20)]
     assert all(own == [] for own, _ in heard)
     for tick, (_, other) in enumerate(heard):
-        wanted = tick + 1 - ticks  # number of the message that arrives with the next tick
+        wanted = tick + 1 - ticks  # number of the message that arrives now
         assert other == ([f"a{wanted}"] if wanted >= 0 else [])
 
 

@@ -60,7 +60,7 @@ def test_missed_deadlines_are_counted_and_not_made_up_for():
     pacer.wait()
     clock.now += 0.0351
     late = pacer.wait()
-    assert pacer.overruns == 2  # two further deadlines passed after the missed one
+    assert pacer.overruns == 2  # after the missed deadline, two more have passed
     assert late.lateness_s == pytest.approx(0.0251, abs=1e-6)
     following = pacer.wait()
     assert following.now_s == pytest.approx(0.04, abs=1e-6)
@@ -205,7 +205,7 @@ def test_a_clock_that_is_twice_as_fast_makes_twice_as_many_ticks_and_their_times
     assert first.overruns == 0
     later = pacer()  # the pacer of another process that starts now
     assert later.wait().unix_ns == pytest.approx(ticks[-1].unix_ns, abs=10_000)
-    wall.now += 0.011  # two deadlines of 5 ms after the missed one
+    wall.now += 0.011  # 11 ms of wall time: the deadlines at 5 and 10 ms have passed
     assert later.wait().lateness_s == pytest.approx(0.012, abs=1e-6)
     assert later.overruns == 1
     assert FastClock().unix_ns() == pacing.time.time_ns()

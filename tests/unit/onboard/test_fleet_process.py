@@ -73,7 +73,7 @@ def onboard(feed, endpoint):
 
 @pytest.fixture
 def other(onboard, endpoint):
-    """Connection of the other vehicle, with id 7."""
+    """Provide the fleet connection of another vehicle, with id 7."""
     session = open_session(connect=[endpoint])
     wait_for(lambda: zenoh_link.transports(session) == 1)
     wire = FleetWire(session, "cf7", Fleet(7, (3, 7)))
@@ -97,7 +97,7 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
     step, heard = onboard.controller.step, []
 
     def placed(inputs, now_s, **named):
-        """Run a tick, and add the status message, because the vehicle of this test sends no position."""
+        """Run a step, and add a status message, because the vehicle of this test sends no position."""
         heard.extend(inputs.neighbours)
         return step(inputs, now_s, **named)._replace(member_status=word(3, now_s))
 

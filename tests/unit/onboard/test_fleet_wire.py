@@ -1,4 +1,4 @@
-"""Tests fleet messages over Zenoh: times are converted to the receiver's clock, invalid ones rejected."""
+"""Tests fleet messages over Zenoh: times are converted to the receiver's clock, bad messages rejected."""
 
 import time
 from unittest import mock
@@ -46,7 +46,7 @@ class Side:
         self.wire.begin(epoch_ns, lambda: self.now_s)
 
     def hear(self):
-        """Return the messages received within a second."""
+        """Wait for messages; return them."""
         found = []
         wait_for(lambda: found.extend(self.wire.statuses()) or found)
         return found
@@ -68,7 +68,7 @@ def pass_time(*sides):
 
 
 def taken(side, count=1):
-    """Receive this number of messages, also of rejected ones; return the accepted ones."""
+    """Receive at least ``count`` messages, including rejected ones; return the accepted ones."""
     read, words, drain = [], [], zenoh_link.drain
 
     def drained(subscriber):
@@ -81,7 +81,7 @@ def taken(side, count=1):
 
 
 def greet(a, b):
-    """Send from both vehicles in turn until each connection has passed on a message of the other one."""
+    """Send from both vehicles in turn until each has accepted a message of the other one."""
     heard = set()
 
     def in_turn():
@@ -116,7 +116,7 @@ def test_a_word_arrives_on_the_clock_of_who_reads_it(sides):
     b.wire.say(said)
     pass_time(a, b)
     (word,) = a.hear()
-    assert word.stamp_s == pytest.approx(said.stamp_s, abs=1e-4)  # both clocks started at 1 s, 5 s apart
+    assert word.stamp_s == pytest.approx(said.stamp_s, abs=1e-4)  # equal times, epochs 5 s apart
     assert word.claim_s == pytest.approx(0.5, abs=1e-4)
     assert word.clock_bound_s == pytest.approx(DELAY_S, rel=0.02)
     assert word.arrival_s == a.now_s

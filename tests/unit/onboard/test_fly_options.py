@@ -34,11 +34,11 @@ def started(monkeypatch):
     monkeypatch.setattr(Launcher, "start", start)
     monkeypatch.setattr(Launcher, "record", lambda launcher, log: log.parent)
     monkeypatch.setattr(fly, "describe", lambda *_: None)
-    monkeypatch.setattr(fly, "dialled", lambda **_: (None, []))  # the file is not a Zenoh configuration
+    monkeypatch.setattr(fly, "dialled", lambda **_: (None, []))  # the test's file is no Zenoh configuration
 
     def fly_with(*words):
         done = CliRunner().invoke(main, ["fly", *map(str, words)])
-        assert done.exit_code == 2  # the reason comes from the child process, which could not start
+        assert done.exit_code == 2  # status of the LaunchError above
         return seen[-1]
 
     return fly_with

@@ -24,7 +24,7 @@ def forked(run):
 
 
 def python(program, folder):
-    """Return the output of a Python program, which has no other threads, unlike the process of the tests."""
+    """Return the output of a Python program, which has only one thread, unlike the process of the tests."""
     words = [sys.executable, "-c", BEGIN + program, str(folder)]
     return subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S, check=True).stdout
 

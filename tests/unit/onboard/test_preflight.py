@@ -22,7 +22,7 @@ NEEDS = Needs(0.5 * math.sqrt(2.0), 0.5, 1.0, 1.5, 3.0)
 
 
 def asked(name):
-    """Return safe parameters of the newest release; for ArduCopter, those of the fake autopilot."""
+    """Return the parameters that the check requests, with their rules: newest release, but ArduCopter 4.6."""
     return table(name).asked(name, "4.6" if name == "ardupilot" else table(name).releases[-1])
 
 
@@ -104,7 +104,7 @@ def test_the_simulator_is_recognised_and_safe():
     assert verdict(report) is None
     assert {f.name for f in report.findings} == {each.name.name for each in asked("sitl")}
     assert record(report)["COM_OF_LOSS_T"] == "0.5 ok"
-    # the check reads and never changes parameters
+    # the check only reads parameters
     assert {m.get_type() for m in vehicle.asked} == {"HEARTBEAT", "COMMAND_LONG", "PARAM_REQUEST_READ"}
     assert {m.command for m in vehicle.asked if m.get_type() == "COMMAND_LONG"} == {512}
 
@@ -135,7 +135,7 @@ def test_a_profile_that_is_given_needs_no_version(monkeypatch):
     ],
 )
 def test_a_battery_too_low_to_land_is_refused_with_what_it_needs(volts, armed, table, refused):
-    """The check applies at rest; the controller checks the voltage under load of an armed vehicle."""
+    """The check applies at rest; in flight, the controller checks the voltage under load."""
     reserve = {"hover_throttle": 0.78, "hover_voltage_v": 3.7, "lowest_voltage_v": 3.2, "sag_v": 0.4}
     section = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, **({"reserve": reserve} if table else {})}
     vehicle = Vehicle(fake=FakeVehicle(battery_v=volts, armed=armed))

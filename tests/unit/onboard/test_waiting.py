@@ -35,7 +35,7 @@ TARGET = TargetState(0.02, (1.0, 0.0, 0.2), (0.0, 0.0, 0.0), 0.0)
 
 
 def waiting(counts=(), battery=1, refused=0, told=(), keys=()):
-    """Return the reporter of a vehicle and a target that have sent this."""
+    """Return a reporter with these counters and texts of vehicle and target."""
     state = SimpleNamespace(counters=Counter(dict.fromkeys(counts, 9)), battery=battery)
     endpoint = SimpleNamespace(counters=Counter())
     link = SimpleNamespace(state=state, endpoint=endpoint, foreign=Counter())
@@ -250,4 +250,4 @@ def test_what_ends_a_wait_is_counted_down_with_its_setting():
     assert countdown(config, Phase.WAIT, 12.0) == "gives up within 48 s (checks.wait_time_max_s)"
     assert countdown(config, Phase.ABORT, 12.0) == "ends within 28 s (retreat.abort_time_max_s)"
     assert countdown(config, Phase.HOLD, 3.0) == "aborts within 0 s (checks.hold_time_s)"
-    assert countdown(config, Phase.APPROACH, 3.0) == ""  # the controller leaves the phase immediately
+    assert countdown(config, Phase.APPROACH, 3.0) == ""  # without inputs, this phase ends immediately

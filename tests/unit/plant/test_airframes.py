@@ -32,7 +32,7 @@ def test_every_file_loads_and_can_hover_with_room(airframe):
     assert 0.3 < hover_n / params.rotor.thrust_max_n < 0.7
     load_v = params.battery.resistance_ohm * (params.battery.idle_current_a + params.battery.hover_current_a)
     empty_n = params.rotor.thrust_n(params.battery.speed_rpm(params.battery.empty_v - load_v))
-    assert empty_n > hover_n  # with an empty battery, a vehicle with markers has little reserve
+    assert empty_n > hover_n  # thrust of a rotor with an empty battery
 
 
 def room(seed=0, loop=VelocityLoop.PID, **spec):
@@ -49,7 +49,7 @@ def test_a_vehicle_that_is_asked_to_hover_has_the_charge_for_it():
     charges = [(a.battery_charge, b.battery_charge) for a, b in zip(drawn, able, strict=True)]
     assert all(b >= a for a, b in charges)
     assert all(replace(b, battery_charge=a.battery_charge) == a for a, b in zip(drawn, able, strict=True))
-    seed = max(range(40), key=lambda n: charges[n][1] - charges[n][0])  # seed with the weakest battery
+    seed = max(range(40), key=lambda n: charges[n][1] - charges[n][0])  # seed whose charge is raised most
     climbs = [
         velocities(room(seed, hover_reserve=reserve, **spread), (0.0, 0.0, 0.3), 1.5)[-1][2]
         for reserve in (0.0, 1.04)

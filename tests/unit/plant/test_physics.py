@@ -48,7 +48,7 @@ class FreePlant:
         self.record.firmware.commands[:] = rpm
 
     def run(self, steps, command=None):
-        """Advance by this many milliseconds under a command in rpm."""
+        """Advance by this number of milliseconds with a command in rpm; None: the previous one."""
         if command is not None:
             self.record.firmware.commands[:] = command
         for _ in range(steps):
@@ -111,8 +111,8 @@ def random_flight(seed, slow, spread_rpm):
 def test_six_degrees_of_freedom_agree_with_the_independent_model(seed, slow):
     """Compare rates, attitude, velocity, position and rotor speeds over 1.5 s of random commands.
 
-    The simulator applies the torque of the end of a step, and the thrust direction of its start. The error is
-    half a step times their rate of change. The tolerances are one or two times this error and not fitted.
+    In each step, the simulator applies the torque of the step's end and the thrust direction of its start.
+    The error is half a step times their rates of change. The tolerances are one or two times this error.
     """
     flown, reference = random_flight(seed, slow, 200.0)
     error = np.abs(flown - reference)
@@ -124,4 +124,4 @@ def test_six_degrees_of_freedom_agree_with_the_independent_model(seed, slow):
     assert 2.0 * error[:, 6:10].max() < STEP_S * turning + 1e-4  # angle error, rad
     assert error[:, 3:6].max() < 0.5 * STEP_S * turning * G * 1.5  # thrust, about m g, turned by half a step
     assert error[:, :3].max() < 0.5 * STEP_S * turning * G * 1.5**2 / 2.0
-    assert error[:, 13:].max() < (0.01 if slow else 1e-6)  # rpm; the slow fall is a second-order step
+    assert error[:, 13:].max() < (0.01 if slow else 1e-6)  # rpm; slow: integrated with second order

@@ -37,7 +37,7 @@ class Deck:
 
 
 def stand(deck, seconds=3.0, wait_steps=WAIT_STEPS, place=(0.02, -0.01), force=WEIGHT, torque=NO_TORQUE):
-    """Put a vehicle on the pad; return the world, and positions, velocities and rest state of every step."""
+    """Put a vehicle on the pad; return the world, and contact, motion and rest state of every step."""
     w = World(PARAMS, MASS, TargetSpec())
     w.record.rest.wait_steps = wait_steps
     deck.place(w, 0)
@@ -107,7 +107,7 @@ def falls(t):
 
 
 def later(x, z):
-    """Apply the weight for a second, then a force, which is given as a multiple of the weight."""
+    """Return a force as a function of the step: the weight for 1 s, then x and z times the weight."""
     return lambda step: WEIGHT if step < 1000 else (x * MASS * G, 0.0, z * MASS * G)
 
 

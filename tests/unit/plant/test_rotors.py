@@ -29,7 +29,7 @@ def ground(gain=1.0, pad_radius_m=0.1):
 
 
 def factors(g, ex, ey, ez, axes=LEVEL):
-    """Return the factors on the four thrusts, above a pad at 0.2 m."""
+    """Return the ground-effect factors of the four thrusts, above a pad at a height of 0.2 m."""
     out = np.empty(4)
     ground_effect(g, ex, ey, ez, 0.2, axes, out)
     return out.tolist()

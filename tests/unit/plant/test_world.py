@@ -50,7 +50,7 @@ def test_what_is_touched_first():
 
 def test_propellers_count_as_body():
     tilt = math.radians(50.0)
-    q = (math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0)  # the front propellers touch first
+    q = (math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0)  # nose down: the front propellers touch first
     w = world()
     w.set_vehicle((1.0, 0.0, 0.06), q)
     while not (bits := advance(w, WEIGHT)):

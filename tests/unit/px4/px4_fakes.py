@@ -19,7 +19,7 @@ QUAD_X = np.array([[1, 1, 1], [-1, -1, 1], [1, -1, -1], [-1, 1, -1]], dtype=floa
 
 
 def controlled_axes(parameters):
-    """Return 1 for each of roll, pitch, yaw with a motor effectiveness above 0.05; PX4 drops other axes."""
+    """Return 1 for each of roll, pitch, yaw that PX4 controls: motor effectiveness above 0.05; else 0."""
     moments = np.array(
         [
             parameters.get(f"CA_ROTOR{i}_CT", 6.5) * parameters.get(f"CA_ROTOR{i}_{arm}", 1.0)
@@ -52,7 +52,7 @@ class FakePx4:
     def hello(self, autopilot=mav.MAV_AUTOPILOT_PX4):
         self.send(
             mav.MAVLink_heartbeat_message(0, autopilot, 0, 0, 0, 3),
-            mav.MAVLink_command_long_message(0, 0, 511, 0, 115.0, 5000.0, 0, 0, 0, 0, 0),  # is ignored
+            mav.MAVLink_command_long_message(0, 0, 511, 0, 115.0, 5000.0, 0, 0, 0, 0, 0),  # ignored message
         )
 
     def next(self):

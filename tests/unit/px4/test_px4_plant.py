@@ -27,7 +27,7 @@ HOVER = 0.0319 * 9.81 / 0.48
 
 
 def flying(seed=1, **parts):
-    """Return a vehicle that has climbed for some time with equal outputs."""
+    """Return a vehicle that has climbed for 1.2 s with equal rotor speeds."""
     plant = Px4Plant(scenario(GROUND, **parts), seed)
     plant.wanted[:] = rotor_speeds([1.1 * HOVER] * 4, True, ROTOR)
     plant.advance(1200)

@@ -127,7 +127,7 @@ def test_a_silent_px4_is_called_dead_with_the_time_and_hardly_anything_moves_mea
 def test_one_lost_answer_does_not_end_the_flight(pair, short):
     pair.begin()
     pair.session._silent_max_s = 5.0
-    pair.session.step()  # repeats the sensors after a time, because PX4 may wait for them
+    pair.session.step()  # the session repeats the sensor message, because PX4 may wait for it
     assert pair.session.nudges == 1
     pair.fake.sensor()
     pair.answering([(0.7,) * 4] * 10)
@@ -140,7 +140,7 @@ def test_an_old_answer_and_one_said_twice_let_nothing_go_on(pair):
 
     def px4():
         sensor = pair.fake.sensor()
-        pair.fake.answer(first, (0.9,) * 4)  # repeats the answer to the first sensor message
+        pair.fake.answer(first, (0.9,) * 4)  # a second answer to the first sensor message
         pair.fake.answer(sensor.time_usec, (0.5,) * 4)
         pair.fake.answer(sensor.time_usec, (0.9,) * 4)
         pair.fake.answer(pair.fake.sensor().time_usec, (0.4,) * 4)

@@ -39,7 +39,7 @@ EXTRAS = {
     "sim.validation": {"sim", "export"},
     "sim.campaign": {"sim", "cluster", "report", "export"},
 }
-# distributions whose extension is loaded by name, without an import statement
+# distributions whose extension module is loaded by name, without an import statement
 BY_NAME = {"osqp": "flightstack/core/safety/osqp.py"}
 
 

@@ -26,7 +26,7 @@ SPEED_M_S, TURN_RAD_S = 0.2, 0.5
 
 
 def circle(t_s, noise=(0.0, 0.0, 0.0), frame="map"):
-    """Return a robot on a circle, as a tracker measures it."""
+    """Return the pose of a robot on a circle, as a tracker measures it."""
     radius_m, yaw_rad = SPEED_M_S / TURN_RAD_S, TURN_RAD_S * t_s
     x, y = radius_m * math.sin(yaw_rad), radius_m * (1.0 - math.cos(yaw_rad))
     position = (x + noise[0], y + noise[1], 0.2 + noise[2])
@@ -34,7 +34,7 @@ def circle(t_s, noise=(0.0, 0.0, 0.0), frame="map"):
 
 
 def drive(track, begin_s, end_s, rate_hz=50, sigma_m=0.0, seed=1):
-    """Yield the resulting samples, with their times."""
+    """Pass measured poses on a circle to ``track``; yield time and sample for each output."""
     chance = np.random.default_rng(seed)
     for i in range(round(begin_s * rate_hz), round(end_s * rate_hz)):
         t_s = i / rate_hz
@@ -152,7 +152,7 @@ def test_one_stamp_from_the_future_does_not_silence_a_target(ahead_s):
     assert t_s < 3.0 + 0.3
     assert velocity_error_m_s(t_s, first) < 3.0 * SETTLED_M_S
     assert velocity_error_m_s(*last) < 0.02
-    # single poses out of order do not restart the estimate
+    # single poses out of order do not reset the estimate
     for k in range(20):
         assert list(drive(track, 5.0 + 0.1 * k, 5.1 + 0.1 * k))
         assert track.take(circle(5.0 + 0.1 * k)) is None

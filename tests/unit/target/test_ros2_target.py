@@ -1,4 +1,4 @@
-"""A ROS 2 target behind a real router: messages that another library encoded are valid, bad ones rejected."""
+"""Tests a ROS 2 target behind a router: messages encoded by another library are valid, bad ones rejected."""
 
 import math
 import struct
@@ -30,7 +30,7 @@ class Robot:
 
     def __init__(self, session, key):
         self.publisher = declare_advanced_publisher(session, key)
-        self._probe = zenoh_link.dropping_publisher(session, key)  # this publisher reports subscribers
+        self._probe = zenoh_link.dropping_publisher(session, key)  # only shows whether there is a subscriber
         self.sequence = 0
 
     def put(self, payload, with_attachment=True):
@@ -46,7 +46,7 @@ class Robot:
 
 @contextmanager
 def source(text, kind=TargetType.ODOMETRY, key=None, domain=0, link=None):
-    """A ROS 2 robot and the source that subscribes to it, through a router."""
+    """Yield a ROS 2 robot, and the source that subscribes to it through a router."""
     with ros.network() as (_, ours, theirs):
         spec = TargetSpec.parse(text, kind, domain)
         listening = TargetSource(ours, spec, FRAME, CHILD, link or TargetLink())

@@ -18,12 +18,12 @@ from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import scenario
 
 ROOM = replace(load("crazyflie21_room"), torque_noise=TorqueNoiseShape())  # without random torques
-MARKERS_M = 0.04  # height of motion capture's reference above the centre of mass
+MARKERS_M = 0.04  # height of the tracked point above the centre of mass
 GROUND_TICKS, UP_TICKS, TICKS = 100, 500, 2000
 
 
 def setpoint(tick):
-    """Return set-points: up to 1 m in 2 s, then circles of 0.8 m at 0.6 m/s."""
+    """Return a position set-point: a climb to 1 m in 2 s, then circles of 0.8 m radius at 0.6 m/s."""
     height = min(1.0, 0.05 + (tick - GROUND_TICKS) / 200.0)
     angle = 0.75 * max(0.0, (tick - UP_TICKS) / 100.0)
     return (3.0 + 0.8 * math.sin(angle), 0.8 - 0.8 * math.cos(angle), height)

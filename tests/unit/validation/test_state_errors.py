@@ -1,4 +1,4 @@
-"""Simulated state-estimate errors are like recorded ones, also with the default parameters."""
+"""Tests that simulated errors of the state estimate are like recorded ones, also with default parameters."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def made(seed, error, seconds=30.0):
 
 
 def pooled(found, quantity):
-    """Return ratios of simulated to recorded errors in speed bands, and the difference of the delays, s."""
+    """Return ratios of simulated to recorded errors by speed band, and the difference of their delays, s."""
     pairs = [(getattr(each.simulated, quantity), getattr(each.recorded, quantity)) for each in found]
     sizes = np.sqrt(np.nanmean(np.square([[e.by_speed for e in pair] for pair in pairs]), axis=0))
     return sizes[0] / sizes[1], np.mean([a.delay_s - b.delay_s for a, b in pairs])

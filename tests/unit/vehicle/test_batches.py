@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 
 def flown(scenario, seed, on_step=None, parameters=()):
-    """Fly; return the record, and the ticks flown in batches."""
+    """Fly a landing; return flight, record, and number of ticks flown in batches."""
     flights, in_batches = Flights(scenario, seed, on_step=on_step), 0
     (flight,), batches = flights.members, flights.batches
     for name, value in parameters:
@@ -37,7 +37,7 @@ def flown(scenario, seed, on_step=None, parameters=()):
 
 
 def assert_equal(scenario, seed, least, *parameters):
-    """Compare tick by tick with batches, which must fly this fraction of the ticks, or none without numba."""
+    """Compare with a flight tick by tick; batches must fly ``least`` of the ticks, without numba none."""
     one, seen, in_batches = flown(scenario, seed, None, parameters)
     other, wanted, none = flown(scenario, seed, lambda tick, out: None, parameters)
     assert in_batches == 0 if is_off() else in_batches >= least * len(wanted.steps.t_s)

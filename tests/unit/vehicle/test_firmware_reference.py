@@ -1,4 +1,4 @@
-"""The firmware model compared with the Crazyflie firmware: outputs of compiled C code on random states.
+"""Compares the firmware model with the Crazyflie firmware: outputs of its compiled C code on random states.
 
 ``tests/data/README.md`` lists the functions and their commit, and how the numbers were made. The model
 computes in double precision, the firmware in single; so integer counts may differ by one where a value is
@@ -136,7 +136,7 @@ def supervisor_port(rows, accelerations):
         now_ms = 1000 + PERIOD_MS * k
         if action == 1:
             assert arm(port, now_ms) is None
-        elif action in (2, 3):  # 2: disarm; 3: recovery from a crash, which the model does by a disarm
+        elif action in (2, 3):  # 2: disarm; 3: recovery from a crash, in the model a disarm
             disarm(port, now_ms)
         supervise(port, now_ms, age_ms, bool(motors), *accelerations[accel].tolist())
         states.append(STATES[port.state])

@@ -81,7 +81,7 @@ RAMP_M_S = 0.5
 
 
 def test_a_moving_set_point_is_followed_half_a_second_late():
-    """Without velocity set-points the lag is 1 / kp, plus drag."""
+    """Without velocity set-points the lag is 1 / kp, plus the effect of drag."""
     sim = vehicle(
         start=Start(StartKind.GROUND, ground_position_m=(3.0, 0.0)),
         vehicle=VehicleSpec("crazyflie21_room", VelocityLoop.PID),

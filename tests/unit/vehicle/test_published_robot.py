@@ -89,7 +89,7 @@ class Radio:
         self.inbox.set(STOP, 0)
 
     def at(self, now_ms):
-        """Return the speed of the set-point at this time, and its age."""
+        """Return the vx of the set-point that is active at this time, and the time of its arrival, ms."""
         receive(self.record, self.present, now_ms)
         return float(self.present.vx), int(self.record.taken_ms)
 

@@ -27,7 +27,7 @@ GAIN_1_S = config().robust.gain_over_pad_1_s
 
 
 def own(share):
-    """Return keys for a velocity error that is estimated in this fraction of the position loop's time."""
+    """Return keys for a velocity error whose time is this fraction of the position loop's time constant."""
     return {"own": {"velocity_error_m_s": 0.05, "velocity_error_time_s": share / GAIN_1_S}}
 
 

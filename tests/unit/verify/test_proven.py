@@ -14,7 +14,7 @@ from tests.benchmarks.proven import FILTERS, SCENARIOS, cases, fly
 
 pytestmark = pytest.mark.slow
 
-EVERY = 797  # every 797th change of a key is tested, over both filters and all scenarios
+EVERY = 797  # every 797th case of all keys, filters and scenarios is tested
 SAMPLE = list(cases([], list(SCENARIOS), list(FILTERS), 5))[::EVERY]
 
 
@@ -155,7 +155,7 @@ def test_a_scenario_that_is_not_as_declared_is_not_proven(part, key, value, chec
 def test_a_pad_without_room_for_the_feet_is_not_proven(kind, pad_m, stands):
     table = to_table(load("lab").with_filter(kind))
     table["target"]["pad_radius_m"] = table["onboard"]["touchdown"]["pad_radius_m"] = pad_m
-    # these values prove each other claim for the small pads
+    # with these values every other claim is proven, also for the small pads
     table["onboard"]["limits"]["velocity_max_m_s"] = [0.35, 0.35, 0.5]
     table["onboard"]["robust"] |= {
         "fade_radius_m": 0.03, "corridor_m": 0.05, "commit_radius_m": 0.009, "commit_speed_m_s": 0.059,
