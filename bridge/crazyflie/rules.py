@@ -22,7 +22,7 @@ from flightstack.core.types import Vec3
 SILENT_S = 0.5  # time without a state after which a warning is sent, s; the flight stack's limit is 0.2 s
 LOST_S = 1.0  # time without a state after which no heartbeat is sent, s
 RECONNECT_S = 3.0  # time without a state until the link is reopened, s; the firmware stops the motors earlier
-BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # duration of a blind landing: 1.0 s plus 1.2 times height / rate
+BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # time of a blind landing: 1.0 s plus 1.2 times height / descent rate
 POSE_AGE_MAX_S = 0.5  # maximum age of an external pose, s; with an older pose the position is invalid
 REARM_S = 0.4  # longest disarmed time that is ignored, s: some firmware disarms for 0.12 s every 30 s
 CLIENT_SILENT_S = 3.0  # time without a heartbeat of any client after which the vehicle lands, s

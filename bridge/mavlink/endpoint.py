@@ -20,10 +20,10 @@ from bridge.mavlink.transport.transport import ByteStream, DatagramTransport
 from flightstack.config.options import Signing
 
 _CHUNKS_PER_CALL = 512  # maximum number of chunks in one call of receive()
-_BYTES_PER_CALL = 16384  # number of bytes, about 4 ms of work, after which one call reads no more chunks
+_BYTES_PER_CALL = 16384  # number of bytes (4 ms of work) after which a call of receive() reads no more chunks
 _NOTICES_MAX = 32  # maximum number of texts that wait for ``take_notices``
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
-_OLD = frozenset({Refusal.STALE, Refusal.REPLAYED})  # refusals despite a correct signature
+_OLD = frozenset({Refusal.STALE, Refusal.REPLAYED})  # refusals of old frames with a correct signature
 _ANSWER_S = 1.0  # time between two replies to frames with old timestamps, which may be replayed, s
 _SETUP_SIGNING: int = dialect.MAVLINK_MSG_ID_SETUP_SIGNING
 
@@ -50,7 +50,7 @@ Tap = Callable[[Direction, bytes, Peer], None]
 
 
 class Endpoint:
-    """MAVLink 2 over UDP, a serial line or TCP for one loop; with a key, unsigned frames are not decoded."""
+    """MAVLink 2 over UDP, a serial line or TCP, for one thread; with a key, unsigned frames are rejected."""
 
     def __init__(
         self,
@@ -101,7 +101,7 @@ class Endpoint:
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """Receivers of ``send``: configured peers, and peers that sent a heartbeat in the last 10 s."""
+        """Receivers of ``send``: configured peers, and heartbeat senders heard in the last 10 s."""
         return self._peers.reached
 
     @property
@@ -109,7 +109,7 @@ class Endpoint:
         return self._signer is not None
 
     def receive(self) -> list[Received]:
-        """Return the received frames; never blocks or raises. After 16 kB the rest waits."""
+        """Return the received messages; never blocks or raises. Data after 16 kB wait for the next call."""
         received: list[Received] = []
         size = 0
         for _ in range(_CHUNKS_PER_CALL):
@@ -158,12 +158,12 @@ class Endpoint:
         received.append(Received(message, peer))
 
     def _answer_stale(self, peer: Peer) -> None:
-        """Send a heartbeat to a peer with a late clock: its signed timestamp advances an autopilot clock."""
+        """Send a heartbeat to a peer with a late clock: an autopilot sets its clock to a signed timestamp."""
         now_s = time.monotonic()
         if self._heartbeat is None or self._signer is None or now_s - self._answered_s < _ANSWER_S:
             return
         self._answered_s = now_s
-        frame = self._heartbeat.pack(self._mav)  # depends on wall time: neither numbered nor recorded
+        frame = self._heartbeat.pack(self._mav)  # sent by wall time, so neither numbered nor recorded
         self._transport.send((self._signer.sign(frame),), peer)
         self.counters["stale_answered"] += 1
 
@@ -171,7 +171,7 @@ class Endpoint:
         return self._transport.wait(max(0.0, timeout_s))
 
     def fileno(self) -> int:
-        """Return the descriptor for ``select``; the descriptor changes when the connection is lost."""
+        """Return the descriptor for ``select``; it changes when a connection is lost or reopened."""
         return self._transport.fileno()
 
     def take_notices(self) -> list[str]:

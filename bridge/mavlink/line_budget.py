@@ -10,12 +10,12 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.messages import MESSAGES
 
 _BITS_PER_BYTE = 10  # bits per byte on a serial line, 8N1
-_USABLE = 0.9  # fraction of the line for planned messages; replies, texts and others use the remainder
+_USABLE = 0.9  # fraction of the line for planned messages; the remainder is for replies, texts and others
 _FRAME = 12  # length of a MAVLink 2 header and checksum, bytes
 _SIGNATURE = 13  # length of a signature, bytes
 _IN_A_ROW = 3  # minimum number of message periods in the state's maximum age; two messages may be lost
 _BAUDS = (9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600, 1_500_000, 3_000_000)
-# rates of the other messages, Hz, as of PX4 v1.16
+# rates of the messages besides state and set-points, Hz, as in PX4 v1.16
 _OUT_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}
 _IN_HZ = {
     dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0, dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0, **_OUT_HZ,
@@ -30,9 +30,9 @@ class LineTooSlowError(ValueError):
 
 class LinePlan(NamedTuple):
     every: int  # ticks between two set-points, and between two position and attitude messages
-    hz: float  # rate of these messages
-    in_bytes_s: float  # data rate of telemetry from the vehicle to the companion
-    out_bytes_s: float  # data rate of set-points, heartbeats and replies from the companion
+    hz: float  # rate of these messages, Hz
+    in_bytes_s: float  # data rate of telemetry from the vehicle to the companion, bytes/s
+    out_bytes_s: float  # data rate of set-points, heartbeats and replies from the companion, bytes/s
 
     @property
     def text(self) -> str:
@@ -46,7 +46,7 @@ def plan(baud: int | None, rate_hz: float, own_age_max_s: float, *, signed: bool
     """Choose the highest rate that fits, an integer fraction of the loop rate.
 
     ``baud``: speed of the serial line, bit/s, None: no limit; ``rate_hz``: loop rate; ``own_age_max_s``:
-    maximum age of the vehicle state. Lowest rate: 3 / ``own_age_max_s``.
+    maximum age of the vehicle state, s. The lowest allowed rate is 3 / ``own_age_max_s``.
     Raises LineTooSlowError: even the lowest rate does not fit.
     """
     frame = _FRAME + (_SIGNATURE if signed else 0)

@@ -1,7 +1,7 @@
 """Table of the supported autopilots, and their detection from HEARTBEAT and AUTOPILOT_VERSION.
 
 No other part of the stack distinguishes autopilots. This project's vehicles use PX4's commands and
-MAV_AUTOPILOT but have other parameters; a recorded vehicle has no parameters.
+MAV_AUTOPILOT; the simulated vehicle has part of PX4's parameters, the Crazyflie none that are checked.
 Sources: PX4 ``px4_custom_mode.h``, ``mavlink_receiver.cpp`` and ``offboardCheck.cpp`` (v1.16); ArduPilot
 ``ArduCopter/mode.h``, ``mode_guided.cpp`` and ``GCS_Mavlink.cpp`` (4.6); both measured in their SITL.
 """
@@ -29,8 +29,8 @@ class Step:
     # first parameters; later ones are sent as the profile's ``unset`` value, except the height of a take-off
     params: tuple[float, ...]
     done: Callable[[VehicleStatus], bool]
-    prestream: bool = False  # the command requires streaming set-points
-    blind: bool = False  # the command is also sent to a vehicle without status, and after any reply
+    prestream: bool = False  # whether the command requires streaming set-points
+    blind: bool = False  # whether it is also sent before any heartbeat and after rejections
     period_s: float = 0.5  # time between two tries, s
     tries: int = 10
 
@@ -42,20 +42,20 @@ class Profile:
     autopilot: int  # MAV_AUTOPILOT in the heartbeat
     modes: Mapping[int, Mode]  # mode by custom_mode of the heartbeat; other values mean OTHER
     sequences: Mapping[Request, tuple[Step, ...]]
-    # whether param7 of NAV_TAKEOFF is a height above home, plus the vehicle's height above home; if not,
-    # it is above sea level
+    # whether param7 of NAV_TAKEOFF counts from home, so the vehicle's height above home is added; if not, it
+    # counts from sea level, so the height of home is added
     takeoff_above_home: bool
     # Whether set-points may be sent during the vehicle's take-off. If not, a set-point ends the take-off, and
     # the external mode is a take-off until the first set-point.
     stream_in_takeoff: bool
-    prestream_s: float  # time of continuous set-points before the mode change, s
-    unset: float  # value for a command parameter without a given value
-    # whether an integer parameter is the bytes of PARAM_VALUE's float field (capability
-    # PARAM_ENCODE_BYTEWISE); if not, it is converted to a float
+    prestream_s: float  # duration of the set-point stream before the mode change, s
+    unset: float  # value of an omitted command parameter
+    # whether PARAM_VALUE's float field carries the bytes of an integer parameter (capability
+    # PARAM_ENCODE_BYTEWISE); if not, it carries the integer converted to a float
     bytewise: bool
-    needs_origin: bool  # whether the position requires SET_GPS_GLOBAL_ORIGIN without satellites
+    needs_origin: bool  # whether without satellites a position requires SET_GPS_GLOBAL_ORIGIN
     prepare: tuple[Step, ...] = ()  # steps on the ground before the first request
-    asked_hz: Mapping[int, float] = field(default_factory=dict)  # extra rates by message id
+    asked_hz: Mapping[int, float] = field(default_factory=dict)  # further requested rates, Hz, by message id
 
     def mode(self, custom_mode: int) -> Mode:
         return self.modes.get(custom_mode, Mode.OTHER)
@@ -119,7 +119,7 @@ _OWN_TAKEOFF = (
     _ARM,
     Step(_NAV_TAKEOFF, "take off", (), lambda s: _airborne(s) or (s.armed and s.mode is Mode.TAKEOFF)),
 )
-# A forced disarm is repeated for a minute.
+# A forced disarm is repeated for a minute: 120 tries, 0.5 s apart.
 _KILL = Step(_ARM_DISARM, "force disarm", (0.0, FORCE), lambda s: not s.armed, blind=True, tries=120)
 PX4 = Profile(
     name="px4",
@@ -251,7 +251,7 @@ def named(enum: str, number: int) -> str:
     return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)
 
 
-# mark in flight_custom_version, where other autopilots have eight digits of their revision
+# marks in AUTOPILOT_VERSION.flight_custom_version, where other autopilots have digits of their revision
 SITL_MARK = b"cfstack\x00"
 CRAZYFLIE_MARK = b"cfbridge"
 _MARKED: Mapping[bytes, Profile] = {SITL_MARK: OWN_SITL, CRAZYFLIE_MARK: CRAZYFLIE}

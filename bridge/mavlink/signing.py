@@ -78,9 +78,9 @@ _Row = tuple[_Byte, _Byte, _Byte, _Timestamp]  # stream ids and newest timestamp
 class SigningState(msgspec.Struct):
     """Content of the state file; times in units of 10 us since 2015-01-01 UTC, as in MAVLink 2 signing."""
 
-    clock: _Timestamp  # clock of this process at the time of writing
+    clock: _Timestamp  # signing clock at the time of writing
     sent: _Timestamp  # timestamp of the last signed frame
-    streams: list[_Row]  # last accepted frame of each stream of the last minute
+    streams: list[_Row]  # ids and newest timestamp of each stream with a frame in the last minute
 
 
 def load_state(path: Path) -> SigningState:
@@ -108,7 +108,7 @@ EPOCH_NS = 1_420_070_400_000_000_000  # 2015-01-01T00:00:00Z, time zero of signi
 TICK_NS = 10_000  # unit of a signing timestamp, ns
 _S = 1_000_000_000 // TICK_NS  # ticks per second
 STALE_TICKS = 60 * _S  # maximum delay of a new stream behind the local clock (mavlink.io: one minute)
-AHEAD_TICKS = 3600 * _S  # maximum lead of a frame: ArduPilot adds a minute to its clock at each start
+AHEAD_TICKS = 3600 * _S  # maximum lead of a timestamp: ArduPilot adds a minute to its clock at each start
 _SAVE_S = 10.0  # time between two writes of the state, s
 _LINK = bytes(1)  # link id of every endpoint of this project
 _TAG = 6  # number of bytes of the SHA-256 hash in a frame
@@ -147,7 +147,7 @@ class Signer:
         self._own = bytes((system_id, component_id))
         self._keyed = hashlib.sha256(key.secret)
         self._unix_ns, self._monotonic_ns = unix_ns, monotonic_ns
-        self._path, state = None, SigningState(0, 0, [])  # without a file of the key the state is not stored
+        self._path, state = None, SigningState(0, 0, [])  # a key that is not from a file has no stored state
         if key.path is not None:
             self._path = key.path.with_name(f"{key.path.name}.{system_id}-{component_id}-{_LINK[0]}.state")
             state = load_state(self._path)
@@ -205,7 +205,7 @@ class Signer:
                 save_state(self._path, self._snapshot())
 
     def _snapshot(self) -> SigningState:
-        """Return the state; frames of an older stream are rejected for their age alone."""
+        """Return the state without streams older than a minute: their frames would be rejected as stale."""
         oldest = self.now() - STALE_TICKS
         rows = [(*ids, stamp) for ids, stamp in self._streams.items() if stamp >= oldest]
         return SigningState(self.now(), self._sent, rows)

@@ -20,7 +20,7 @@ from bridge.mavlink.profiles import Profile, Step
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Request, VehicleStatus
 
-_PERIOD_S = 1.0  # time between two tries of a request, s
+_PERIOD_S = 1.0  # time between two messages with the origin, s
 _TRIES = 60
 _E7 = 1e7  # MAVLink's integer degrees are multiples of 1e-7 degrees
 
@@ -49,8 +49,8 @@ class OriginSender:
     def step(self, wanted: bool, now_s: float) -> list[Message]:
         """Return the message to send now.
 
-        ``wanted``: the vehicle is disarmed and has sent neither its origin nor a local position, which
-        requires an origin: setting the origin again resets the estimate.
+        ``wanted``: the vehicle is disarmed, and has sent neither its origin nor a local position, which shows
+        that there is an origin; a second origin would reset the estimate.
         """
         origin = self._origin
         if origin is None or not wanted or self._tries >= _TRIES or now_s - self._last_s < _PERIOD_S:
@@ -96,10 +96,10 @@ def velocity_setpoint(setpoint: ApprovedSetpoint, target: tuple[int, int], now_s
 
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD number of SET_MESSAGE_INTERVAL
 _CHECK_S = 1.0  # time over which a rate is measured, s
-_ENOUGH = 0.7  # sufficient fraction of the requested rate; loss and the autopilot's tick reduce the rate
+_ENOUGH = 0.7  # sufficient fraction of the requested rate; lost messages and the autopilot's tick reduce it
 _ROUNDING_S = 1e-6  # margin for the rounding error of a time, s
-_REQUESTS = 5  # number of requests that are sent every _CHECK_S; later requests are sent less often
-_AGAIN_S = 3.0  # time between two later tries, s, as long as no message arrives
+_REQUESTS = 5  # number of requests that are sent at intervals of _CHECK_S; later ones follow less often
+_AGAIN_S = 3.0  # time between two later requests, s, as long as no message arrives
 
 
 @dataclass(slots=True)
@@ -173,9 +173,9 @@ _RESULTS: dict[int, str] = {
 }
 _TEXTS_KEPT = 4
 _WORKING_S = 3.0  # time until the next try after MAV_RESULT_IN_PROGRESS, s (as in MAVSDK)
-_DATUM_PERIOD_S = 1.0  # time between two requests for the datum of the take-off height, s
+_DATUM_PERIOD_S = 1.0  # time between two requests for the message with the datum of the take-off, s
 _DATUM_TRIES = 30
-_FINALS = 2  # final rejections before a request fails: one may belong to an earlier try
+_FINALS = 2  # number of final rejections that end a request: one may belong to an earlier try
 # rejections that a repetition does not change; after any other result the command is sent again
 _FINAL = frozenset(
     {dialect.MAV_RESULT_DENIED, dialect.MAV_RESULT_UNSUPPORTED, dialect.MAV_RESULT_COMMAND_INT_ONLY}
@@ -192,17 +192,17 @@ class CommandSequencer:
     def __init__(self, profile: Profile, target: tuple[int, int], takeoff_height_m: float) -> None:
         self._profile, self._target, self._height_m = profile, target, takeoff_height_m
         self._stream_start_s = self._stream_last_s = -math.inf
-        # height of home above sea level, for autopilots with that datum; None: requested before arming
+        # height of home above sea level, m, if the take-off counts from there; None: requested before arming
         self.home_amsl_m: float | None = None
-        # arrival time, s, and newest height above home, m, for autopilots with that datum; arming moves home
-        # to the vehicle unless home is locked
+        # arrival time, s, and newest height above home, m, if the take-off counts from there; arming moves
+        # home to the vehicle unless home is locked
         self.above_home: tuple[float, float] | None = None
-        self._offset_m = 0.0  # height of the vehicle above the datum of its take-off command
+        self._offset_m = 0.0  # height that is added to the climb in the take-off command, m
         self.failed: str | None = None  # reason why the current request failed, or None
         self.reached = False  # whether a heartbeat has shown the requested status
         self.request = Request.NONE
         self._since_s = -math.inf
-        self._begun = False  # whether an earlier request exists
+        self._begun = False  # whether a request has been made
         self._enter(None, -math.inf)
 
     def _enter(self, step: Step | None, now_s: float) -> None:
@@ -273,12 +273,12 @@ class CommandSequencer:
         return own and not self._profile.takeoff_above_home
 
     def _lacking(self, step: Step) -> int | None:
-        """Return the id of the message that the take-off height still requires, or None."""
+        """Return the id of the message that is still missing to compute the take-off height, or None."""
         if self.request is not Request.TAKEOFF:
             return None
         if self._counts_from_sea_level:
             return dialect.MAVLINK_MSG_ID_HOME_POSITION if self.home_amsl_m is None else None
-        if step.command != _NAV_TAKEOFF or self._tries > 0:  # a repeated command uses the first one's height
+        if step.command != _NAV_TAKEOFF or self._tries > 0:  # a repeated command has the first one's height
             return None
         newer = self.above_home is not None and self.above_home[0] > self._entered_s
         return None if newer else dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
@@ -299,7 +299,7 @@ class CommandSequencer:
         return next((s for s in steps if (s.blind if status is None else not s.done(status))), None)
 
     def _streams(self, now_s: float) -> bool:
-        """Whether set-points have been sent for long enough without a pause."""
+        """Whether set-points have been sent without a pause for the time that the mode change requires."""
         lasts_s = now_s - self._stream_start_s if now_s - self._stream_last_s <= _STREAM_GAP_S else -math.inf
         return lasts_s >= self._profile.prestream_s - 1e-9
 

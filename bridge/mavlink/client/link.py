@@ -29,8 +29,8 @@ from flightstack.core.types import Landed, OwnState, Request
 COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
 _HEARTBEAT_S = 1.0  # period of heartbeats, s; every autopilot monitors a link by heartbeats of 1 Hz
 _HELLO_S = 0.2  # wall time between heartbeats before the first message of the vehicle, s
-_LANDED_STATE_HZ = 5.0  # requested rate of the landed state; PX4's default
-_THROTTLE_HZ = 10.0  # requested rate of VFR_HUD if the thrust reserve is estimated
+_LANDED_STATE_HZ = 5.0  # requested rate of EXTENDED_SYS_STATE, Hz; PX4's default
+_THROTTLE_HZ = 10.0  # requested rate of VFR_HUD, Hz, if the thrust reserve is estimated
 _TEXTS_MAX = 256  # maximum number of texts that wait for ``take_texts``
 _HELD_MAX = 4096  # maximum number of messages that wait for their tick in lockstep
 # messages that the link itself handles; VehicleState handles the others
@@ -44,7 +44,7 @@ _RESTARTED = "restarted, or heard again after a silence: missing telemetry is re
 
 
 class VehicleLink:
-    """Link to one vehicle: call ``poll``, ``command``, ``send_setpoint``, ``flush`` in this order."""
+    """Link to one vehicle: in a tick ``poll``, ``command``, ``send_setpoint``, ``flush``, in this order."""
 
     def __init__(
         self,
@@ -59,13 +59,13 @@ class VehicleLink:
         every: int = 1,
         power: bool = False,
     ) -> None:
-        """Set up the link; it closes ``endpoint``, which has the vehicle's system id.
+        """Set up the link, which owns ``endpoint``; the endpoint sends with the vehicle's system id.
 
         ``takeoff_height_m``: climb of ``Request.TAKEOFF``; ``rate_hz``: rate of the loop, requested for
         position and attitude; ``profile`` None: the first heartbeat selects it; ``defer_timesync``: lockstep,
-        see below; ``origin``: sent to a vehicle that needs one and has none; ``every``: ticks
-        between set-points and between states, on a slow serial line; ``power``: request the throttle, for
-        ``VehicleState.power``.
+        see ``poll``; ``origin``: sent to a vehicle that needs one and has none; ``every``: number of ticks
+        between two set-points and between two states, above 1 on a slow serial line; ``power``: request the
+        throttle, for ``VehicleState.power``.
         """
         # ``state`` decodes telemetry and keeps the newest values and the profile
         self.state = VehicleState(profile)
@@ -83,7 +83,7 @@ class VehicleLink:
         self._target = (system_id, dialect.MAV_COMP_ID_AUTOPILOT1)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
         self._every, self._setpoints = every, 0
-        self._use(profile or PX4)  # without a profile, only the kill is sent
+        self._use(profile or PX4)  # without a profile, the kill is the only command
         self._assembler = TextAssembler()
         self.endpoint = endpoint
         self._texts: list[tuple[int, str]] = []
@@ -91,7 +91,7 @@ class VehicleLink:
         self._held: list[Message] = []
         self._timesync_ns: int | None = None
         self._heartbeat_at_s = self._hello_at_s = -math.inf
-        self._hello = b""  # first heartbeat, repeated until a message of the vehicle arrives
+        self._hello = b""  # first heartbeat as bytes, repeated until a message of the vehicle arrives
         self._restarted_s = -math.inf  # time of the newest restart that was handled
 
     @property
@@ -99,7 +99,7 @@ class VehicleLink:
         return self._sequencer.failed
 
     def adopt(self, profile: Profile) -> None:
-        """Use the profile that the preflight check found."""
+        """Use the profile that the preflight check or the first heartbeat has selected."""
         self.state.profile = profile
         self.state.follow(profile.stream_in_takeoff)
         self._use(profile)
@@ -107,9 +107,9 @@ class VehicleLink:
     def poll(self, now_s: float) -> None:
         """Handle all messages that have arrived; queue the heartbeats and telemetry requests that are due.
 
-        Messages are stamped with ``now_s`` of the stack's clock. With ``defer_timesync`` the stamp is the
-        simulated time of the next TIMESYNC request, ``ts1 / 1e9``; messages without a following request wait
-        for the next call.
+        Messages are stamped with ``now_s`` of the stack's clock. With ``defer_timesync`` a message is stamped
+        with the simulated time of the TIMESYNC request that follows it, ``ts1 / 1e9``; messages without a
+        following request wait for the next call.
         """
         tick_s: float | None = None if self.defer_timesync else now_s
         target, status = self._target, self.state.status
@@ -155,7 +155,7 @@ class VehicleLink:
             self._outgoing += self._origin_sender.step(wanted, now_s)
 
     def send_setpoint(self, setpoint: ApprovedSetpoint, now_s: float) -> bool:
-        """Queue a velocity; no other function sends one. False: not finite, or it would end a take-off."""
+        """Queue a velocity (sent nowhere else). False: no profile, not finite, or it would end a take-off."""
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
         profile = self.state.profile
         if profile is None or not self._may_stream(profile) or not math.isfinite(sum(velocity) + yaw):
@@ -194,7 +194,7 @@ class VehicleLink:
         return frozenset((*_OWN, *self.state.heeded, *self._streams.asked))
 
     def silent_until_s(self, request: Request) -> float:
-        """Return the time before which this link sends only set-points, if only vehicle states arrive."""
+        """Return the time until which this link sends only set-points if only vehicle states arrive."""
         state, waits = self.state, self._outgoing or self._held or self._every > 1
         restarted = state.restarted_s != self._restarted_s
         if state.profile is None or waits or restarted or not state.following:
@@ -204,7 +204,7 @@ class VehicleLink:
         return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, self._streams.quiet_until_s)
 
     def hear(self, now_s: float) -> bool:
-        """Handle messages between ticks and send a due heartbeat; return False if more work is due."""
+        """Handle messages between ticks and send a due heartbeat; return False if other messages are due."""
         for received in self.endpoint.receive():
             self._handle(received.message, now_s)
         self._queue_due(now_s)

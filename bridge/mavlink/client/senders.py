@@ -20,11 +20,11 @@ from bridge.mavlink.profiles import named
 from bridge.mavlink.transport.address import Peer
 
 SILENT_S = 2.5  # time without a frame after which the known sender is not alive, s; heartbeats have 1 Hz
-_APART_S = 0.5  # time of alternating addresses that proves two senders, s; reordering takes less time
-_GAP_MAX = 4  # largest step of the sequence number (modulo 256) in a stream: three lost frames
-_STEADY = 8  # number of consecutive frames after which a stream has no gaps
+_APART_S = 0.5  # time for which addresses must alternate to prove two senders, s; reordering is shorter
+_GAP_MAX = 4  # largest small step of the sequence number (modulo 256): three lost frames
+_STEADY = 8  # number of frames in a row with steps up to _GAP_MAX after which a larger step is suspicious
 _AGAIN_S = 0.95  # time after which a repeated contradicting heartbeat is accepted, s: heartbeats have 1 Hz
-_FRAMES = 200  # number of stored frames; their sequence numbers differ (modulo 256)
+_FRAMES = 200  # number of stored frames; below 256, so that their sequence numbers differ
 _OTHERS_MAX = 8  # maximum number of other addresses; the oldest is replaced
 
 
@@ -47,13 +47,13 @@ class Senders:
     _known_s: float = -math.inf  # arrival of the newest frame from the known address
     _kind: Kind | None = None
     _beat_s: float = -math.inf  # time of the known sender's newest frame after its first heartbeat
-    _claims: tuple[int, int] | None = None  # base_mode and custom_mode of that heartbeat
-    # base_mode, custom_mode and time of a contradicting heartbeat
+    _claims: tuple[int, int] | None = None  # base_mode and custom_mode of the last accepted heartbeat
+    # base_mode and custom_mode, then first time, of a heartbeat that is not accepted yet
     _doubted: tuple[tuple[int, int], float] | None = None
     _sequence: int = 0  # sequence number of the newest frame of the known sender
-    _steady: int = 0  # number of consecutive frames of the known sender
-    _number: int = -1  # sequence number of the known sender's newest frame that was not repeated
-    _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # newest frames, in order
+    _steady: int = 0  # number of the known sender's newest frames with steps up to _GAP_MAX
+    _number: int = -1  # sequence number of the newest frame that was compared with ``_newest``
+    _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # newest frames, oldest first
     # times of the first and of the newest frame of other addresses that use the vehicle's ids
     _others: dict[Peer, tuple[float, float]] = field(default_factory=dict)
     _due: int = 1  # count of ignored frames at which the next notice is due
@@ -114,7 +114,7 @@ class Senders:
         """Whether a frame of the known sender is a repetition; lockstep requests may be repeated."""
         header, newest = message.get_header(), self._newest
         frame = (header.seq, header.msgId, message.get_crc())
-        # a message without a checksum was never on a wire; some senders give all frames one number
+        # a message without a checksum was never on a wire; some senders give all frames the same number
         if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC or frame[2] is None or header.seq == self._number:
             return False
         self._number = header.seq
@@ -128,8 +128,8 @@ class Senders:
     def _believed(self, heartbeat: Message, now_s: float, *, well: bool) -> bool:
         """Whether a heartbeat belongs to the known stream.
 
-        A heartbeat that has new content and does not continue the sequence numbers must be repeated after a
-        second without a contradiction: frames added by a router have their own sequence numbers.
+        A heartbeat that has new content and does not continue the sequence numbers must be repeated 0.95 s
+        later, without other content in between: frames added by a router have their own sequence numbers.
         """
         claims = (heartbeat.base_mode, heartbeat.custom_mode)
         number = heartbeat.get_header().seq

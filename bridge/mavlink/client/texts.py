@@ -31,7 +31,7 @@ class TextAssembler:
         self._parts: list[str] = []
 
     def add(self, message: Message) -> list[tuple[int, str]]:
-        """Add a STATUSTEXT; return the completed (severity, text). A cut text ends with an ellipsis."""
+        """Add a STATUSTEXT; return the completed (severity, text). An incomplete text ends in " ..."."""
         texts: list[tuple[int, str]] = []
         if self._parts and (message.id != self._id or message.chunk_seq != self._next):
             texts.append(self._take(" ..."))
@@ -55,7 +55,7 @@ def clean(text: str) -> str:
 
 
 EVENT = 410  # message id; pymavlink has no name for it
-_SHOWN_MAX = 7  # highest level that equals a MAV_SEVERITY; above: protocol, disabled
+_SHOWN_MAX = 7  # highest log level that is a MAV_SEVERITY; higher levels: protocol, disabled
 _ARGUMENT = re.compile(r"\{(\d+)(?::\.(\d+))?(m\^2|m/s|m_v|m|C)?\}")
 # code of the module ``struct`` by MAVLink type
 _CODES = {
@@ -80,7 +80,7 @@ class _Enum(msgspec.Struct, array_like=True):
 
 
 class _Table(msgspec.Struct):
-    events: dict[int, list[str]]  # event id to message, followed by the argument types
+    events: dict[int, list[str]]  # text and argument types by event id
     enums: dict[str, _Enum]
 
 

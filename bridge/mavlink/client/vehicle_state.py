@@ -18,13 +18,13 @@ from flightstack.core.types import Landed, Mode, OwnState, Power, VehicleStatus
 _GLOBAL_POSITION = dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
-_REBOOT_S = 1.0  # step back of the boot clock that shows a reboot after a silence, s
+_REBOOT_S = 1.0  # smallest backward step of the boot clock that shows a reboot after a silence, s
 # time for which rejected messages must agree before they are accepted, s; longer than the default of
 # checks.own_age_max_s, so that the vehicle state counts as lost before
 _PROOF_S = 0.3
-_TICK_S = 0.1  # period of the slowest loop, s; a loop handles messages only at its ticks
+_TICK_S = 0.1  # longest period of the loop that handles messages, s: a message may be handled so much later
 _YAW_AGE_MAX_S = 0.5  # maximum time between a position and the attitude that gives the heading, s
-_LARGEST = 1e6  # largest plausible value, m or m/s; a larger value counts as corrupted
+_LARGEST = 1e6  # largest plausible value, m, m/s, rad or rad/s; a larger value counts as corrupted
 _THROTTLE_AGE_MAX_S = 1.0  # maximum age of the throttle in VFR_HUD, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _LANDED = {state.value: state for state in Landed}
@@ -44,12 +44,12 @@ class VehicleState:
     def __init__(self, profile: Profile | None) -> None:
         # profile with the meaning of the modes; None: still unknown, so no status is available
         self.profile = profile
-        # numbers of rejected messages; ``onboard.waiting`` shows the reasons
+        # numbers of rejected messages by reason; ``onboard.waiting`` shows them
         self.counters = Counter[str]()
         self.own: OwnState | None = None  # newest vehicle state; None before a position and an attitude
         # newest status, None before a heartbeat; ``arrival_s`` is the heartbeat's arrival
         self.status: VehicleStatus | None = None
-        # altitude of home above sea level, None before HOME_POSITION
+        # altitude of home above sea level, m; None before HOME_POSITION
         self.home_amsl_m: float | None = None
         # arrival time, s, and newest height above home, m; None before GLOBAL_POSITION_INT
         self.above_home: tuple[float, float] | None = None
@@ -60,7 +60,7 @@ class VehicleState:
         # time of the last restart on the stack's clock: the boot clock stepped, or heartbeats resumed after a
         # silence; -inf: no restart
         self.restarted_s = -math.inf
-        self._beat_s = math.inf  # arrival of the newest heartbeat
+        self._beat_s = math.inf  # arrival time of the newest heartbeat, s
         self._following = profile is None or profile.stream_in_takeoff
         self._custom_mode = 0
         self.battery: Battery | None = None  # newest battery data; None before SYS_STATUS
@@ -108,7 +108,7 @@ class VehicleState:
         return frozenset(self._handlers) - (set() if counts_from_home else {_GLOBAL_POSITION})
 
     def took(self, own: OwnState) -> None:
-        """Record a vehicle state that another function decoded, with the attitude of the same time."""
+        """Record a vehicle state that other code decoded, and its heading as the newest one."""
         self.own, self._yaw_enu_rad, self._yaw_time_s = own, own.yaw_rad, own.source_time_s
 
     def update(self, message: Message, arrival_s: float) -> None:
@@ -137,7 +137,7 @@ class VehicleState:
         if not _usable(m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed):
             self.counters["not_finite"] += 1
         elif self._in_time(self._attitude_clock, time_s, arrival_s):
-            # the age of a heading is relative to the time stamp of the position
+            # a heading is as old as the difference between its and the position's time stamp
             self._yaw_enu_rad = yaw_enu_from_ned(m.yaw)
             self._yaw_time_s = time_s
             if self._watches_power:

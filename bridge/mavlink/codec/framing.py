@@ -19,7 +19,7 @@ from bridge.mavlink.codec.messages import CRC_EXTRA, MESSAGES, checksum, message
 _MARKER_V1 = 0xFE
 _MARKER_V2 = 0xFD
 _HEADER_V1 = 6  # number of bytes of marker, length, sequence, system, component, id
-_HEADER_V2 = 10  # number of bytes of version 1's fields, two flag bytes, and a longer id
+_HEADER_V2 = 10  # number of bytes of version 1's fields, two flag bytes, and an id of three bytes
 _CHECKSUM = 2  # length of the checksum, bytes
 _SIGNATURE = 13  # number of bytes of link id, timestamp and signature
 FLAG_SIGNED = 0x01  # the only incompatibility flag that MAVLink 2 defines
@@ -30,7 +30,7 @@ class NoFrame(IntEnum):
     """Reason why no checked frame starts at a byte; all values are below the end of any frame."""
 
     INVALID = 0
-    CUT_SHORT = -1  # the bytes end within the frame
+    CUT_SHORT = -1  # the data end within the frame
     UNKNOWN = -2  # the message id has no checksum seed (CRC_EXTRA)
 
 
@@ -38,8 +38,8 @@ class Framer:
     """Splits datagrams, or a stream that arrives in chunks, into MAVLink 2 frames.
 
     Frames extend from marker to checksum, or to the end of the signature. After a frame, a stream waits for
-    the complete next frame; after noise only for a header of a known message with a fitting length, so a
-    stray 0xFD does not delay frames. Only the first byte of a wrong candidate is skipped. Dropped bytes and
+    the complete next frame; after noise only if the header is that of a known message and the length fits,
+    so a stray 0xFD delays no frames. Only the first byte of a wrong candidate is skipped. Dropped bytes and
     frames are counted by the names in docs/how_to/security.md.
     """
 
@@ -99,7 +99,7 @@ def split_frames(datagram: bytes, counters: Counter[str] | None = None) -> list[
 
 
 def with_signed_flag(frame: bytes) -> bytes:
-    """Set the signed flag of an unsigned frame; a wrong checksum stays wrong. The signature follows."""
+    """Set the signed flag of an unsigned frame; a wrong checksum stays wrong. The caller adds a signature."""
     return _with_flags(frame, len(frame), FLAG_SIGNED)
 
 
@@ -138,7 +138,7 @@ def _claimed_end(data: bytes, pos: int, size: int) -> int:
 
 
 def _has_sender(data: bytes, pos: int) -> bool:
-    """Whether system and component of a header belong to a sender; 0 means broadcast."""
+    """Whether the system and component id of a header can be a sender's; 0 means broadcast."""
     return data[pos + 5] != 0 and data[pos + 6] != 0
 
 

@@ -4,7 +4,7 @@
 ``all`` (which takes 0.6 s to load), and messages of MAVLink's ``common`` that PX4 sends and pymavlink lacks.
 ``python -m tests.tables messages`` updates the first group and keeps the second.
 
-They are added to pymavlink's table, so its parser decodes them.
+The messages are added to pymavlink's table, so its parser decodes them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def wide_rows() -> list[dict[str, Any]]:
     return rows
 
 
-# All known messages by id: pymavlink's, then those of the table.
+# Classes of all known messages by id: pymavlink's, then those of ``wide_messages.json``.
 MESSAGES: dict[int, Any] = dialect.mavlink_map
 MESSAGES.update({row["id"]: _make_class(row) for row in wide_rows()})
 
