@@ -36,10 +36,10 @@ _COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
 _KEY_PERIOD_S, _KEY_TRIES = 0.5, 12  # time between two tries to change a signing key, s; number of tries
 _READ_MAX_S = 30.0  # time limit of the check after the first message of the vehicle, s
 
-_AT_ONCE = 5  # maximum number of parameter requests without a reply; a radio has a small buffer
+_AT_ONCE = 5  # maximum number of open parameter requests; the buffer of a radio is small
 _READ_PERIOD_S = 0.4  # time between two requests of a parameter, s; autopilots reply within 0.05 s on a wire
 _READ_TRIES = 5
-_READ_TRIES_LOSSY = 15  # number of requests of a parameter after a lost reply, for a busy line
+_READ_TRIES_LOSSY = 15  # number of requests of a parameter once any reply was lost, for a busy line
 _FLOAT = struct.Struct("<f")
 # Layout of the float field that carries an integer bytewise.
 _BYTES: Mapping[int, struct.Struct] = {
@@ -58,13 +58,13 @@ _ERRORS = {number: entry.name.removeprefix("MAV_PARAM_ERROR_") for number, entry
 class ParameterReader:
     """Reads parameters by name (mavlink.io, services/parameter); the number of tries is limited.
 
-    A parameter without a reply is listed as missing, with the reason. After a lost reply more tries are made.
+    A parameter without a reply is listed as missing, with the reason. A lost reply allows more tries.
     """
 
     def __init__(self, names: Iterable[str], target: tuple[int, int], *, bytewise: bool) -> None:
         self.values: dict[str, float] = {}  # received values by name
         self.missing: dict[str, str] = {}  # reasons why parameters are missing, by name
-        self._asked = dict.fromkeys(names, (0, -math.inf))  # tries and time of the last one, by open name
+        self._asked = dict.fromkeys(names, (0, -math.inf))  # tries and time of the newest one, by name
         self._target, self._bytewise = target, bytewise
         self._tries_max = _READ_TRIES
 
@@ -120,11 +120,11 @@ class ParameterReader:
 class Report:
     profile: Profile | None  # profile of the autopilot; None: not recognised
     version: str | None  # release of the autopilot; None: not received
-    findings: tuple[Finding, ...]  # findings, one per rule; empty if the check ended early
+    findings: tuple[Finding, ...]  # one per checked parameter; empty if the check ended early
     problem: str | None  # reason besides parameters that forbids the flight, or None
-    notes: tuple[str, ...] = ()  # information about the release for the operator
+    notes: tuple[str, ...] = ()  # texts for the operator about the release
     rules: str | None = None  # release whose rules were used; None: no rules
-    # required and measured rates of a serial line; None: the link is not serial
+    # text with the required data rates of a serial line; None: the link is not serial
     line: str | None = None
     rest_v: float | None = None  # battery voltage before arming; None: armed, or not received
 
@@ -166,7 +166,7 @@ class Examination:
         self._beat_s = -math.inf
         self._said_s = self._until_s = time.monotonic()
         self._counted: Counter[str] = Counter()
-        self._grown: Counter[str] = Counter()  # last increase of the counters by received data
+        self._grown: Counter[str] = Counter()  # newest increments of counters of received data
 
     def report(
         self, needs: Needs, accepted: Collection[str], *, wait_s: float, accept_release: bool = False
@@ -204,7 +204,7 @@ class Examination:
         )  # fmt: skip
 
     def _recognised(self, wait_s: float) -> Profile:
-        """Return the profile by heartbeat and, if it arrives, AUTOPILOT_VERSION."""
+        """Return the profile found from the heartbeat and, if received, AUTOPILOT_VERSION."""
         self._until_s = time.monotonic() + wait_s
         self._exchange(lambda: self._profile is not None, self._until_s)
         if self._profile is None:
@@ -221,7 +221,7 @@ class Examination:
     def _exchange(
         self, done: Callable[[], bool], until_s: float, requests: Callable[[], Sequence[Message]] = tuple
     ) -> None:
-        """Exchange messages until ``done`` or a time."""
+        """Exchange messages until ``done`` returns True or the time is ``until_s``."""
         while not done() and time.monotonic() < until_s:
             self._turn(requests())
 

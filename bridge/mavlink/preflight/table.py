@@ -21,15 +21,15 @@ _SLACK = 1e-6  # relative tolerance of a parameter in single precision
 
 
 class Needs(NamedTuple):
-    horizontal_m_s: float  # largest horizontal velocity command
+    horizontal_m_s: float  # largest horizontal velocity command, m/s
     vertical_m_s: float
-    horizontal_m_s2: float  # largest acceleration of the commanded velocity
+    horizontal_m_s2: float  # largest horizontal acceleration of the commanded velocity, m/s2
     vertical_m_s2: float
-    altitude_max_m: float  # largest height of the flight above the ground
+    altitude_max_m: float  # largest height of the flight above the ground, m
     system_id: int = 1  # MAVLink id of the vehicle and its companion
 
 
-# a bound: a number, or the name of the field of ``Needs`` that has the number
+# limit of a rule: a number, or the name of the field of ``Needs`` that has the number
 Bound = float | Literal[
     "horizontal_m_s", "vertical_m_s", "horizontal_m_s2", "vertical_m_s2", "altitude_max_m", "system_id"
 ]  # fmt: skip
@@ -43,7 +43,7 @@ class Level(Enum):
     NOTE = "note"  # information for the operator
     UNSAFE = "UNSAFE"  # the vehicle is not armed, unless the operator accepts the name
     ACCEPTED = "accepted"  # unsafe, but accepted by name
-    IGNORED = "ignored"  # no finding: not every vehicle has the parameter
+    IGNORED = "ignored"  # a missing value is no finding, since not every vehicle has the parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Rule:
     stops: tuple[str, ...] = ()  # values that stop the motors in the air and are always unsafe
     wanted: str = ""  # allowed values as text, {} for the number; empty: text from the condition
     # conditions, of which exactly one is given (tested for the shipped files)
-    low: Bound | None = None  # smallest and largest allowed value
+    low: Bound | None = None  # smallest allowed value; ``high``: largest
     high: Bound | None = None
     values: tuple[str, ...] = ()  # allowed whole numbers with their meaning, such as "4 (land)"
     bits_set: int | None = None
@@ -222,7 +222,7 @@ class Release(NamedTuple):
     major: int
     minor: int
     patch: int
-    kind: str  # dev, alpha, beta, rc; empty: a release
+    kind: str  # kind of build: dev, alpha, beta, rc; empty: official release
 
     @property
     def text(self) -> str:
@@ -238,7 +238,7 @@ def release_of(message: Message) -> Release:
 
 
 class Choice(NamedTuple):
-    release: str | None  # release whose rules are checked; None: the profile has no rules
+    release: str | None  # release whose rules apply; None: no rules apply
     problem: str | None  # reason why the vehicle may not fly, or None
     note: str | None  # information for the operator, or None
 

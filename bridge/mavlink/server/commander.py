@@ -1,4 +1,4 @@
-"""Flight modes of a vehicle that behaves like PX4, the effect of commands, and which client has control.
+"""Flight modes and commands of a vehicle that behaves like PX4, and the choice of the client in control.
 
 One sender of set-points has control of the vehicle, and only few commands of other senders are accepted: PX4
 follows the newest message, so a second companion or a forgotten script could take over in flight.
@@ -44,7 +44,7 @@ _FRAMES = (dialect.MAV_FRAME_LOCAL_NED, dialect.MAV_FRAME_BODY_NED)
 
 class Setpoint(NamedTuple):
     velocity_enu_m_s: Vec3
-    yaw_rad: float | None  # heading to hold; None: ``yaw_rate_rad_s`` applies
+    yaw_rad: float | None  # heading to hold, counter-clockwise from east; None: ``yaw_rate_rad_s`` applies
     yaw_rate_rad_s: float  # yaw rate, counter-clockwise; 0 holds the present heading
 
 
@@ -84,10 +84,10 @@ def read_setpoint(message: Any, yaw_rad: Callable[[], float | None]) -> Setpoint
 
 
 _CHUNK = 50  # maximum number of characters of one STATUSTEXT
-_TEXTS_MAX = 64  # maximum number of texts between two ticks
+_TEXTS_MAX = 64  # maximum number of texts that wait to be sent
 # time between two refusals on one topic, s; a wrong stream repeats its error 100 times a second
 _SAME_GAP_S = 1.0
-_BURST = 20  # maximum number of refusals in that time; a ground station starts with 12
+_BURST = 20  # maximum number of refusals in that time; a ground station's start causes 12
 
 
 class Text(NamedTuple):
@@ -96,13 +96,13 @@ class Text(NamedTuple):
 
 
 class Texts:
-    """Texts that wait to be sent: at most 64 events, and refusals at a limited rate."""
+    """Texts that wait to be sent, at most 64; the rate of refusals is limited."""
 
     def __init__(self) -> None:
         self.waiting: list[Text] = []  # texts that wait to be sent
         self._said_s: dict[str, float] = {}  # time of the refusals of the last second by topic
         self._hidden = 0
-        self._id = 0  # id of the newest text in chunks
+        self._id = 0  # id of the newest text that was split into chunks
 
     def say(self, severity: int, text: str) -> None:
         if len(self.waiting) < _TEXTS_MAX:
@@ -145,9 +145,9 @@ class Texts:
 class Right(Enum):
     """Senders that may send a command while one sender has control."""
 
-    ANYBODY = "anybody"  # right to queries, telemetry and landing, which change nothing or increase safety
-    OWNER = "owner"  # right to commands that change the motion of the vehicle
-    OWNER_OR_GROUND = "owner or ground station"  # right to stop the motors in an emergency
+    ANYBODY = "anybody"  # any sender; for queries, telemetry and landing, which are harmless
+    OWNER = "owner"  # sender in control; for commands that change the motion of the vehicle
+    OWNER_OR_GROUND = "owner or ground station"  # one of these; for stopping the motors
 
 
 class Battery(NamedTuple):
@@ -160,7 +160,7 @@ class Battery(NamedTuple):
 class Commander(ABC):
     """State and commands of one vehicle, as the server needs them."""
 
-    mark: ClassVar[bytes]  # 8 bytes in AUTOPILOT_VERSION.flight_custom_version: the kind of vehicle
+    mark: ClassVar[bytes]  # kind of vehicle: 8 bytes of AUTOPILOT_VERSION.flight_custom_version
     # MAV_SYS_STATUS_SENSOR bits that are always healthy
     sensors: ClassVar[int] = (
         dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -168,14 +168,14 @@ class Commander(ABC):
         | dialect.MAV_SYS_STATUS_SENSOR_3D_MAG
         | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
     )
-    height_range_m: ClassVar[tuple[float, float]]  # allowed range of the take-off height above home
+    height_range_m: ClassVar[tuple[float, float]]  # allowed take-off height above home
 
     def __init__(self) -> None:
         self.mode = FlightMode.HOLD  # flight mode; also defined for a disarmed vehicle
         self.failsafe = False  # whether a failure, not a client, has set the mode
         self.texts = Texts()
         self.home_enu_m: Vec3 = ZERO
-        self.takeoff_z_m = 0.0  # local height of the next or present take-off
+        self.takeoff_z_m = 0.0  # local height of the next or present take-off, m
         self._owner: Sender | None = None  # sender in control; it loses control when its set-points stop
         self._setpoint_s = -math.inf  # time of the newest set-point of the sender in control
 
@@ -213,7 +213,7 @@ class Commander(ABC):
 
     @abstractmethod
     def yaw_rad(self) -> float | None:
-        """Heading, counter-clockwise from east; None: unknown."""
+        """Return the heading, counter-clockwise from east; None: unknown."""
 
     @abstractmethod
     def arm(self, now_s: float, /) -> str | None: ...
@@ -232,11 +232,11 @@ class Commander(ABC):
 
     @abstractmethod
     def _height_m(self) -> float:
-        """Return the estimated local height; -inf: unknown."""
+        """Return the estimated local height, m; -inf: unknown."""
 
     @abstractmethod
     def _default_takeoff_z_m(self) -> float:
-        """Return the default local height of a take-off."""
+        """Return the default local height of a take-off, m."""
 
     @abstractmethod
     def _begin(self, now_s: float) -> None:
@@ -253,7 +253,7 @@ class Commander(ABC):
         return int(dialect.MAV_LANDED_STATE_ON_GROUND) if self.standing else AIRBORNE_STATE[self.mode]
 
     def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
-        """Return the reason to refuse a command of a sender, or None; disarmed, every sender is accepted."""
+        """Return the reason to refuse a command of a sender, or None; if disarmed, accept all senders."""
         ground = right is Right.OWNER_OR_GROUND and sender[0] in GROUND_STATIONS
         if not self.armed or right is Right.ANYBODY or ground:
             return None
@@ -268,7 +268,7 @@ class Commander(ABC):
         return f"{owner[0]}/{owner[1]}{at} has control"
 
     def take_off(self, height_m: float | None, now_s: float) -> str | None:
-        """Climb to a local height and hold it; a disarmed vehicle climbs after arming. Never descend."""
+        """Climb to a local height, m, and hold it; never descend. A disarmed vehicle climbs after arming."""
         reason = self._why_no_mode(FlightMode.TAKEOFF, now_s)
         if reason is not None:
             return f"Take-off refused: {reason}"
@@ -287,7 +287,7 @@ class Commander(ABC):
         return None
 
     def land(self, now_s: float) -> str | None:
-        """Land at the present position; never refused, without effect on the ground."""
+        """Land at the present position; never refused, without effect on a disarmed vehicle."""
         if self.armed:
             self._enter(FlightMode.LAND, now_s)
         return None
@@ -306,7 +306,7 @@ class Commander(ABC):
         return None
 
     def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
-        """Accept a valid set-point; it keeps the stream alive in all modes."""
+        """Take a set-point unless another sender has control; in every mode it continues the stream."""
         other = self._other_has_control(sender, now_s)
         if other is not None:
             return f"Set-point dropped: {other}"

@@ -25,10 +25,10 @@ DENIED: int = dialect.MAV_RESULT_DENIED
 UNSUPPORTED: int = dialect.MAV_RESULT_UNSUPPORTED
 FAILED: int = dialect.MAV_RESULT_FAILED
 
-_WAITING_MAX = 8  # maximum number of senders that wait for an acknowledgement
+_WAITING_MAX = 8  # maximum number of commands whose acknowledgement is sent later
 _INT32_MAX = 2**31 - 1
-_INT_NAN = 0x7FF80000  # NaN that a faulty client has cast to an integer (PX4 mavlink_receiver.cpp)
-_INT_SCALE = 1e-7  # COMMAND_INT carries degrees times 1e7
+_INT_NAN = 0x7FF80000  # x and y of a faulty client that casts NaN to integers (PX4 mavlink_receiver.cpp)
+_INT_SCALE = 1e-7  # degrees per unit of x and y in COMMAND_INT
 # COMMAND_INT frames with z above sea level, and with z above home; COMMAND_LONG has z above sea level.
 _AMSL_FRAMES = (dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT)
 _HOME_FRAMES = (dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
@@ -72,7 +72,7 @@ class Entry(NamedTuple):
     run: Callable[[Command], Answer]
     right: Right  # senders that may send the command while one sender has control
     place: bool = False  # the command has a position or height, so the frame of COMMAND_INT matters
-    # returns the right for a command, from its parameters; None: ``right`` applies
+    # function that returns the right for a command with these parameters; None: ``right`` applies
     right_of: Callable[[Command], Right] | None = None
 
 
@@ -80,7 +80,7 @@ Table = Mapping[int, Entry]
 
 
 def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
-    """Convert a COMMAND_LONG or COMMAND_INT into one form; None if a value is not a number."""
+    """Convert a COMMAND_LONG or COMMAND_INT into one form; None if a value is infinite or too large."""
     m = message
     if m.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_INT:
         if m.x == m.y == _INT_NAN:
@@ -98,7 +98,7 @@ def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
 
 
 def integer(value: float | None) -> int | None:
-    """Return a parameter as an integer; None if it is not a whole number."""
+    """Return a parameter as an integer; None if it is omitted or not a whole number."""
     return int(value) if value is not None and value == int(value) else None
 
 
@@ -120,7 +120,7 @@ class Commands(Generic[V]):
         """``builders``: functions that make requestable messages, by id; ``own``: additional commands."""
         self._vehicle, self._streams = vehicle, streams
         self._builders, self._snapshot = builders, snapshot
-        self._waiting: list[tuple[int, Sender]] = []  # pending commands and their senders
+        self._waiting: list[tuple[int, Sender]] = []  # commands without acknowledgement, and their senders
         m, anybody, owner = dialect, Right.ANYBODY, Right.OWNER
         self.table: Table = {
             m.MAV_CMD_NAV_LAND: Entry(self._land, anybody),
@@ -171,7 +171,7 @@ class Commands(Generic[V]):
         if forbidden is not None:
             return Answer(REJECTED, f"Command {command.number} refused: {forbidden}")
         if entry.place and command.frame not in (*_HOME_FRAMES, *_AMSL_FRAMES):
-            # PX4 ignores the frame and would fly to a wrong place.
+            # PX4 would ignore the frame and fly to a wrong place.
             return Answer(DENIED, f"Command {command.number} denied: frame {command.frame}, only global")
         return entry.run(command)
 
@@ -181,7 +181,7 @@ class Commands(Generic[V]):
             return Answer(UNSUPPORTED, "Arm or disarm? param1 must be 0 or 1")
         if round(arm) == 0:
             return answer(self._vehicle.disarm(command.now_s, force=force == FORCE))
-        reason = self._vehicle.arm(command.now_s)  # a forced arming also passes all checks, as in PX4
+        reason = self._vehicle.arm(command.now_s)  # a forced arming must also pass all checks, as in PX4
         return answer(reason) if reason is not None else Answer(later=self._vehicle.arming)
 
     def _terminate(self, command: Command) -> Answer:
@@ -190,7 +190,7 @@ class Commands(Generic[V]):
         return answer(self._vehicle.terminate(command.now_s), DENIED)
 
     def _take_off(self, command: Command) -> Answer:
-        """Take off; the height is above home or above sea level, which has the local z of 0."""
+        """Take off; the height counts from home, or from sea level, which is at local z = 0."""
         z_m, base_m = command.given(7), self._vehicle.home_enu_m[2] if command.frame in _HOME_FRAMES else 0.0
         return answer(self._vehicle.take_off(None if z_m is None else z_m + base_m, command.now_s))
 
@@ -217,7 +217,7 @@ class Commands(Generic[V]):
     def _interval(self, command: Command) -> Answer:
         message_id, streams = integer(command.given(1)), self._streams
         if message_id is None or not streams.known(message_id):
-            return Answer(FAILED, f"Message {message_id} has no rate to set")  # as PX4, even for HEARTBEAT
+            return Answer(FAILED, f"Message {message_id} has no rate to set")  # as in PX4, even for HEARTBEAT
         if command.number == dialect.MAV_CMD_SET_MESSAGE_INTERVAL:
             streams.set_interval(message_id, command.given(2) or 0.0, command.now_s)
             return Answer()
@@ -225,7 +225,7 @@ class Commands(Generic[V]):
         return Answer(messages=(dialect.MAVLink_message_interval_message(message_id, interval_us),))
 
     def _right_to_interval(self, command: Command) -> Right:
-        """Return the required right: peers share the rates, so only the sender in control may lower them."""
+        """Return the right to set this rate: peers share it, so only the sender in control may lower it."""
         rarer = self._streams.rarer(integer(command.given(1)), command.given(2) or 0.0)
         return Right.OWNER if rarer else Right.ANYBODY
 

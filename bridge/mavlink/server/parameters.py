@@ -19,7 +19,7 @@ INT32 = dialect.MAV_PARAM_TYPE_INT32
 REAL32 = dialect.MAV_PARAM_TYPE_REAL32
 _FLOAT = struct.Struct("<f")
 _INT = struct.Struct("<i")
-_LIST_AT_ONCE = 20  # number of PARAM_VALUE messages per tick of a requested list, as PX4 sends over UDP
+_LIST_AT_ONCE = 20  # number of PARAM_VALUE messages of a requested list per tick, as PX4 sends over UDP
 _UNKNOWN: int = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
 _OUT_OF_RANGE: int = dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
 _READ_ONLY: int = dialect.MAV_PARAM_ERROR_READ_ONLY
@@ -36,7 +36,7 @@ class Parameter:
     low: float
     high: float
     in_flight: bool = False
-    choices: tuple[int, ...] = ()  # only valid values; empty: all values of the range are valid
+    choices: tuple[int, ...] = ()  # the only valid values; empty: all values of the range are valid
 
     @property
     def allowed(self) -> str:
@@ -106,7 +106,7 @@ class Parameters:
     def write(
         self, request: Any, sender: Sender, forbidden: str | None, *, armed: bool
     ) -> tuple[list[Message], str | None]:
-        """Handle PARAM_SET, unless ``forbidden`` is a reason; return the replies and the reason, or None."""
+        """Handle PARAM_SET; refuse it if ``forbidden`` is a reason. Return replies and reason, or None."""
         name, type_, value = request.param_id, request.param_type, request.param_value
         parameter = self.table.get(name)
         if parameter is None:

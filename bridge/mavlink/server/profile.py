@@ -56,7 +56,7 @@ AIRBORNE_STATE: Mapping[FlightMode, int] = {
 
 
 def mode_of(main: int, sub: int) -> FlightMode | None:
-    """Return the mode of PX4's two numbers; None if no vehicle here supports it."""
+    """Return the mode with PX4's two numbers; None: this project's vehicles do not support it."""
     return _BY_CODE.get((main, 0 if main == PX4_CODES[FlightMode.OFFBOARD].main else sub))
 
 
@@ -70,7 +70,7 @@ CAPABILITIES = (
 )
 VERSION = 1 << 24 | 18 << 16 | 255  # AUTOPILOT_VERSION.flight_sw_version: 1.18.0, official
 FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM that forces a disarm
-# Messages of every tick in the order of a datagram: clients use a position with the attitude before it.
+# Messages of every tick, in this order: clients combine a position with the attitude received before it.
 EVERY_TICK = (_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 # Indoors there is no GPS, but clients recognise a good position only by its bit (MAVSDK telemetry_impl.cpp).
 POSITION_SOURCE = _M.MAV_SYS_STATUS_SENSOR_GPS | _M.MAV_SYS_STATUS_SENSOR_VISION_POSITION

@@ -39,7 +39,7 @@ _FTP_NAK = 129
 _FTP_FAIL = 1
 _FTP_BYTES = 251
 _FTP_HEADER = 12  # bytes: sequence (2), session, opcode, size, requested opcode, burst, padding, offset (4)
-# Mission, fence and rally points: known types of items; the vehicle has no items.
+# Types of mission items; the vehicle has no items, so it replies with empty lists.
 _TYPES = (dialect.MAV_MISSION_TYPE_MISSION, dialect.MAV_MISSION_TYPE_FENCE, dialect.MAV_MISSION_TYPE_RALLY)
 _ALL = dialect.MAV_MISSION_TYPE_ALL
 _ITEM_REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
@@ -55,7 +55,7 @@ _REFUSED_SETPOINTS = {
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: "global position",
 }
 
-Handler = Callable[[Any, Sender, float], list[Message]]  # function: message, sender, time (s) to replies
+Handler = Callable[[Any, Sender, float], list[Message]]  # (message, sender, time in s) to replies
 
 
 class Server(ABC, Generic[V]):
@@ -96,7 +96,7 @@ class Server(ABC, Generic[V]):
             **self.own_handlers(),
         }
         self._heartbeat_due_s = -math.inf
-        self._shown: object = None  # condition that the last HEARTBEAT and SYS_STATUS show
+        self._shown: object = None  # value of ``condition`` at the last HEARTBEAT
         self._landed_shown = vehicle.landed_state
         self._texts_to_log: list[Text] = []
 
@@ -107,7 +107,7 @@ class Server(ABC, Generic[V]):
         """Return the present state of the vehicle; None if it is unknown, so that no telemetry is sent."""
 
     def heard(self, message: Message, now_s: float) -> None:
-        """Record the time of a message to this vehicle, before the message is handled."""
+        """Take note of a message to this vehicle before it is handled; a subclass may override this."""
 
     def own_commands(self) -> dict[int, Entry]:
         """Return commands that extend or replace the common ones."""
@@ -131,7 +131,7 @@ class Server(ABC, Generic[V]):
     # Methods that the process calls
 
     def handle(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
-        """Handle a message with a valid checksum; its content may be wrong. Return the replies."""
+        """Handle a message with a correct checksum, but unchecked content; return the replies."""
         handler = self._handlers.get(message.get_msgId())  # some messages have a field named id
         if handler is None or sender[:2] == (self.system_id, COMPONENT_ID) or not self._for_us(message):
             return []
@@ -165,7 +165,7 @@ class Server(ABC, Generic[V]):
     def brief(self, now_s: float, heeded: frozenset[int]) -> list[Message] | None:
         """Return the due messages with these ids, as ``telemetry`` does, without those of every tick.
 
-        Return None, and change no state, if another message is due.
+        Return None, and change no state, if texts, parameters or a change of the vehicle must be sent.
         """
         snapshot = self._calm(now_s)
         if snapshot is None:
@@ -185,7 +185,7 @@ class Server(ABC, Generic[V]):
         return self.streams.due(snapshot)
 
     def take_texts(self) -> list[Text]:
-        """Return the texts sent since the last call, for the log."""
+        """Return the texts for the log that were sent since the last call."""
         texts, self._texts_to_log = self._texts_to_log, []
         return texts
 

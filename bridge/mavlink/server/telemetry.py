@@ -33,7 +33,7 @@ class Snapshot(Generic[V]):
     # (w, x, y, z; FLU in ENU), angular_velocity_flu_rad_s
     estimate: Any
     valid: bool  # whether position and velocity are good enough for control
-    now_s: float  # time on the server's clock, on which the rates are based
+    now_s: float  # time on the server's clock, which schedules the streams
     boot_s: float  # time on the vehicle's boot clock
     epoch_ns: int = 0  # Unix time at zero of the boot clock
 
@@ -47,8 +47,8 @@ class Snapshot(Generic[V]):
 
 
 Builder = Callable[[Snapshot[V]], Message]
-# builder and default rate, Hz, by message id, in the order of a datagram; rate None: at every tick, or on
-# request
+# builder and default rate, Hz, by message id, in the order within a datagram; rate None: sent at every tick
+# (EVERY_TICK) or only on request
 StreamTable = Mapping[int, tuple[Builder[V], float | None]]
 
 
@@ -157,7 +157,7 @@ class _Stream(Generic[V]):
     default_s: float  # default period of the stream, s; infinite: off
     interval_s: float  # present period, s
     due_s: float
-    passed_s: float = -_OFF  # time of the last sending; a message is sent at most once per tick
+    passed_s: float = -_OFF  # time when it was last sent; it is sent at most once per tick
 
     def passes(self, now_s: float, limit_s: float) -> bool:
         """Whether the message is due before ``limit_s``; if so, the call schedules it one interval later."""
@@ -185,7 +185,7 @@ class Streams(Generic[V]):
             self._streams[id_] = _Stream(id_, build, default_s, default_s, 0.0 if default_s < _OFF else _OFF)
         self._busy: list[_Stream[V]] = []  # streams that are sent at every tick
         self._lazy: list[_Stream[V]] = []  # streams with longer intervals
-        self._lazy_due_s = 0.0  # earliest due time of these streams
+        self._lazy_due_s = 0.0  # earliest due time of the streams in ``_lazy``
         self._sort()
 
     def known(self, message_id: int) -> bool:

@@ -76,9 +76,9 @@ def check_policy(
 ) -> str | None:
     """Reject an endpoint that accepts commands from any host of the network; return a warning, or None.
 
-    ``address``: local address, or address of the only peer; for a serial line device and baud; ``always``:
-    peers that receive telemetry from the start; ``signed``: there is a key; ``allow_unsigned``: the operator
-    accepts the risk.
+    ``address``: local address, address of the only peer, or device and baud of a serial line; ``always``:
+    peers that receive telemetry from the start; ``signed``: whether there is a key; ``allow_unsigned``:
+    whether the operator accepts the risk.
     """
     kind = parse_url(url)[0]
     listens = kind == "udpin"
@@ -104,8 +104,8 @@ def check_policy(
     return f"MAVLink is not signed on {url!r}: {who} can command the vehicle"
 
 
-PEERS_MAX = 8  # maximum number of peers that an endpoint learns from their heartbeats
-EXPIRY_S = 10.0  # wall time without a heartbeat (1 Hz) after which a peer expires, s
+PEERS_MAX = 8  # maximum number of learnt peers: senders of heartbeats
+EXPIRY_S = 10.0  # wall time without a frame after which a learnt peer expires, s
 
 
 class PeerTable:
@@ -113,11 +113,11 @@ class PeerTable:
 
     def __init__(self, configured: tuple[Peer, ...]) -> None:
         self._configured = configured
-        self._beating: dict[Peer, float] = {}  # time of the last frame of a peer that has sent a heartbeat
+        self._beating: dict[Peer, float] = {}  # time of the newest frame of each sender of heartbeats
 
     @property
     def reached(self) -> tuple[Peer, ...]:
-        """Configured peers, and peers that sent a heartbeat and then a frame in the last 10 s."""
+        """Configured peers, and senders of heartbeats whose newest frame arrived in the last 10 s."""
         oldest_s = time.monotonic() - EXPIRY_S
         alive = [peer for peer, heard_s in self._beating.items() if heard_s >= oldest_s]
         return tuple(dict.fromkeys((*self._configured, *alive)))

@@ -29,9 +29,9 @@ def dropped(counters: Counter[str]) -> str:
     return ", ".join(f"{name} {n}" for name, n in sorted(counters.items()) if n and name not in _PASSED)
 
 
-_RECEIVED_MAX = 4096  # largest datagram, bytes; more than an Ethernet frame
+_RECEIVED_MAX = 4096  # largest accepted datagram, bytes; more than an Ethernet frame
 _DATAGRAM_MAX = 1400  # longest sent datagram, bytes; PX4's buffer has 1600 (mavlink_receiver.cpp)
-_SOCKET_BUFFER = 1 << 20  # requested size of the buffer, bytes; the kernel may grant less
+_SOCKET_BUFFER = 1 << 20  # requested size of the receive buffer, bytes; the kernel may grant less
 
 
 class DatagramTransport:
@@ -114,11 +114,11 @@ def _datagrams(frames: Sequence[bytes]) -> list[bytes]:
 RETRY_S = 0.5  # time between two tries to open a lost connection, s
 _READ_BYTES = 4096  # maximum number of bytes of one read
 _SLICE_S = 0.005  # longest wait between two writes of pending bytes, s
-_OUTGOING_MAX = 4096  # maximum number of buffered bytes of TCP; less for a serial line
-_FRAME_MAX = 280  # length of the longest frame, bytes; minimum size of every queue
+_OUTGOING_MAX = 4096  # maximum number of buffered bytes of a TCP connection
+_FRAME_MAX = 280  # length of the longest frame, bytes; minimum size of a serial line's queues
 _BITS_PER_BYTE = 10  # bits per byte on a serial line: a start bit, eight data bits, a stop bit (8N1)
-_QUEUE_S = 0.1  # duration of the buffered frames on a serial line, s: an older set-point is useless
-_KERNEL_QUEUE_S = 0.05  # duration of the bytes in the kernel's buffer, s
+_QUEUE_S = 0.1  # transmission time of buffered frames on a serial line, s: an older set-point is useless
+_KERNEL_QUEUE_S = 0.05  # transmission time of the bytes in the kernel's buffer, s
 _CONNECT_MAX_S = 2.0  # time without reply after which a TCP connection attempt is given up, s
 _UNANSWERED_MAX_MS = 2000  # time without acknowledgement after which a TCP connection counts as lost, ms
 _SEND_BUFFER = 4096  # size of the kernel's buffer for TCP, bytes; small to limit the latency
@@ -131,7 +131,7 @@ class ByteStream:
     local_port = 0
 
     def __init__(self, kind: str, address: Peer, counters: Counter[str], notices: deque[str]) -> None:
-        """``address``: device and baud ("serial"), or IPv4 address and port ("tcp"); ``notices``: its texts.
+        """``address``: device and baud ("serial") or IPv4 address and port ("tcp"); ``notices``: gets texts.
 
         Raises OSError: the serial line cannot be opened; a refused TCP connection is tried again.
         """
@@ -143,9 +143,9 @@ class ByteStream:
         self._outgoing_max = _bytes_in(_QUEUE_S, number) if self.baud else _OUTGOING_MAX
         self._peer, self._counters, self._notices = address, counters, notices
         self._channel: Channel | None = None
-        self._was_up = self._told = False  # whether it was ever connected; whether the loss is reported
+        self._was_up = self._told = False  # whether it was ever connected; whether this loss is reported
         self._lost_s = self._retry_s = time.monotonic()
-        self._outgoing = bytearray()  # pending frames; the first one may be sent in part
+        self._outgoing = bytearray()  # pending frames; a part of the first one may have been sent
         self._nothing = socket.socketpair()  # descriptors that are never readable
         if self.baud is not None:
             self._channel = _SerialChannel(address)
@@ -199,7 +199,7 @@ class ByteStream:
             end.close()
 
     def _ready(self) -> Channel | None:
-        """Return the connection, reopened when due, after writing what it takes; None: there is none."""
+        """Reopen a lost connection when due, write pending bytes; return the connection, or None."""
         try:
             if self._channel is None:
                 if time.monotonic() < self._retry_s:
@@ -274,7 +274,7 @@ class _SerialChannel:
         return bytes(self._port.read(min(waiting, size))) if waiting else None
 
     def write(self, data: bytearray) -> int:
-        # Only a small part of the kernel's buffer is used, because the full buffer holds seconds of frames.
+        # Only a small part of the kernel's buffer is used, because a full buffer delays frames by seconds.
         # With a full buffer, pyserial's write would wait without limit.
         room = self._queue_max - self._port.out_waiting
         return os.write(self._port.fileno(), data[:room]) if room > 0 else 0
