@@ -37,19 +37,19 @@ class Refusal(Enum):
 class Limits:
     frame_id: str | None = None  # required frame of the poses; None: any frame is accepted
     late_max_s: float = 0.1  # maximum delay relative to the fastest recent sample, s
-    # time for which poses must agree after a jump of their sender's clock before one is used, s
+    # time for which poses must agree on a changed clock of their sender before one is used, s
     clock_proof_s: float = 0.3
     gap_max_s: float = 0.2  # age of the last good pose above which a problem is reported, s
     rate_min_hz: float = 20.0  # rate of the poses below which a warning is sent, Hz; PX4 needs 30 to 50 Hz
-    rate_max_hz: float = 100.0  # largest rate at which poses are forwarded, Hz
-    speed_max_m_s: float = 5.0  # maximum speed of the body, m/s; the allowances below for noise are added
-    jump_m: float = 0.05
-    turn_rate_max_rad_s: float = 20.0
-    turn_rad: float = 0.2
+    rate_max_hz: float = 100.0  # maximum rate of forwarded poses, Hz
+    speed_max_m_s: float = 5.0  # maximum speed of the body, m/s
+    jump_m: float = 0.05  # allowance for noise, which is added to the distance, m
+    turn_rate_max_rad_s: float = 20.0  # maximum rotation rate of the body, rad/s
+    turn_rad: float = 0.2  # allowance for noise, which is added to the angle, rad
     room_m: float = 100.0  # half side of the room, m; the Crazyflie's estimator resets beyond 100 m
-    gap_counted_s: float = 1.0  # longest part of a gap that counts as motion of the vehicle, s
-    return_m: float = 0.5  # allowed distance from the last good pose after rejected poses, m
-    settle_s: float = 1.0  # time at a new place after which a jump is accepted, s; only if disarmed
+    gap_counted_s: float = 1.0  # longest time between poses that counts for the possible motion, s
+    return_m: float = 0.5  # maximum distance from the last good pose after rejected poses, m
+    settle_s: float = 1.0  # time at a new place after which it is accepted, s; only if disarmed
 
 
 class Passed(NamedTuple):
@@ -69,24 +69,24 @@ _REFUSALS = {
 
 
 class PoseChecks:
-    """Checks the poses of one body; the loop calls ``step`` in every pass."""
+    """Checks the poses of one body; the loop calls ``step`` in every iteration."""
 
     def __init__(self, limits: Limits = Limits()) -> None:
         self.limits = limits
         self.counts = Counter[Refusal]()  # rejected poses by reason
-        self.thinned = self.passed = 0  # number of poses omitted to limit the rate, and of forwarded ones
+        self.thinned = self.passed = 0  # number of poses omitted to limit the rate, and forwarded
         self._clock = SenderClock(limits.late_max_s, limits.clock_proof_s)
         self._last: Passed | None = None
         self._sent_s = -math.inf
         self._resets = 0
-        self._elsewhere: Passed | None = None  # newest pose of the series after a jump
+        self._elsewhere: Passed | None = None  # newest pose of the series that follows a jump
         self._elsewhere_since_s = 0.0
-        self._refused: Refusal | None = None  # reason to reject the newest pose; None: it is good
+        self._refused: Refusal | None = None  # reason why the newest pose was rejected; None: it was good
         self._window_s, self._in_window = -math.inf, 0
         self._rate_hz: float | None = None
 
     def step(self, poses: Sequence[Pose | None], now_s: float, *, armed: bool) -> tuple[Passed, ...]:
-        """Return the good ones of the poses that arrive now, oldest first; None is an unreadable message.
+        """Return the good poses of those that arrive now, oldest first; None is an unreadable message.
 
         No jump is accepted if the vehicle is armed.
         """
@@ -132,7 +132,7 @@ class PoseChecks:
         self._elsewhere = passed
         if not continues or passed.measured_s - self._elsewhere_since_s < limits.settle_s:
             return Refusal.JUMP
-        self._resets += 1  # after this time on the ground: the vehicle was carried there
+        self._resets += 1  # disarmed and at one place for ``settle_s``: it was carried there
         return passed._replace(resets=self._resets)
 
     def _reaches(self, before: Passed, after: Passed, most_m: float) -> bool:

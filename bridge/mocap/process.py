@@ -1,6 +1,6 @@
 """Process of the mocap bridge: receives poses from Zenoh, sends them to a MAVLink vehicle.
 
-The messages have the form that the vehicle's autopilot needs.
+The vehicle's autopilot determines the message: ODOMETRY or VISION_POSITION_ESTIMATE.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class MocapSource:
     def __init__(
         self, session: zenoh_link.Session, spec: TargetSpec, checks: PoseChecks, where: Sequence[str] = ()
     ) -> None:
-        """``where``: Zenoh endpoints."""
+        """``where``: Zenoh endpoints, for the text about missing poses."""
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)
         self._spec, self.checks = spec, checks
         at = f" at {', '.join(where)}" if where else ""
@@ -65,7 +65,7 @@ class MocapSource:
         passed, self.problem = self.checks.step(poses, now_s, armed=armed), self.checks.problem(now_s)
         self._arrived = self._arrived or bool(poses)
         if self._arrived or armed:
-            self._search.stop()  # in flight nothing is searched
+            self._search.stop()  # no search in flight, which would receive all poses and odometry
         if not self._arrived:
             keys = () if armed else self._search.keys()
             self.problem = self._waits + (f"; there are {', '.join(keys)}" if keys else "")
@@ -129,7 +129,7 @@ class PoseNeeds(NamedTuple):
     title: str
     message: Callable[[Passed, int], Message]
     needs_origin: bool  # whether the autopilot has no position until it receives SET_GPS_GLOBAL_ORIGIN
-    settings: str  # text with the autopilot parameters that the operator has to set
+    settings: str  # autopilot parameters that the operator has to set, as text
 
 
 POSE_NEEDS = {
@@ -150,7 +150,7 @@ class MocapVehicle:
 
     def __init__(self, system_id: int, origin: Origin | None) -> None:
         """``origin`` is the position of the room's origin on earth, for an autopilot that needs it."""
-        self.needs: PoseNeeds | None = None  # requirements of the vehicle; None: unknown or unsupported
+        self.needs: PoseNeeds | None = None  # needs of the vehicle's autopilot; None: unknown or unsupported
         self._origin, self._origin_sender = origin, OriginSender(origin, system_id)
         self._autopilot: int | None = None  # MAV_AUTOPILOT number of the newest heartbeat
         self._origin_known = self._armed = False
@@ -170,7 +170,7 @@ class MocapVehicle:
         return now_s - self._heard_s <= SILENT_S
 
     def flies(self, now_s: float) -> bool:
-        """Whether the vehicle sends heartbeats and is armed, so that it needs its poses."""
+        """Whether the vehicle is armed and sends heartbeats, so that it needs the poses."""
         return self._armed and self.heard(now_s)
 
     def handle(self, message: Message, now_s: float) -> list[Message]:
@@ -218,7 +218,7 @@ class Bridge:
         self._start_s = time.monotonic()
 
     def run(self, stop: Stop, duration_s: float | None) -> None:
-        """Run until a signal arrives; if the vehicle is armed, until a second signal arrives."""
+        """Run until a signal or ``duration_s``; then, if armed, until disarmed or a second signal."""
         told = False
         while stop.count < 2:
             now_s = self._turn()
@@ -258,7 +258,7 @@ class Bridge:
 
 
 def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
-    """Run until a signal arrives; if the vehicle is armed, until a second signal arrives."""
+    """Run until a signal arrives; if the vehicle is armed then, until it is disarmed or a second signal."""
     if options.origin is not None:
         check_origin("--origin", options.origin)
     with ExitStack() as stack:

@@ -10,8 +10,8 @@ The value of a message is the tuple of the values of its fields, in order:
 =====================================  ================================================================
 field                                  value
 =====================================  ================================================================
-``std_msgs/Header``                    its stamp, integer nanoseconds, where the frame is given with the
-                                       packer; else (stamp, frame)
+``std_msgs/Header``                    the stamp, integer nanoseconds, if ``codec`` has a ``frame_id``; else
+                                       (stamp, frame)
 ``Time``, ``Duration``                 integer nanoseconds
 number, bool, string                   int, float, bool, str
 array of fixed length                  tuple
@@ -104,8 +104,8 @@ def codec(
 
     The encoder raises struct.error if a number is outside the range of its field. The decoder raises
     ValueError if a payload is cut short, too long, or has a wrong encoding or frame. With ``frame_id``
-    None each message has its own frame. ``fields`` returns the fields of a type. Payloads of foreign programs
-    may have bytes after the message.
+    None each message has its own frame. ``fields`` returns the fields of a type. ``foreign``: payloads come
+    from other programs and may have bytes after the message.
     """
     generator = _Generator(frame_id, fields)
     value = generator.message(schema, "row")
@@ -148,7 +148,7 @@ class _Generator:
         self.layouts: dict[str, Any] = {}
         self._indent = "    "
         self._names = map("v{}".format, count())
-        # Current run of numbers: codes, encoded expressions, decoded names, and the checks that follow.
+        # Current run of numbers: struct codes, expressions to encode, names after decoding, and their checks.
         self._codes, self._given, self._taken = ["4s"], ["CDR"], ["cdr"]
         self._checks = ["if cdr != CDR: refuse('encoding', cdr, CDR)"]
 
@@ -192,7 +192,7 @@ class _Generator:
         return f"({', '.join(self._run(codes * (field.length or 1), f'*{value}'))},)"
 
     def _numbers(self, kind: str) -> list[str]:
-        """Return the struct codes of a number or of a message of equal numbers; empty for other types."""
+        """Return the struct codes of a number or of a message of numbers of one type; else none."""
         if kind in CODES:
             return [CODES[kind]]
         fields = (kind != "string" and self._fields_of(kind)) or ()

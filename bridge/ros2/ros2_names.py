@@ -1,4 +1,4 @@
-"""ROS 2 on Zenoh: its network, the names of rmw_zenoh and the DDS bridge, and nodes of this process.
+"""ROS 2 on Zenoh: sessions, the names of rmw_zenoh and the DDS bridge, and nodes of this process.
 
 In rmw_zenoh each node and each publisher has a liveliness token; a sample is CDR with an attachment.
 
@@ -17,7 +17,7 @@ import xxhash
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import pack_attachment
 
-DOMAIN_MAX = 232  # largest domain id, which the DDS ports limit (ROS 2 documentation, "The ROS_DOMAIN_ID")
+DOMAIN_MAX = 232  # largest domain id; DDS ports limit it (ROS 2 documentation, "The ROS_DOMAIN_ID")
 TOPIC_LENGTH_MAX = 247  # maximum length of a topic name (rmw validate_full_topic_name.h)
 NO_HASH = "TypeHashNotSupported"  # placeholder of ROS 2 Humble, which has no type hashes
 QOS_KEEP_10 = "::,10:,:,:,,"  # reliable, volatile, keep last 10; empty means rmw_zenoh's default (qos.cpp)
@@ -95,7 +95,7 @@ def parse_topic_key(key: str) -> TopicKey | None:
 
 
 def publisher_id(token: str) -> bytes:
-    """Return the 16-byte publisher id of every sample: XXH3-128 of the token, lowest byte first."""
+    """Return the 16-byte publisher id that each sample has: XXH3-128 of the token, lowest byte first."""
     digest: bytes = xxhash.xxh3_128_digest(token.encode())
     return digest[::-1]
 
@@ -113,7 +113,7 @@ _FILES = (".json5", ".json", ".yaml", ".yml")  # suffixes of Zenoh configuration
 
 
 def open_network(where: str, domain: int) -> zenoh_link.Session:
-    """Open a session for the caller, by the endpoint of a ROS 2 router or a Zenoh configuration file."""
+    """Open a session as a client; ``where``: endpoint of a ROS 2 router, or Zenoh configuration file."""
     check_domain(domain)
     if where.endswith(_FILES):
         return zenoh_link.open_session(config_file=Path(where), role=zenoh_link.Role.CLIENT)
@@ -129,14 +129,14 @@ class Ros2Node:
     def __init__(
         self, session: zenoh_link.Session, name: str, *, domain: int = 0, namespace: str = "/"
     ) -> None:
-        """``domain``: ROS_DOMAIN_ID of the other nodes; topics have full names, whatever the namespace."""
+        """``domain``: ROS_DOMAIN_ID of the other nodes; ``namespace`` does not change the names of topics."""
         self._session = session
         self._node = Node(check_domain(domain), str(session.zid()), name, namespace)
         self._tokens = [zenoh_link.liveliness_token(session, self._node.token(0, "NN"))]
 
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
         """Announce a topic and declare its publisher; with a wrong type hash ROS 2 receives no sample."""
-        # the node itself has number 0
+        # numbers of tokens: 0 is the node itself
         key = topic_key(self._node.domain, topic, type_name, type_hash)
         token = self._node.publisher_token(len(self._tokens), topic, type_name, type_hash)
         self._tokens.append(zenoh_link.liveliness_token(self._session, token))
@@ -149,9 +149,9 @@ class Ros2Publisher:
     def __init__(
         self, publisher: zenoh_link.Publisher, identity: bytes, node: Ros2Node | None = None
     ) -> None:
-        """``identity``: id of the publisher, 16 bytes; ``node``: kept, because its tokens end with it."""
+        """``identity``: id of the publisher, 16 bytes; ``node``: stored, since its tokens end with it."""
         self._publisher, self._identity, self._node = publisher, identity, node
-        self._sequence = 0  # number of the newest message, 0 before the first
+        self._sequence = 0  # sequence number of the newest message; 0 before the first
 
     @property
     def matched(self) -> bool:
@@ -159,7 +159,7 @@ class Ros2Publisher:
         return zenoh_link.is_matched(self._publisher)
 
     def put(self, payload: bytes, source_time_ns: int) -> None:
-        """Send a message in CDR at a Unix or simulated time."""
+        """Send a message in CDR; ``source_time_ns``: Unix or simulated time of sending."""
         self._sequence += 1
         attachment = pack_attachment(self._sequence, source_time_ns, self._identity)
         self._publisher.put(payload, attachment=attachment)

@@ -33,7 +33,7 @@ from flightstack.core.types import ZERO, Vec3
 
 TEXTS_MAX = 32  # maximum number of different warnings per flight; the counters continue
 OFFSET_MAX_M = 5.0  # largest offset of the landing spot on an axis, m; a larger one probably has a wrong unit
-LOOK_EVERY = 100  # number of samples between two checks of frames and covariances
+LOOK_EVERY = 100  # number of samples after which frames and covariance are checked again
 CAPACITY = 1024  # maximum number of samples between two polls
 
 
@@ -124,10 +124,10 @@ class TargetSpec:
         return plain and self.offset_m == ZERO
 
 
-SETTLED_M_S = 0.05  # largest standard deviation of a usable velocity; a quarter of the Burger's
-UNKNOWN_M_S = 100.0  # standard deviation of a velocity that was not measured, far above robot speeds
-GATE_SIGMAS = 6.0  # distance from the expected pose that makes an outlier: 1 in 10^8 by chance
-# consecutive poses that are outliers or older than the last one, after which the estimate restarts
+SETTLED_M_S = 0.05  # largest usable standard deviation of velocity, m/s; a TurtleBot3 Burger drives 0.22 m/s
+UNKNOWN_M_S = 100.0  # standard deviation of an unmeasured velocity, m/s; far above robot speeds
+GATE_SIGMAS = 6.0  # distance of an outlier from the expected position, sigmas; by chance rarer than 1 in 10^7
+# number of consecutive outliers, or poses older than the last one, after which the estimate restarts
 OUTLIERS_MAX = 5
 UNSETTLED_MAX = 50  # number of poses without a velocity after which a warning is sent
 
@@ -135,9 +135,9 @@ UNSETTLED_MAX = 50  # number of poses without a velocity after which a warning i
 class PoseTrack:
     """Converts poses of a target into odometry of ``child_frame_id`` by estimating the velocity.
 
-    The estimator is the stack's (it measures position and velocity), with so large a velocity noise that the
-    measured velocity has no influence. Odometry is the measured pose with the estimated velocity; there is
-    none before the estimate has settled, and none for an outlier. ``link``: noise of poses and motion.
+    The stack's estimator expects position and velocity; it gets the velocity 0 with so large a noise that
+    this has no influence. Odometry is the measured pose with the estimated velocity; there is none before
+    the estimate has settled, and none for an outlier. ``link``: noise of poses and motion.
     """
 
     def __init__(self, link: TargetLink, child_frame_id: str) -> None:
@@ -146,7 +146,7 @@ class PoseTrack:
         self._last: Pose | None = None  # last accepted pose
         self._strange = 0  # number of consecutive poses that are outliers or older than the last one
         self._unsettled = 0  # number of poses since the last restart
-        self.problem = ""  # reason why poses give no odometry; empty: they do
+        self.problem = ""  # reason why poses result in no odometry, or empty
 
     def take(self, pose: Pose) -> Odometry | None:
         """Return the odometry of a pose; None if the velocity is unknown."""
@@ -154,7 +154,7 @@ class PoseTrack:
         step_s = (pose.stamp_ns - last.stamp_ns) / 1e9 if last is not None else math.inf
         if step_s == 0.0:
             return None
-        # a larger step back is a restart of the sender's clock
+        # a larger backward step is a restart of the sender's clock
         if -RESTART_S <= step_s < 0.0 or (0.0 < step_s <= RESTART_S and self._is_outlier(pose, time_s)):
             self._strange += 1
             if self._strange < OUTLIERS_MAX:
@@ -178,7 +178,7 @@ class PoseTrack:
                 )
             return None
         self.problem = ""
-        # Yaw rate between two poses, unfiltered; only the log uses it.
+        # The yaw rate between two poses is not filtered; only the log uses it.
         turned_rad = wrap_angle(yaw_rad - yaw_from_quaternion(last.orientation_wxyz))
         return Odometry(
             pose.stamp_ns,
@@ -200,9 +200,9 @@ class PoseTrack:
 class TargetSource:
     """Receives the target's motion; the owner polls, because there are no callbacks.
 
-    ``session``: session of the caller; ``frame_id``: frame of the poses; ``child_frame_id``: frame of the
-    target, also if it sends only poses; ``link``: noise of poses, to estimate their
-    velocity; ``lossless``: block the sender when full instead of dropping the oldest (lockstep). Raises
+    ``session``: session of the caller; ``frame_id``: required frame of poses; ``child_frame_id``: required
+    frame of the target, also used in odometry made from poses; ``link``: noise of poses, to estimate the
+    velocity; ``lossless``: a full queue blocks the sender instead of dropping samples (lockstep). Raises
     ValueError: the key is not allowed.
     """
 
@@ -223,7 +223,7 @@ class TargetSource:
         self._track = PoseTrack(link, child_frame_id)
         self.told: list[str] = []  # all warnings of the flight, oldest first
         self._taken = 0  # number of warnings that ``take_problems`` has returned
-        self.refused = 0  # number of samples without odometry, except poses before the velocity is known
+        self.refused = 0  # number of samples rejected here: unreadable, or of another type or frame
 
     def poll(self) -> list[RawSample]:
         """Return all samples that have arrived, oldest first, as odometry; never blocks."""
@@ -249,7 +249,7 @@ class TargetSource:
         return texts
 
     def _odometry(self, payload: bytes) -> Odometry | None:
-        """Return the odometry made from a message; None: there is none, or it needs no conversion."""
+        """Return the odometry made from a message; None: none yet, or the message needs no conversion."""
         if self._spec.type is not TargetType.ODOMETRY:
             return self._followed(self._spec.pose(payload))
         # Rejected samples are returned, too: the controller counts them, and the log stores them unchanged.
@@ -260,7 +260,7 @@ class TargetSource:
         return None if self._spec.offset_m == ZERO else decode_odometry(payload).shifted(self._spec.offset_m)
 
     def _look_at(self, payload: bytes) -> None:
-        """Report each difference between a sample and the configuration once."""
+        """Report each difference between a sample's frames or noise and the configuration once."""
         try:
             odometry = decode_odometry(payload)
         except OdometryError:

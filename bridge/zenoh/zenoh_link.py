@@ -2,8 +2,8 @@
 
 Scouting and gossip are off unless a configuration file enables them. There are no callbacks: a callback runs
 in another thread, hides exceptions, and blocks the end of a process with an open session. Zenoh retries a
-connection silently, so an alarm monitors it; a rejected certificate, a wrong password and a missing machine
-cannot be distinguished.
+connection silently, so ``ConnectionAlarm`` monitors it; a rejected certificate, a wrong password and a
+missing machine cannot be distinguished.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ Sample = Any
 
 LOOPBACK = "tcp/127.0.0.1:0"  # endpoint on any free port; only this machine can connect
 LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # default address of a router for clients and ROS 2 nodes
-_LEASE_MS = 2000  # time without messages before a peer is disconnected, then connected again
-# a process in lockstep may pause longer without losing a message; a killed process disconnects immediately
+_LEASE_MS = 2000  # time without messages after which a peer is disconnected and connected again, ms
+# the same in lockstep, ms: a pause must lose no message; a killed process disconnects immediately anyway
 _LOCKSTEP_WAIT_MS = 60_000
-_ALIVE_TIMEOUT_S = 1.0  # time-out of a liveliness query, s; tables of this process answer it
+_ALIVE_TIMEOUT_S = 1.0  # time-out of a liveliness query, s; this process answers it from its tables
 _CLIENT_WAIT_MS = 10_000  # longest wait for a router that has not started, ms
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 
@@ -56,7 +56,7 @@ _DEFAULTS: dict[str, Any] = {
 _ROLE_DEFAULTS: dict[Role, dict[str, Any]] = {
     Role.PEER: {"listen/endpoints": [LOOPBACK]},  # Zenoh's default is every interface
     Role.CLIENT: {"listen/endpoints": [], "connect/timeout_ms": _CLIENT_WAIT_MS},
-    # ROS 2 nodes find each other by gossip with their router (rmw_zenoh DEFAULT_RMW_ZENOH_ROUTER_CONFIG).
+    # ROS 2 nodes discover each other by gossip scouting at their router (rmw_zenoh's default router).
     Role.ROUTER: {"listen/endpoints": [LOOPBACK_ROUTER], "scouting/gossip/enabled": True},
 }
 _LOCKSTEP: dict[str, Any] = {
@@ -136,7 +136,7 @@ def open_session(
 
 
 def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | None, role: Role) -> Any:
-    """Return Zenoh's configuration: first the arguments, then the file, then this module's defaults."""
+    """Return Zenoh's configuration; arguments precede the file, the file this module's defaults."""
     untouched = zenoh.Config()
     try:
         if file is None:
@@ -233,7 +233,7 @@ def is_matched(publisher: Publisher) -> bool:
 
 
 def transports(session: Session) -> int:
-    """Return the number of open connections; if it remains 0, the peer rejects or is unreachable."""
+    """Return the number of connections; if it remains 0, the peer is unreachable or rejects us."""
     return len(session.info.transports())
 
 
@@ -246,7 +246,7 @@ def dialled(
 
 
 def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) -> list[str]:
-    """Return the endpoints on which ``open_session`` listens to a network without access rules."""
+    """Return the endpoints on which ``open_session`` listens to a network, if there are no access rules."""
     config = _configuration(listen, (), config_file, Role.PEER)
     if json.loads(config.get_json("access_control/enabled")):
         return []
@@ -279,11 +279,11 @@ LOOK_EVERY_S = 1.0
 
 
 class ConnectionAlarm:
-    """Monitors the connection of a session to ``whom``, if any; poll it in every tick."""
+    """Monitors the connection of a session to the endpoints ``whom``, if any; poll it in every tick."""
 
     def __init__(self, session: Session, whom: Sequence[str], role: Role = Role.PEER) -> None:
         self._session, self._whom = session, ", ".join(whom)
-        self._since_s: float | None = None  # start of the time without a connection
+        self._since_s: float | None = None  # start of the time without a connection, s
         self._next_s = -1.0
         self._said = False
         self._said_router = role is not Role.PEER
@@ -321,7 +321,7 @@ _ATTACHMENT = struct.Struct("<qqB16s")  # "B" is the length of the id (attachmen
 
 
 def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
-    """Return the 33-byte attachment: sequence from 1, Unix time of sending, publisher id (16 bytes)."""
+    """Return the 33-byte attachment: sequence from 1, Unix time of sending, publisher id."""
     return _ATTACHMENT.pack(sequence, source_time_ns, GID_BYTES, gid)
 
 
