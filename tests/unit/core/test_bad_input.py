@@ -18,7 +18,7 @@ def no_samples(_, inputs):
 
 
 def stuck_sample(world, inputs):
-    """Return the inputs with the first samples repeated, like those of a stuck sender."""
+    """Replace the target samples by the first ones, as a stuck sender repeats them."""
     if not hasattr(world, "stuck"):
         world.stuck = inputs.target_samples
     return inputs._replace(target_samples=tuple(s._replace(arrival_s=world.t_s) for s in world.stuck))
@@ -34,7 +34,7 @@ def older_each_time(world, inputs):
 
 
 def half_a_second_late(world, inputs):
-    """Delay messages by half a second, in order."""
+    """Delay the target samples by half a second, in order."""
     queue = world.__dict__.setdefault("queue", {})
     queue.update((s.arrival_s, s) for s in inputs.target_samples)
     come = tuple(s for t_s, s in queue.items() if abs(world.t_s - 0.5 - t_s) < 0.5 * DT_S)
@@ -68,9 +68,9 @@ def test_a_stream_of_refused_samples_is_told_by_doublings():
 
 BAD = (math.nan, math.inf, -math.inf)
 GOOD = OwnState(1.0, 2.0, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.7)
-# times that are infinite or NaN until they are known
+# times in the controller's state that are infinite or NaN until they are known
 TIMES = ("started_s", "own_ok_s", "offset_s", "time_s", "claim_s", "committed_s", "crowded_s")
-# ground height, if the vehicle never stood on the ground, and throttle of a battery that reports nothing
+# NaN if the vehicle never stood on the ground, and if it reports no battery and no throttle
 UNSET = ("ground_z_m", "effort")
 
 
@@ -82,7 +82,7 @@ def spoiled(own, field, axis, bad):
 
 
 def numbers(value):
-    """Yield every float in nested states, except times and values that this flight does not determine."""
+    """Yield every float in a nested state, except ``TIMES`` and ``UNSET``, which this flight may not set."""
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
             if field.name not in UNSET and not field.name.endswith("since_s") and field.name not in TIMES:
@@ -111,7 +111,7 @@ def test_one_number_is_enough(field, axis, bad):
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 @pytest.mark.parametrize(("field", "axis"), [("velocity_enu_m_s", 2), ("position_enu_m", 0), ("yaw_rad", 0)])
 def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, field, axis, bad):
-    """After the age limit the vehicle holds, as after any loss of its state, and then lands."""
+    """Once the last good state is too old, the vehicle holds its position; later it lands."""
     world = World(config(kind, limits=SLOW), solid_pad=True)
     world.run(0.5)
     learned = world.controller.state.tracking.disturbance_m_s

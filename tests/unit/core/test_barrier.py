@@ -1,4 +1,4 @@
-"""Tests both barriers: their definition, derivatives by finite differences, and eq. 7 with numbers."""
+"""Tests both barriers: definition, derivatives (finite differences), and eq. (7) with the paper's numbers."""
 
 import math
 
@@ -26,7 +26,7 @@ robusts = st.builds(RobustBarrier, smoothed, margins, radii)
 
 
 def shortened(barrier):
-    """Return the relative reduction of the slope by the smoothing beyond 0.3 m: (s/d)^2 / 2."""
+    """Return the largest reduction of the slope by the smoothing at d >= 0.3 m: slope (s/d)^2 / 2."""
     inner = getattr(barrier, "barrier", barrier)
     steepest = inner.slope_max + (barrier.margin_m / barrier.fade_radius_m if inner is not barrier else 0.0)
     return steepest * 0.5 * (inner.apex_smoothing_m / 0.3) ** 2
@@ -84,7 +84,7 @@ def test_the_slope_is_the_derivative_of_the_boundary(barrier, d):
 
 
 def missed(barrier, e, moved, angle):
-    """Return the linear prediction of h minus h after this motion, m."""
+    """Return the linear prediction of h after a horizontal motion, minus the true h, m."""
     dx, dy = moved * math.cos(angle), moved * math.sin(angle)
     h, g, _ = barrier.evaluate(e, STILL)
     return h + g[0] * dx + g[1] * dy - barrier.h((e[0] + dx, e[1] + dy, e[2]))
@@ -103,7 +103,7 @@ def test_no_motion_misses_the_linear_prediction_by_more_than_is_said(barrier, e,
 
 @given(places, ways)
 def test_of_a_cone_some_motion_misses_by_all_that_is_said(d, moved):
-    """The barrier is so wide that it is a cone of slope 2; the three cases of the bound are continuous."""
+    """This wide barrier is a cone of slope 2; the bound is continuous between its three cases."""
     barrier = Barrier(1e-6, 2e6)
     worst = max(missed(barrier, (d, 0.0, 0.0), moved, math.pi * n / 2000) for n in range(2001))
     bound = barrier.linearisation_bound_m((d, 0.0, 0.0), moved)

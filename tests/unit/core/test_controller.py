@@ -1,4 +1,4 @@
-"""Tests the controller: a take-off by set-points and its ends, and an immediate landing on command."""
+"""Tests the controller: start of a flight, take-off by set-points and its failures, landing on command."""
 
 import pytest
 
@@ -23,7 +23,7 @@ TICK_S = 1.0 / CONFIG.loop.rate_hz
 
 
 class Bench:
-    """Runs ticks of a controller; the test sets vehicle state and status."""
+    """Runs ticks of a controller with vehicle state and status from the test."""
 
     def __init__(self):
         self.controller, self.tick = Controller(CONFIG), 0
@@ -37,7 +37,7 @@ class Bench:
         now_s = self.tick * TICK_S
         word = {"armed": False, "mode": Mode.HOLD, "landed": Landed.ON_GROUND, **said}
         status = VehicleStatus(now_s, word["armed"], word["mode"], word["landed"], True)
-        sway_m = 1e-4 * (self.tick % 2)  # small motion, because a real sensor never repeats a value
+        sway_m = 1e-4 * (self.tick % 2)  # a small motion, because a real sensor does not repeat its values
         own = OwnState(now_s, now_s, (xy[0] + sway_m, xy[1], z), velocity, 0.0)
         sample = TargetSample(
             now_s, now_s, "map", "target", (sway_m, 0.0, 0.2), (0.0, 0.0, 0.0), 0.0, 0.0
@@ -55,13 +55,13 @@ FLIES = {"armed": True, "mode": Mode.EXTERNAL, "landed": Landed.IN_AIR}
 
 
 def test_a_climb_is_sent_from_the_first_tick_and_stands_on_the_ground_without_complaint():
-    """PX4 needs a stream, then spools up and ramps; this delay does not count as not following."""
+    """PX4 first needs set-points, then spools up and ramps; meanwhile it need not follow the set-points."""
     bench = Bench()
     assert bench.wait().phase is Phase.TAKEOFF
     waits = bench.step()
     assert waits.request is Request.TAKEOFF
     assert waits.setpoint is not None
-    assert not bench.memory.lifting  # the rule for following is not active in another mode
+    assert not bench.memory.lifting  # outside external mode, the vehicle is not checked for following
     ramps = {"armed": True, "mode": Mode.EXTERNAL}
     sent = [bench.step(**ramps).setpoint.velocity_enu_m_s for _ in range(400)]
     assert bench.memory.lifting
@@ -72,7 +72,7 @@ def test_a_climb_is_sent_from_the_first_tick_and_stands_on_the_ground_without_co
 
 
 def standing(now_s, arrived):
-    """Return the inputs of a vehicle on the ground: the newest that have arrived by now."""
+    """Return the newest inputs of a vehicle on the ground at ``now_s``; ``arrived``: times of arrival, s."""
     own_s, status_s, target_s = (max((t for t in times if t <= now_s), default=None) for times in arrived)
     own = None if own_s is None else OwnState(own_s, own_s, (1.5, 0.0, 1e-4 * own_s), ZERO, 0.0)
     status = None
@@ -112,7 +112,7 @@ def test_it_takes_off_after_inputs_that_were_good_without_a_gap(own, status, tar
         if out.phase is not Phase.WAIT:
             began.append(tick * TICK_S)
             break
-    # the tolerance includes the target's delay
+    # the tolerance includes the delay of the target samples
     assert began == ([] if starts_s is None else [pytest.approx(starts_s, abs=0.06)])
 
 

@@ -1,4 +1,4 @@
-"""The gate rejects by default, and its limits are exact to the last float."""
+"""Tests that the gate rejects by default, and that its limits are exact to the last bit."""
 
 import copy
 import math
@@ -56,7 +56,7 @@ def ulps(value, count=5):
 
 
 class Plane(NamedTuple):
-    """A barrier whose value is the height, which shows the gate's arithmetic."""
+    """A barrier whose value is the height, so that the expected limits are simple."""
 
     bend_1_m: float = 0.0
 
@@ -125,7 +125,7 @@ def test_no_number_that_is_not_finite_passes(bad, name, axis):
 def test_no_place_or_target_that_is_not_finite_passes_whatever_the_filter_says(bad, axis, status):
     for barrier in (CONE, Plane(), RobustBarrier(CONE, 0.05, 0.06)):
         if isinstance(barrier, Plane) and axis != 2:
-            continue  # this case checks only the height
+            continue  # this barrier uses only the height
         for place, moving in ((bad, 0.0), (0.5, bad), (bad, bad)):
             e, target = [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]
             e[axis], target[axis] = place, moving
@@ -147,7 +147,7 @@ def test_the_box_ends_at_the_float(name, axis, sign):
 
 
 def test_a_corrected_set_point_answers_for_box_and_height_but_not_for_the_barrier():
-    """The flown velocity keeps the barrier; the set-point only produces that velocity."""
+    """The barrier limits the velocity to be flown; the set-point only produces this velocity."""
     level = (0.0, 0.0, 0.0)
     sinking = (0.0, 0.0, -0.5)
     assert check(level, setpoint=sinking, barrier_check=plane_check((1.0, 0.0, 0.0)))[0] is APPROVED
@@ -269,7 +269,7 @@ def test_the_stop_needs_to_know_where_it_is():
 
 
 def test_the_solvers_tolerance_covers_what_it_may_leave():
-    """The tolerance covers twice the rounding error of the solver."""
+    """The tolerance is twice the largest allowed residual of the solver."""
     assert SOLVER_TOLERANCE_M_S == 2.0 * RESIDUAL_MAX_M_S < 1e-5
 
 

@@ -37,7 +37,7 @@ boxes = st.tuples(sides, sides, sides).map(
 
 
 def project(*given):
-    """Return the exact projection; None: no point of the box meets the half-space."""
+    """Return the exact projection; None: no velocity within the limits meets the constraint."""
     point, multiplier = projected(*given)
     return None if multiplier == EMPTY else point
 
@@ -51,7 +51,7 @@ def dot(a, b):
 
 
 def by_active_sets(nominal, g, b, lower, upper):
-    """Return the nearest allowed point of all 54 combinations of active bounds, an independent projection."""
+    """Return the nearest allowed point of all 54 sets of active bounds: an independent projection."""
     best, least = None, math.inf
     for states in itertools.product((FREE, LOW, HIGH), repeat=3):
         for on_barrier in (False, True):
@@ -104,7 +104,7 @@ def test_exact_cases_of_the_projection():
     assert project((0.0, 0.5, 0.25), (0.0, 0.0, 1.0), 0.25, lower, upper) == (0.0, 0.5, 0.25)
     assert project(STILL, (0.0, 0.0, 1.0), 0.5, lower, upper) == (0.0, 0.0, 0.5)
     assert project(STILL, (1.0, 0.0, 1.0), 1.0, lower, upper) == (0.5, 0.0, 0.5)
-    assert project(STILL, (1.0, 1.0, 1.0), 3.0, lower, upper) == (1.0, 1.0, 1.0)  # only one corner remains
+    assert project(STILL, (1.0, 1.0, 1.0), 3.0, lower, upper) == (1.0, 1.0, 1.0)  # a single corner is allowed
     assert project(STILL, (1.0, 1.0, 1.0), math.nextafter(3.0, 4.0), lower, upper) is None
     assert project((-3.0, 0.0, 0.0), (1.0, 0.0, 0.5), 1.25, lower, upper) == (0.75, 0.0, 1.0)
     assert project((-3.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.5, lower, upper) == (-1.0, 0.0, 0.0)
@@ -151,7 +151,7 @@ def test_a_result_does_not_depend_on_what_was_solved_before():
             BOX,
         )
     again = used.solve(*asked)
-    assert again.velocity_enu_m_s == fresh.velocity_enu_m_s  # both results are equal to the last bit
+    assert again.velocity_enu_m_s == fresh.velocity_enu_m_s  # the results are equal to the last bit
     assert again.iterations == fresh.iterations
 
 
@@ -209,7 +209,7 @@ def test_the_multiplier_makes_the_projection_optimal(nominal, g, b, box):
     point, multiplier = projected(nominal, g, b, *box)
     assume(multiplier != EMPTY and math.isfinite(multiplier))
     for n, gi, x, lo, hi in zip(nominal, g, point, *box, strict=True):
-        pull = n + multiplier * gi - x  # towards a side of the box, only where it is active
+        pull = n + multiplier * gi - x  # multiplier of a limit; zero unless the limit is active
         assert pull == pytest.approx(0.0, abs=1e-9) or (x == lo and pull < 0.0) or (x == hi and pull > 0.0)
 
 
@@ -235,7 +235,7 @@ LOWER, UPPER, NOMINAL, GRADIENT = (-0.1, -0.2, -0.3), (0.4, 0.5, 0.6), (0.7, -0.
 
 
 def told(point, status=SOLVED, bound=-9.0, multiplier=0.25):
-    """Return the filter's result and solver data for this solution and status; the solver does not run."""
+    """Return the filter's result for a given solution and status of the solver, and the solver's inputs."""
     judged = SafetyFilter(0.7)
     solver = judged.osqp
     solver._calls, solver._status.value, solver._count.value = [], int(status), 35
@@ -251,7 +251,7 @@ def test_the_solver_is_asked_the_program():
     assert numbers[7] >= ext_builtin.OSQP_INFTY
     assert numbers[11:17] == [1.5, 1.0, -2.5, 1.0, 0.5, 1.0]
     assert numbers[17:20] == [0.1, 0.2, 0.3]
-    # u - u' - multiplier g + y = 0
+    # multipliers y from u - u' - multiplier g + y = 0
     assert numbers[20:] == pytest.approx([-0.25, 0.6 + 0.375, -1.0 - 0.625, 0.6 + 0.125])
 
 
@@ -275,7 +275,7 @@ def test_what_a_point_misses_the_barrier_by_is_its_residual():
     assert residual == pytest.approx(0.05)
     (_, residual, _), _ = told((0.1, 0.2, 0.3), bound=-0.25)
     assert residual == 0.0
-    # the barrier is evaluated at the point clipped to the box: (0.4, 0.2, 0.3) gives 0.25
+    # the residual is that of the point clipped to the limits, (0.4, 0.2, 0.3): g . u = 0.25
     (_, residual, _), _ = told((0.5, 0.2, 0.3), bound=0.75)
     assert residual == pytest.approx(0.5)
 

@@ -1,4 +1,4 @@
-"""Tests the check that a solution is exact, and the constraints that silent vehicles cause."""
+"""Tests that solutions of the fleet program are exact, and the constraints that silent vehicles cause."""
 
 import math
 import random
@@ -47,7 +47,7 @@ def test_nearly_all_programs_are_confirmed():
     assert unsure == 0
 
 
-# a tick of `fleet_3`: the slew leaves a small box, whose lower side is the nominal vertical velocity
+# a tick of `fleet_3`: the slew limit allows few velocities; the lowest vertical one is the nominal one
 IN_FLIGHT = (
     (0.23562030240347953, -1.0276756593002732, -0.14770333756579554),
     [
@@ -150,9 +150,9 @@ def test_where_a_silent_vehicle_is_taken_to_be_grows_by_its_drift_until_it_is_do
 @pytest.mark.parametrize(
     ("now_s", "away_m", "asked"),
     [
-        (1.5, 0.9, "no nearer"),  # this vehicle is inside the set of the silent vehicle's possible positions
+        (1.5, 0.9, "no nearer"),  # this vehicle is where the silent vehicle may be
         (1.5, 2.9, "outside"),
-        (9.0, 2.0, "lax"),  # the silent flight is over, and this vehicle is inside the set
+        (9.0, 2.0, "lax"),  # the silent vehicle has landed; this vehicle is where it may be
         (9.0, 9.0, "outside"),
     ],
 )
@@ -198,7 +198,7 @@ def way_of(own, members, heard, down=(), now_s=10.0):
         (1, (1, 2, 3), (2,), (), False),
         (3, (1, 2, 3), (), (), True),
         (1, (1, 2, 3), (), (), True),
-        (1, (1, 2), (), (), False),  # of two equally large parts, the part with the lowest id continues
+        (1, (1, 2), (), (), False),  # two parts of equal size: the part with the lowest id continues
         (2, (1, 2), (), (), True),
         (2, (1, 2), (), (1,), False),  # vehicle 1 has landed and may stop sending
         (3, (1, 2, 3, 4), (4,), (), True),
@@ -225,7 +225,7 @@ def test_who_may_meet_a_silent_vehicle_holds_back_while_that_may_fly():
         (0.1, asked),
         (FLEET.age_max_s + 0.1, (0.0, HELD_BACK_M_S, -1.0)),
         (FLEET.silent_flight_s - 0.1, (0.0, HELD_BACK_M_S, -1.0)),
-        (FLEET.silent_flight_s + 0.1, asked),  # the silent vehicle has landed
+        (FLEET.silent_flight_s + 0.1, asked),  # the silent vehicle must have landed
     ):
         nominal, rows = member.beside(Phase.APPROACH, own, ZERO, asked, (1.0, 1.0, 1.0), now_s)
         assert len(rows.rows) == 1

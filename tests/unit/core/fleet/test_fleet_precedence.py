@@ -39,7 +39,7 @@ AWAY = (5.0, 5.0, 0.0)
 
 
 def claimed(**keys):
-    """Return a member in its approach with a claim since 1 s, and this message of the other vehicle."""
+    """Return a member that claimed the pad at 1.0 s and received a message with these values at 1.2 s."""
     member = FleetMember(FLEET, 0.0)
     told = {"stamp_s": 1.2, "arrival_s": 1.2, "intent": Intent.WAITING, "pad_position_enu_m": ZERO, **keys}
     word = MemberStatus(7, position_enu_m=AWAY, velocity_enu_m_s=ZERO, wanted_enu_m_s=ZERO, **told)
@@ -52,13 +52,13 @@ def claimed(**keys):
     ("told", "may_land", "yields"),
     [
         ({}, True, False),  # the other vehicle has no claim
-        ({"stamp_s": 1.14}, False, False),  # the other vehicle may not have received this claim
+        ({"stamp_s": 1.14}, False, False),  # it may not have received this member's claim yet
         ({"stamp_s": 1.17, "clock_bound_s": 0.03}, False, False),
         ({"claim_s": 1.1, "yields_to": (3,)}, True, False),
         ({"claim_s": 1.1}, False, False),  # the younger claim has not yielded yet
         ({"claim_s": 0.9}, False, True),
         ({"claim_s": 1.0}, False, False),  # equal claims: the lower id has precedence
-        ({"claim_s": 0.9, "yields_to": (3,)}, True, False),  # both yield: the lower id gets the precedence
+        ({"claim_s": 0.9, "yields_to": (3,)}, True, False),  # both yield: the lower id gets precedence
         ({"claim_s": 1.1, "intent": Intent.LANDING}, False, True),
         ({"claim_s": 1.1, "intent": Intent.COMMITTED}, False, True),
         ({"claim_s": 0.9, "pad_position_enu_m": (0.9, 0.0, 0.0)}, True, False),  # the other pad is far away
@@ -143,7 +143,7 @@ def test_a_word_that_says_nothing_usable_is_refused_with_the_reason(keys, why):
 
 
 class Claimant:
-    """A vehicle that claims the pad at some time, lands when allowed, and is then carried away."""
+    """A vehicle that claims the pad from ``begins_s`` on, and lands when it is allowed to."""
 
     def __init__(self, fleet, begins_s):
         self.member, self.memory = FleetMember(fleet, 0.0), Memory(phase=Phase.TAKEOFF, climbed=True)
@@ -200,12 +200,12 @@ def test_no_two_land_on_one_pad_together_and_each_lands(seed, number, lost, boun
         assert all(each.memory.phase is Phase.LANDED for each in all_)
 
 
-# vehicle 9 is silent: it starts no landing and gets no right of way
+# vehicle 9 never sends a message
 SETTINGS = settings_of(3, (3, 7, 9), takeoff={"start_offset_m": [2.0, 0.0, 1.0]})
 EAST, UP, DOWN = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 CLEAR = {"abort_way": AbortWay.FLY_CLEAR}
 PHASES = [
-    (Phase.WAIT, {}, (2.0, 0.0, 1.5), None),  # a waiting vehicle does not move
+    (Phase.WAIT, {}, (2.0, 0.0, 1.5), None),  # a waiting vehicle hovers
     (Phase.TAKEOFF, {"climbed": True}, (0.0, 0.0, 1.2), EAST),
     (Phase.APPROACH, {}, (-2.0, 0.0, 1.2), EAST),
     (Phase.HOLD, {"started_s": 0.0}, (0.5, 0.0, 1.0), UP),
@@ -217,7 +217,7 @@ PHASES = [
 
 
 def flown(phase, keys, place, words):
-    """Return the velocity that the member commands in one tick of this phase, m/s."""
+    """Return the velocity, m/s, that vehicle 3 at ``place`` commands in one tick of this phase."""
     controller = Controller(SETTINGS)
     memory = controller.memory
     memory.phase, memory.was_armed, memory.was_external = phase, True, True
@@ -235,7 +235,7 @@ def flown(phase, keys, place, words):
 
 
 def beside(place, way, h_m):
-    """Return a hovering vehicle in the direction ``way`` of ``place``, where the barrier is ``h_m``."""
+    """Return a hovering vehicle in direction ``way`` from ``place``, at which the pair barrier is ``h_m``."""
     far_m = (0.75 if way[2] else 0.25) + (3.0 if way[2] else 1.0) * h_m
     at = tuple(p + far_m * w for p, w in zip(place, way, strict=True))
     return MemberStatus(7, 2 * DT_S, 2 * DT_S, at, ZERO, ZERO, intent=Intent.WAITING)
@@ -255,7 +255,7 @@ def test_a_neighbour_in_the_way_stops_each_phase_but_the_touchdown(phase, keys, 
     if phase is Phase.TOUCHDOWN:
         assert there == alone
         return
-    # half of the rate, for h without the errors of two positions
+    # the approach is slower than half of the decay rate of h allows, since positions may be wrong
     assert sum(a * w for a, w in zip(there, way, strict=True)) <= 0.02
     assert flown(phase, keys, place, [beside(place, way, 2.9)]) == alone  # the other vehicle is out of reach
     assert math.dist(flown(phase, keys, place, [beside(place, way, 1.5)]), alone) < 1e-6  # in reach

@@ -1,4 +1,4 @@
-"""Compares the program with several constraints with scipy; a member without a state sends no message."""
+"""Compares solutions of the fleet program, with several constraints, with those of scipy."""
 
 import math
 
@@ -57,7 +57,7 @@ def least_by_scipy(soft, firm, lower, upper):
 
 
 def met_nowhere(found, lower, upper):
-    """Whether no point of the box meets all constraints within the solver's error."""
+    """Whether no point within the velocity limits meets all constraints, within the solver's error."""
     more = [row._replace(bound_m_s=row.bound_m_s + AGREES_M_S) for row in found]
     return least_by_scipy(more, [], lower, upper) > 0.0
 
@@ -69,9 +69,9 @@ FLAT = [
     Row((0.5403023058681398, -0.8414709848078965, 0.0), 0.0),
 ]
 UNIT_BOX = ((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
-# a constraint that the best corner of the box violates by rounding
+# a constraint that the best corner of the limits violates by a rounding error
 ROUNDED, BESIDE = Row((1.0, -2.220446049250313e-16, 0.0), 0.5), ((-0.5, 0.5, -0.5), (0.5, 1.5, 0.5))
-# a constraint that touches the box only at x = 0; there it requires z >= 0 or, within rounding, nothing
+# a constraint that the limits meet only at x = 0; there it requires z >= 0, or nothing if z is rounded away
 LEVEL, AGAINST = Row((1.0, 0.0, 4.2e-145), 0.0), ((-0.04, -0.5, -0.5), (0.0, 0.5, 0.5))
 
 
@@ -89,7 +89,7 @@ def test_the_exact_solution_is_that_of_scipy(nominal, found, box):
     assert slack <= 2e-9
     point, multipliers = exact
     assert missing(found, lower, upper, point) <= 1e-8
-    # optimality: the gradients of active constraints and sides balance the objective's gradient
+    # optimality: gradients of the active constraints and limits balance the gradient of the objective
     rest = [n - p for n, p in zip(nominal, point, strict=True)]
     for row, multiplier in zip(found, multipliers, strict=True):
         assert multiplier >= 0.0
@@ -160,7 +160,7 @@ def test_without_a_place_for_all_the_neighbours_share_the_slack_evenly():
 def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
     firm, soft, box = Row((0.0, 0.0, 1.0), 2.0), Row((1.0, 0.0, 0.0), 2.0), ((-1.0,) * 3, (1.0,) * 3)
     assert least_slack([firm], [soft], *box)[0] == math.inf
-    # if rounding violates the firm constraint, the corner that raises h fastest is flown
+    # if a rounding error violates the firm constraint, the result is the corner that raises h fastest
     monkeypatch.setattr(program_module, "least_slack", lambda *_: (math.inf, (0.0, 0.0, 0.0)))
     found = PROGRAM.solve((0.0, 0.0, 0.0), [Row((0.0, 0.0, 1.0), 0.5)], [soft], *box)
     assert found.filter.velocity_enu_m_s[2] == 1.0
@@ -194,7 +194,7 @@ def test_velocity_out_of_the_cone_grows_by_half_of_what_the_rate_allows(d_m, azi
         return sum(g * (t - v) for g, t, v in zip(gradient[:2], target, velocity, strict=False))
 
     row = CONE.outward(h_m, gradient, before, target)
-    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # velocity component that meets the constraint
+    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # largest allowed decrease of h, m/s
     grows_m_s = OUTWARD_PART * CONE.period_s * CONE.rate_1_s * h_m / CONE.lag_s
     assert row.g == (*gradient[:2], 0.0)
     assert math.isclose(most_m_s, max(0.0, lowers_m_s(before)) + grows_m_s, abs_tol=1e-9)

@@ -20,7 +20,7 @@ from tests.examples import examples
 TICK_S = 0.02
 A, B = Fleet(3, (3, 7)), Fleet(7, (3, 7))
 FLYING = VehicleStatus(0.0, True, Mode.EXTERNAL, Landed.IN_AIR, True)
-# phases that may follow a phase; TOUCHDOWN follows only LAND, which the neighbours have received by then
+# phases that may follow a phase; TOUCHDOWN follows LAND, which the neighbours have received by then
 AFTER = {
     Phase.APPROACH: (Phase.APPROACH, Phase.LAND, Phase.HOLD),
     Phase.LAND: (Phase.LAND, Phase.APPROACH, Phase.TOUCHDOWN),
@@ -71,7 +71,7 @@ def test_the_shares_that_two_vehicles_fly_sum_to_one_or_more(seed, lost, slowest
         flown = [side.part for side in sides]
         down = [side.memory.phase in (Phase.TOUCHDOWN, Phase.LANDED) for side in sides]
         heard = all(side.member.memory.slots[0].message is not None for side in sides)
-        if heard and not all(down):  # the right of way keeps two descending vehicles apart
+        if heard and not all(down):  # the right of way prevents that both are down
             assert sum(flown) >= 1.0, (t_s, flown, [side.memory.phase for side in sides])
         for me, other, word in ((0, 1, words[1]), (1, 0, words[0])):
             if rng.random() < 0.1 * lost:
@@ -97,7 +97,7 @@ def test_the_barrier_is_convex_with_the_gradient_of_finite_differences(p, q):
     h_m, g = barrier(p, 0.25, 0.75)
     assert math.hypot(*g) <= 1.0 + 1e-12
     then_m, _ = barrier(tuple(a + b for a, b in zip(p, q, strict=True)), 0.25, 0.75)
-    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6  # slope 0 at the centre
+    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6  # gradient 0 at the centre
     if h_m > -0.2:
         for axis in range(3):
             ahead, back = list(p), list(p)
@@ -137,7 +137,7 @@ def test_a_vehicle_within_its_limits_never_jumps_and_one_that_lies_always_does(s
         p = p + 0.01 * v
         if told is not None and rng.random() < lost:
             continue
-        error = sigma_m * _towards(rng)  # the message contains a standard deviation
+        error = sigma_m * _towards(rng)  # the message reports this standard deviation
         says = MemberStatus(
             7, 0.01 * tick, 0.0, tuple((p + error).tolist()), tuple(v.tolist()), ZERO, sigma_m
         )
@@ -254,7 +254,7 @@ def test_what_the_others_are_told_of_each_phase(phase, keys, granted, landed, ex
     ("slot", "word", "now_s", "expected"),
     [
         (Heard(), word_of(), 0.1, HALF),
-        (Heard(), word_of(), A.age_max_s + 0.01, ALL),  # the vehicle is silent
+        (Heard(), word_of(), A.age_max_s + 0.01, ALL),  # the other vehicle is silent
         (Heard(), word_of(clock_bound_s=0.1), A.age_max_s - 0.05, ALL),
         (Heard(), word_of(yields_to=(3,)), 0.3, NONE),
         (Heard(), word_of(yields_to=(3,)), 0.31, HALF),

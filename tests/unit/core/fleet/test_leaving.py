@@ -1,4 +1,4 @@
-"""Tests one pad for several vehicles: after its landing each vehicle takes off and lands beside the path."""
+"""Tests one pad for several vehicles: after its landing a vehicle takes off, flies clear and lands."""
 
 import math
 from dataclasses import replace
@@ -37,8 +37,8 @@ def member(fleet=FLEET, **told):
         (replace(FLEET, frees_pad=False), Phase.LANDED, WAITS, False),
         (FLEET, Phase.LEAVE, WAITS, False),
         (FLEET, Phase.TOUCHDOWN, WAITS, False),
-        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # no claim: the other aborted or landed
-        (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": (0.3, 0.0, 0.0)}, False),  # claims another pad
+        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # no claim: it aborted or landed
+        (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": (0.3, 0.0, 0.0)}, False),  # another pad
         (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": None}, False),
         (FLEET, Phase.LANDED, {**WAITS, "stamp_s": 0.4}, False),  # the other vehicle is silent
     ],
@@ -61,7 +61,7 @@ def test_that_it_stays_though_others_wait_is_told_once():
 
 
 def claiming(fleet=FLEET, **told):
-    """Return a vehicle with a claim since 0.5 s, and this message of the other vehicle."""
+    """Return a member that claimed the pad at 0.5 s and received a message with these values at 1.0 s."""
     found = FleetMember(fleet, 0.0)
     found.permissions(Phase.APPROACH, HERE, 0.5)
     found.take([word(pad_position_enu_m=ZERO, **told)], 1.0)

@@ -1,4 +1,4 @@
-"""Computes the condition flags of one tick of the mission logic for given inputs."""
+"""Computes the condition flags of the mission logic in one tick, for given inputs."""
 
 from flightstack.core.fleet.precedence import ALONE
 from flightstack.core.memory import Memory
@@ -40,7 +40,7 @@ def tick(
     landed=Landed.IN_AIR, ready=True, operator=Operator.NONE, failed=False, follows=True, trusted=True,
     without=(), permissions=ALONE, charge=Charge.FIT,
 ):  # fmt: skip
-    """Return the flags of one tick; all inputs are good unless given."""
+    """Return the condition flags of one tick; the arguments replace single values of good inputs."""
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
     own = OwnState(now_s - own_age_s, 0.0, position, velocity, 0.0)
     status = VehicleStatus(now_s - status_age_s, armed, mode, landed, ready)

@@ -14,8 +14,7 @@ CALM = config(touchdown={"calm_wait_s": 12.0, "calm_speed_m_s": 0.05, "calm_heig
 
 
 def touches_s(settings):
-    """Return the time from the landing's start to the commit, and the lowest height above the pad
-    before it."""
+    """Return the time from the landing's start to phase TOUCHDOWN, s, and the lowest height in LAND, m."""
     world = World(settings)
     world.run(30.0, until=lambda w: w.phase is Phase.TOUCHDOWN)
     assert world.phase is Phase.TOUCHDOWN
@@ -39,7 +38,7 @@ def test_a_vehicle_that_is_on_the_pad_already_stays_there(height_m, waits):
 
 
 def goes_around(height_m=0.6, speed_m_s=0.1, **memory):
-    """Whether the descent above the centre of a target is aborted."""
+    """Whether a vehicle in phase TOUCHDOWN above the centre of the target goes around."""
     moving = (speed_m_s, 0.0, 0.0)
     at = tick(
         CALM, (0.0, 0.0, height_m), target_velocity=moving, velocity=moving,

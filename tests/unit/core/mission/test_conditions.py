@@ -33,10 +33,10 @@ def test_when_all_is_well():
         ({"without": ("target",)}, {"TARGET_LOST"}, {"READY", "TARGET_KNOWN"}),
         ({"without": ("status",)}, {"LINK_LOST"}, WELL - {"RETRIES_LEFT", "TARGET_KNOWN"}),
         ({"landed": Landed.ON_GROUND, "e": (1.0, 0.0, 0.0)}, {"STANDING"}, set()),
-        # PX4 is disarmed in external mode after a landing by set-points: this is not part of the flight
+        # PX4 remains in external mode when disarmed after a landing by set-points: WAS_EXTERNAL is clear
         ({"armed": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL"}),
         ({"armed": False, "ready": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL", "READY"}),
-        ({"ready": False}, set(), set()),  # "not ready to arm" changes nothing for an armed vehicle
+        ({"ready": False}, set(), set()),  # "not ready to arm" has no effect on an armed vehicle
         ({"mode": Mode.HOLD}, set(), {"EXTERNAL", "WAS_EXTERNAL"}),
     ],
 )
@@ -163,7 +163,7 @@ def test_the_papers_touchdown_rule():
     wide = starting("paper", touchdown={"height_m": 0.2, "pad_radius_m": 0.05})
     assert touch(wide, (0.049, 0.0, 0.15))
     assert not touch(wide, (0.051, 0.0, 0.15))
-    # touchdown does not depend on speed and uncertainty
+    # the rule does not depend on velocity and uncertainty
     assert touch(PAPER, (0.0, 0.0, 0.049), velocity=(0.4, 0.0, 0.0), sigma_m=1.0)
 
 

@@ -99,7 +99,7 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
         assert found.velocity[:2] == pytest.approx(
             [v - gain * x for v, x in zip(MOVING[:2], e[:2], strict=True)]
         )
-        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # first it flies over the ring, at its height
+        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # there it flies higher by the barrier's peak
         above = e[2] - r.wait_height_m - (BARRIER.peak_height_m if far else 0.0)
         rising = found.velocity[2] - MOVING[2]
         if above > 0.0:
@@ -112,7 +112,7 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
 
 def test_holding_is_standing_still_or_following_what_was_followed_and_rising():
     assert asked(Phase.HOLD, PAPER, memory=Memory(started_s=1.0)) == Command(Request.EXTERNAL, ZERO)
-    assert asked(Phase.HOLD, ROBUST) == Command(Request.EXTERNAL, ZERO)  # no landing has started, so no climb
+    assert asked(Phase.HOLD, ROBUST) == Command(Request.EXTERNAL, ZERO)  # no climb: no landing has started
     assert asked(Phase.HOLD, ROBUST, memory=Memory(started_s=1.0), target=False) == Command(
         Request.EXTERNAL, ZERO
     )
@@ -160,7 +160,7 @@ def test_flying_clear_is_up_then_away_then_down():
     assert clearing((0.3, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))
     away = clearing((-0.3, -0.4, top))[0].velocity
     assert away == pytest.approx((-0.6 * vx, -0.8 * vx, 0.0))
-    assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # every direction is valid
+    assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # any direction is valid
     far = ROBUST.checks.clearance_m
     there, memory = clearing((0.0, -far - 1e-6, 0.1))
     assert there == Command(Request.LAND)
@@ -170,7 +170,7 @@ def test_flying_clear_is_up_then_away_then_down():
 
 
 def test_it_does_not_land_while_it_closes_in():
-    """The vehicle's residual motion counts, and the motion of the target until the vehicle is down."""
+    """The distance to the target includes the motion of both until the vehicle has landed."""
     vx, vy, vz = ROBUST.limits.velocity_max_m_s
     far, lag_s = ROBUST.checks.clearance_m, ROBUST.velocity_loop.lag_xy_s
     z = 0.3 - PAD[2]  # 0.3 m above the origin
@@ -184,7 +184,7 @@ def test_it_does_not_land_while_it_closes_in():
     assert clearing((0.0, -reach_m + 1e-6, z), followed)[0] == Command(Request.EXTERNAL, (0.0, -vy, vz))
     assert clearing((0.0, -reach_m - 1e-6, z), followed)[0] == Command(Request.LAND)
     assert clearing((0.0, far + 1e-6, z), followed)[0] == Command(Request.LAND)  # the target drives away
-    # The target passes at 0.9 of the clearance before the vehicle is down.
+    # before the vehicle is down, the target passes at 0.9 times the clearance
     assert clearing((0.9 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0].request is Request.EXTERNAL
     assert clearing((1.1 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0] == Command(Request.LAND)
 

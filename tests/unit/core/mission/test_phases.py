@@ -120,7 +120,7 @@ BLOCKS = blocks()
 
 
 class Word(dict):
-    """Sets of condition flags: ``word["armed"]`` is one boolean per set. ``asked``: flags that were read."""
+    """Sets of condition flags: ``word["armed"]`` has a boolean for each set; ``asked``: flags read so far."""
 
     def __init__(self, words):
         self.words, self.asked = words, 0
@@ -163,7 +163,7 @@ def expected(phase, words):
 
 
 def leads_to(phase, asked=0, unless=0):
-    """Return the next phases of all sets with the flags ``asked`` and without ``unless``; None: no change."""
+    """Return the next phases of all sets that contain ``asked`` but not ``unless``; None: no change."""
     words = everything(phase)
     found, outcomes = expected(phase, words[(words & asked == asked) & (words & unless == 0)])
     return {outcomes[number][0] for number in np.unique(found)}
@@ -203,7 +203,7 @@ def test_nothing_leaves_the_end_but_for_another_vehicle():
 
 
 def reachable(start, unless=0):
-    """Return the phases that some sequence of sets without these conditions can reach."""
+    """Return the phases that can follow ``start``, at once or later, while ``unless`` is clear."""
     found, new = set(), {start}
     while new:
         phase = new.pop()

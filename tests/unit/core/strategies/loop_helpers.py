@@ -1,4 +1,4 @@
-"""A second-order velocity loop that replaces the vehicle: it flies references and follows a target."""
+"""A second-order velocity loop in place of the vehicle, which flies references or follows a target."""
 
 import numpy as np
 from scipy.linalg import expm
@@ -35,7 +35,7 @@ class Plant:
 
 
 def flown(references, plant, tracking=None, most=WIDE):
-    """Fly references tick by tick; return the tracker, set-points and velocities."""
+    """Fly velocity references tick by tick; return the tracker, set-points and flown velocities."""
     tracking = tracking or VelocityTracking(LOOP, T_S)
     before, setpoints, velocities = references[0], [], []
     for reference in references:
@@ -70,8 +70,8 @@ def fed_back(**sections):
 def flown_behind(settings, factor, accelerations, errors=None, start_m=0.0):
     """Return positions relative to the target, m, tick by tick, from rest at ``start_m``.
 
-    ``factor``: rate of the vehicle's velocity loop divided by the declared rate; ``accelerations`` of the
-    target, m/s^2; ``errors`` of the commanded velocity, m/s.
+    ``factor``: rate of the vehicle's velocity loop divided by the declared rate; ``accelerations``: of the
+    target, m/s^2; ``errors``: of the wanted velocity, m/s.
     """
     errors = np.zeros(len(accelerations)) if errors is None else errors
     period_s, gain = 1.0 / settings.loop.rate_hz, settings.robust.gain_over_pad_1_s

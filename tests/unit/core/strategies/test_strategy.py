@@ -75,7 +75,7 @@ def test_what_is_no_name_is_refused_with_what_is_allowed(name):
     ],
 )
 def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
-    settings = config(name)  # the name has a valid form, and no module is imported yet
+    settings = config(name)  # the name is valid, and its module is not imported yet
     for use in (strategy_of, checks, problems):
         with pytest.raises(ConfigError, match=why):
             use(settings)
@@ -84,7 +84,7 @@ def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
 def test_reading_a_configuration_or_a_log_imports_nothing_from_outside(outside, capsys):
     settings = config("outside:Picky")
     assert packaged_strategy_of(settings) is None
-    with pytest.raises(ConfigError, match="cannot be imported"):  # a log names a module that is not here
+    with pytest.raises(ConfigError, match="cannot be imported"):  # as for a log whose filter is not installed
         strategy_of(settings)
     assert "outside" not in sys.modules
     assert capsys.readouterr().out == ""

@@ -19,7 +19,7 @@ def turned(velocity, angle_rad):
     return c * x - s * y, s * x + c * y, z
 
 
-# received velocity as a function of true velocity, heading and time
+# reported velocity as a function of true velocity, heading and time
 WRONG = {
     "world frame": lambda v, yaw, t: turned(v, yaw),
     "heading off by half a turn": lambda v, yaw, t: turned(v, math.pi),
@@ -55,7 +55,7 @@ def test_a_velocity_that_the_positions_contradict_is_soon_noticed(fault, yaw):
     noticed_s = next(
         t for t, track, _ in drive(Checks(), 4.0, yaw=yaw, says=WRONG[fault]) if track.memory.distrusted
     )
-    # the difference is 0.1 m with a time constant of 0.2 s; 0.1 m/s decays with 2 s in the meantime
+    # limit: 0.1 m after a low-pass of 0.2 s; the difference, which grows by 0.1 m/s or more, decays with 2 s
     assert noticed_s < (2.0 if fault in ("half", "climbs", "flips every other second") else 1.3)
 
 
@@ -97,7 +97,7 @@ PERIOD_S = 0.02
 
 
 def believed_s(seconds, speed_m_s, *, flies, moves_m=0.0):
-    """Return the time until a vehicle state whose position moves by ``moves_m`` per period is rejected, s."""
+    """Return the time until the state is rejected, s; its position moves by ``moves_m`` in each period."""
     watched, age_s = Plausibility(CONFIG), CONFIG.checks.own_age_max_s
     for k in range(round(seconds / PERIOD_S)):
         at_s = PERIOD_S * k
@@ -109,7 +109,7 @@ def believed_s(seconds, speed_m_s, *, flies, moves_m=0.0):
 
 @pytest.mark.parametrize("speed_m_s", [0.0, 0.002, 0.02, 0.049])
 def test_a_vehicle_at_rest_repeats_its_numbers_for_as_long_as_it_likes(speed_m_s):
-    if speed_m_s < 0.03:  # faster motion contradicts the velocity in the long run
+    if speed_m_s < 0.03:  # a higher velocity contradicts the constant position in the long run
         assert believed_s(60.0, speed_m_s, flies=False) == 60.0
     assert believed_s(1.0, speed_m_s, flies=False) == 1.0
 
