@@ -18,7 +18,7 @@ from bridge.zenoh.zenoh_link import open_session
 
 PERIOD_S = 0.02
 RADIUS_M = 1.0
-PAD_HEIGHT_M = 0.2  # height of a TurtleBot3 Burger with a pad on top
+PAD_HEIGHT_M = 0.2  # height of a TurtleBot3 Burger with a pad on top, m
 
 options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 options.add_argument("--key", default="cf1/target/odom")

@@ -68,7 +68,7 @@ class Watch:
         self.new_steps: list[ControllerStepRow] = []  # steps of the last poll
         self.new_timings: list[LoopTimingRow] = []  # loop timings of the last poll
         self.refused = 0  # number of samples with a type that is wrong for their key
-        self._step_s, self._health_s = clock(), -math.inf  # arrival times, s; before a first step: start time
+        self._step_s, self._health_s = clock(), -math.inf  # arrival times; before a first step: start time
 
     def poll(self) -> None:
         """Read the samples that have arrived."""

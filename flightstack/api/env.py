@@ -28,10 +28,10 @@ from logs.verdict.types import VIOLATION_LIMIT_M, Outcome
 from sim.runners.landing import Companion, Flights, warm_up
 from sim.scenarios.scenario import Scenario
 
-# Rewards. That of a tick is small compared with that of the approach; else an agent learns to crash early.
+# The cost of a tick is small compared with the reward for the approach; else an agent learns to crash early.
 APPROACH_REWARD_1_M = 10.0  # reward for each metre by which the distance to the landing spot decreases
-STEP_REWARD = -0.001  # reward of each tick
-VIOLATION_REWARD = -0.1  # reward of each tick with a negative barrier value outside the pad
+STEP_REWARD = -0.001  # reward for each tick
+VIOLATION_REWARD = -0.1  # reward for each tick with a negative barrier value outside the pad
 END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}  # reward at the end, by outcome
 OTHER_END_REWARD = -5.0
 _SPEED_FAR_M = 1e3  # bound of each observed value, m or m/s
@@ -78,7 +78,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
             raise ConfigError(f"filter: found {filter!r}, allowed: None, {', '.join(map(repr, FILTERS))}")
         self.render_mode = render_mode
         self.scenario = single(scenario, changes, filter or "paper")
-        self._enforces = filter is not None  # whether the barrier is enforced; False: only the limits
+        self._enforces = filter is not None  # whether the barrier is enforced, besides the limits
         most = np.array(self.scenario.onboard.limits.velocity_max_m_s)
         self.action_space = spaces.Box(-most, most, dtype=np.float64)
         self.observation_space = spaces.Box(-_SPEED_FAR_M, _SPEED_FAR_M, (13,), np.float64)

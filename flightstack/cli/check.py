@@ -86,7 +86,7 @@ class Part(NamedTuple):
 
     filter: str
     checks: Sequence[Check]
-    members: Mapping[str, Sequence[str]]  # names of the vehicles for the JSON object; empty: one only
+    members: Mapping[str, Sequence[str]]  # names of the vehicles for the JSON object; empty: one vehicle
     of: str  # names of the vehicles, for a title
     ignored: Sequence[str]  # keys that the filter does not read
 

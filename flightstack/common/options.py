@@ -38,7 +38,7 @@ class Option:
     path: str = "any"  # allowed kind of path: any, file or folder
     exists: bool = False  # whether the path has to exist
     read: Callable[[Any], Any] | None = None  # function that converts the text, or all texts of a Mapping
-    bare: str | None = None  # value if the name is given without a value
+    bare: str | None = None  # value of the option if only its name is given
     variable: str | None = None  # environment variable that is read if the option is not given
 
     @property

@@ -28,14 +28,14 @@ from typing import NamedTuple
 
 from flightstack.common.hangup import never_wait
 
-EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, zero of simulated clocks
+EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, Unix time at zero of simulated clocks
 RUN_AHEAD_TICKS = 20  # maximum number of ticks by which a robot is simulated ahead of its vehicle
 NO_GO = -1  # second value of a credit: the robot must not drive yet
 # wall time without a message after which the onboard process counts as dead in lockstep, s: on a busy
 # computer a running process may wait for the processor for many seconds
 COMPANION_SILENT_S = 20.0
 _SAID_S = 10.0  # waiting time after which a text reports the wait, s
-_LOOK_MAX_S = 0.1  # maximum time that a wait counts between two polls, s
+_LOOK_MAX_S = 0.1  # maximum time between two polls that counts as waiting time, s
 # priority under SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's threads
 PRIORITY = 10
 _DAY_NS = 86_400_000_000_000
@@ -79,7 +79,7 @@ class Tick(NamedTuple):
     now_s: float  # time on the stack's clock
     unix_ns: int  # time on the system clock, ns since 1970
     period_s: float  # time since the previous tick (in lockstep: wall time); 0 for the first tick
-    lateness_s: float  # delay of the tick after its deadline; 0 in lockstep
+    lateness_s: float  # delay of the start of the tick after its deadline; 0 in lockstep
     overruns: int = 0  # number of missed deadlines so far
 
 
@@ -126,7 +126,7 @@ class RealTimePacer:
         self.overruns = 0  # number of missed deadlines so far
         self._clock = clock
         self._start_s = clock.monotonic()
-        self.unix_start_ns = clock.unix_ns()  # Unix time at zero of the stack clock
+        self.unix_start_ns = clock.unix_ns()  # Unix time at zero of the clock of the ticks
         self._next = 0  # number of the next deadline
         self._ticks = 0
         self._last_s: float | None = None

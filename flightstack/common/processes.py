@@ -102,7 +102,7 @@ class Child:
         self._read: list[str] = []  # lines that were read together with the line ``ready``, after it
 
     def yield_to_others(self, steps: int) -> None:
-        """Lower the priority of the process, so that it does not delay the flight."""
+        """Raise the niceness of the process to ``steps``, so that it does not delay the flight."""
         with contextlib.suppress(OSError):  # after a failure the priority is unchanged
             os.setpriority(os.PRIO_PROCESS, self.pid, steps)
 
@@ -125,7 +125,7 @@ class Child:
         raise LaunchError(f"{self.name} did not start: {why}", code)
 
     def lines(self, timeout_s: float) -> list[str]:
-        """Return the complete lines of output that arrive within a time."""
+        """Return the complete lines of output that arrive within ``timeout_s``."""
         assert self.process.stdout is not None
         read, self._read = self._read, []
         if select.select([self.process.stdout], (), (), 0.0 if read else timeout_s)[0]:

@@ -91,7 +91,7 @@ class Launcher(contextlib.ExitStack):
         return child
 
     def hint(self, line: str, style: str | None = "dim") -> None:
-        """Print a line for the operator; by default it is dim, as it is no event of the flight."""
+        """Print a line for the operator; by default dim, because it is no event of the flight."""
         self.console.print(line, style=style, soft_wrap=True)
 
     def record(self, log: Path) -> None:

@@ -37,7 +37,7 @@ _ARDUPILOT_TCP = 5760  # TCP port of SERIAL0 of instance 0; the next instance ha
 
 
 class Run(NamedTuple):
-    """A run of ``sitl``, whose processes are started in the order of their connections."""
+    """A run of ``sitl``: the data that the functions for the kinds of vehicles need."""
 
     launcher: Launcher
     options: RunOptions
@@ -114,7 +114,7 @@ def _px4(run: Run) -> Flying:
 
 
 def _px4_sih(run: Run) -> Flying:
-    """Start PX4 and its simulation-in-hardware of a 1 kg quadrotor."""
+    """Start PX4 with its built-in simulation (SIH) of a 1 kg quadrotor."""
     from sim.px4.airframe import SAFE_PARAMETERS
 
     number = free_instance() if run.options.instance is None else run.options.instance

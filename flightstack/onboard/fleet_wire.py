@@ -52,7 +52,7 @@ DRIFT_PPM = 1000
 class Offset(NamedTuple):
     """Offset of this process's clock from that of another process."""
 
-    ns: int  # estimate of this clock minus the other clock
+    ns: int  # estimate of the time on this clock minus that on the other clock
     bound_ns: int  # bound of the error of ``ns``
 
 
@@ -275,7 +275,7 @@ class FleetWire:
             return None
         if not row.claims:
             member.claim_ns, member.claim_s = None, math.nan
-        elif row.claim_ns != member.claim_ns:  # a new claim, converted once, so that its bits do not change
+        elif row.claim_ns != member.claim_ns:  # a new claim is converted once, so that its bits remain equal
             member.claim_ns = row.claim_ns
             member.claim_s = (row.claim_ns + offset.ns - self._epoch_ns) / 1e9
         stamp_s = (row.stamp_ns + offset.ns - self._epoch_ns) / 1e9

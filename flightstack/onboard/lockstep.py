@@ -45,7 +45,7 @@ class VehicleTicks(LinkedVehicle):
         super().__init__(link, lockstep=True)
         self._rate_hz, self._stopped = rate_hz, stopped
         self._last_ns = -1  # simulated time of the newest request
-        self._began_s: float | None = None  # wall time of the newest tick
+        self._began_s: float | None = None  # wall time of the newest tick, s
 
     def passed(self, sim_ns: int) -> None:
         """Record the simulated time of the last tick of a batch."""

@@ -108,7 +108,7 @@ class Runner:
     ) -> None:  # fmt: skip
         self._controller, self._wires, self._leaving, self._write = controller, wires, leaving, write
         self._landing = False
-        self._now_s = 0.0  # stack clock at the newest tick
+        self._now_s = 0.0  # time of the newest tick on the stack's clock
 
     def fly(self, failed: Callable[[str], None]) -> Ended:
         """Fly until the flight is over or an error occurs, then release the vehicle.

@@ -41,7 +41,7 @@ class ZenohWires:
         self._lockstep, file = options.lockstep, options.zenoh_config
         if options.lockstep and not target.is_direct:
             raise ValueError(f"--target {target.text}: in lockstep it is a Zenoh key of the simulated target")
-        # session of the flight
+        # session for all data except ROS 2 topics
         self.session = zenoh_link.open_session(
             options.listen, options.connect, config_file=file, prompt=not options.lockstep,
             lockstep=options.lockstep,
@@ -56,7 +56,7 @@ class ZenohWires:
             self._alarms.append(ConnectionAlarm(self._sessions[-1], [ros2], zenoh_link.Role.CLIENT))
             self._shown = LiveRos2(self._sessions[-1], options.ros_domain, namespace, rate_hz)
         where = self.session if target.dialect is Dialect.PLAIN else self._sessions[-1]
-        # samples of the target
+        # source of the target's samples
         self.odometry = TargetSource(
             where, target, checks.target_frame, checks.target_child_frame, config.target,
             lossless=options.lockstep,
