@@ -48,7 +48,7 @@ class Command(NamedTuple):
 class VelocityCommand(Situation):
     """Velocity command of each tick; ``memory`` has the last one."""
 
-    program: SafetyFilter  # quadratic program of the landing
+    program: SafetyFilter  # quadratic program of the landing, without neighbours
     gate: Gate
     slew_step: Vec3  # largest velocity change per tick on each axis, m/s
     up_step_m_s: float  # largest upward velocity change per tick that the thrust reserve allows
@@ -63,7 +63,7 @@ class VelocityCommand(Situation):
         x, y, z = strategy.acceleration_max_m_s2
         self.slew_step = (x * period_s, y * period_s, z * period_s)
         self.up_step_m_s, self.crowded = math.inf, False
-        self.rows: Rows = NO_ROWS  # constraints by the neighbours in this tick
+        self.rows: Rows = NO_ROWS  # constraints that neighbours put on the velocity in this tick
         lag_s = max(config.velocity_loop.lag_z_s, period_s)
         self._cone = Cone(strategy.rate_1_s, config.barrier.slope_max, lag_s, period_s)
 

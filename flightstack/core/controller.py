@@ -115,7 +115,7 @@ class Controller:
     @property
     def state(self) -> State:
         """Controller state. The next step changes these objects, so log or copy them before it."""
-        self._state.memory = self.memory  # compiled code copies its state back
+        self._state.memory = self.memory  # in compiled ticks this access copies the state to Python
         return self._state
 
     def restore(self, state: State) -> None:
@@ -158,7 +158,7 @@ class Controller:
             wanted=wanted,
             transition=transition,
             events=tuple(events),
-            # a fleet member continues until all other members are down
+            # a fleet member continues until ``over`` allows it to stop sending
             finished=self._mission.finished(inputs.status, now_s) and fleet.over(in_phase_s, now_s),
             target_accepted=self.track.memory.accepted,
             target_rejected=self.track.memory.rejected,

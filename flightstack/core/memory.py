@@ -20,8 +20,8 @@ class AbortWay(IntEnum):
 
     NONE = 0
     MOTORS_OFF = 1  # motors off immediately: emergency stop
-    HANDS_OFF = 2  # no commands are sent: another client controls the vehicle, or it never flew
-    LAND_HERE = 3  # landing by the autopilot: the position of vehicle or target is unknown
+    HANDS_OFF = 2  # no commands are sent: another client controls the vehicle, or its motors are off
+    LAND_HERE = 3  # landing by the autopilot: the vehicle cannot or must not fly clear
     FLY_CLEAR = 4  # climb, fly clear of the target, then land
 
 
@@ -80,7 +80,7 @@ class TrackMemory(ClockMemory):
     # newest of the samples that agree with each other after a jump
     elsewhere: Annotated[TargetSample | None, UNSEEN] = None
     elsewhere_since_s: float = 0.0  # arrival time of the first of these samples, s
-    drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
+    drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain, m
     drift_smooth_m: Vec3 = ZERO  # ``drift_m`` without the noise of single samples
     distrusted: bool = False  # whether positions and velocity contradict each other
     distrusts: int = 0  # number of times in this flight that positions contradicted the velocity
@@ -128,7 +128,7 @@ class PlausibilityMemory:
     moved_s: float = 0.0  # arrival time of the newest state with a changed position or not in flight, s
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
     distrusted: bool = False
-    missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity
+    missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity, m
 
 
 @dataclass(slots=True)
@@ -188,7 +188,7 @@ class Heard:
     claim_s: float = nan  # time stamp of the neighbour's claim for which ``yields`` was decided, s
     yielded_s: float = -inf  # time of the last announcement of yielding, s
     on_pad: bool = False  # whether the neighbour stands on this vehicle's pad, by its newest message
-    faster_m_s2: Vec3 = ZERO  # smoothed acceleration of the neighbour's velocity command
+    faster_m_s2: Vec3 = ZERO  # smoothed rate of change of the neighbour's velocity command
     jumped_m: Vec3 = ZERO  # sum of the neighbour's position jumps beyond the reachable set, m
 
 

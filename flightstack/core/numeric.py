@@ -152,7 +152,7 @@ def hypot_is_known() -> bool:
     return all(_hypot(x, y) == math.hypot(x, y) for x in numbers for y in numbers)
 
 
-# replacements in compiled code for functions that compilers lack, or compute with other last bits
+# replacements, in compiled code, of functions that cannot be compiled or have other last bits there
 STAND_INS: dict[Callable[..., Any], Callable[..., Any]] = {
     math.hypot: _hypot,
     norm: _length,

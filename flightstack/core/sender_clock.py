@@ -99,7 +99,7 @@ class SenderClock:
         if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also rejects NaN
             return Reading.UNUSABLE
         if stamp_s > memory.stamp_s:
-            # earlier samples may come from a queue that is being emptied
+            # before this time, samples may come from a queue that is being emptied
             known = arrival_s - memory.began_s >= self._proof_s
             if known and transit_s < memory.floor_s - self.ahead_max_s:
                 reading = Reading.AHEAD
@@ -163,7 +163,7 @@ class SenderClock:
         else:
             before_s = m.run_arrival_s if m.run_since_s < math.inf else m.taken_s
             silent = arrival_s - before_s > GAP_MAX_S
-            began = silent and transit_s - m.offset_s > QUEUE_MAX_S  # longer than a queue after a pause
+            began = silent and transit_s - m.offset_s > QUEUE_MAX_S  # later than by any queue after a pause
             sure = began or reading in (Reading.AHEAD, Reading.OUT_OF_ORDER)
             m.run_since_s, m.run_way_s, m.run_sure = arrival_s, transit_s, sure
             if silent and m.stamp_s - stamp_s > self._reboot_s:

@@ -47,7 +47,7 @@ class Snapshot(NamedTuple):
     relative: Relative | None  # vehicle relative to target; ``None`` unless both are known
     follows: bool = True  # whether the vehicle follows the commanded velocity
     charge: Charge = Charge.FIT  # state of the battery; FIT without a table [reserve]
-    permissions: Permissions = ALONE  # from the fleet; a vehicle alone has all of them
+    permissions: Permissions = ALONE  # permissions by the fleet; a vehicle alone has all
     # whether ``target`` has the velocity of its positions, because its reported velocity is not trusted
     target_placed: bool = False
 

@@ -24,7 +24,7 @@ class Phase(IntEnum):
     LAND = 3  # descend in the cone over the pad, filtered; not the autopilot's landing
     TOUCHDOWN = 4  # descend straight to contact, then switch the motors off
     LANDED = 5  # the heartbeat reports that the motors are off after a touchdown
-    HOLD = 6  # stop, because an input is lost
+    HOLD = 6  # wait with the filter's hold velocity, because an input is lost
     CLIMB = 7  # climb above the target, because the input remains lost
     ABORT = 8  # end the flight as ``AbortWay`` defines
     LEAVE = 9  # free the pad for another vehicle: take off again, fly clear, land beside the target

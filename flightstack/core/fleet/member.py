@@ -43,7 +43,7 @@ FUTURE_MAX_S = 0.05  # largest time by which a stamp, minus its clock error, may
 FLIGHTS_OF_OTHERS = 2.0
 REPORTED_M_S = 0.005  # smallest relaxation of the neighbours' constraints that is reported, m/s
 STEADY_S = 1.0  # time without relaxed constraints after which the end of the relaxation is reported, s
-HELD_BACK_M_S = 0.3  # largest speed on x and on y inside the reachable set of a silent vehicle, m/s
+HELD_BACK_M_S = 0.3  # largest speed on each horizontal axis in a silent vehicle's reachable set, m/s
 STAYS_S = 5.0  # time after a landing until an event reports that this vehicle blocks a requested pad, s
 
 

@@ -57,7 +57,7 @@ class Estimate(NamedTuple):
 
 
 def barrier(p_m: Vec3, radius_xy_m: float, radius_z_m: float, *, first: bool = True) -> tuple[float, Vec3]:
-    """Return value (m) and gradient of the barrier function; ``p_m``: as p in the module."""
+    """Return value (m) and gradient of the barrier function; ``p_m``: offset from the other vehicle."""
     x, y, z = p_m
     flat = radius_xy_m / radius_z_m
     far_m = math.sqrt(x * x + y * y + flat * flat * z * z)  # rho times r_xy
@@ -88,7 +88,7 @@ def jump(before: MemberStatus, message: MemberStatus, fleet: Fleet) -> Vec3:
     gone_s = message.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = message.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
     away = x, y, z = x - px - v[0] * gone_s, y - py - v[1] * gone_s, z - pz - v[2] * gone_s
-    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # true for most messages
+    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # the usual case, which needs no growth
         return ZERO
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     clocks_s = before.clock_bound_s + message.clock_bound_s

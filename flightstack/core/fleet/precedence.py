@@ -32,7 +32,7 @@ class Permissions(NamedTuple):
 
     may_begin: bool = True  # whether every other member sends messages, or is down
     may_land: bool = True  # whether this vehicle has the right of way
-    may_touch: bool = True  # whether the other members have received that this vehicle does not give way now
+    may_touch: bool = True  # whether the other members had enough time to receive the intent COMMITTED
     waited: bool = False  # whether this vehicle has waited too long for the right of way
     text: str = ""  # reason with member ids: no message, no right of way, or a request for the pad
     pad_wanted: bool = False  # whether this vehicle must leave the pad, because another member waits for it

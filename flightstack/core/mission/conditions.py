@@ -171,7 +171,7 @@ def time_flags(s: Situation, now_s: float) -> int:
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
-    """Whether, after all inputs became good, states arrived for ``recovery_time_s``, and a heartbeat.
+    """Whether, since all inputs are good, states arrived for ``recovery_time_s`` and a heartbeat arrived.
 
     An input that arrives rarely, or in bursts, counts as good until it is too old.
     """
@@ -248,7 +248,7 @@ def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_
     descends = memory.phase is Phase.TOUCHDOWN and not memory.contact
     swings = False
     if memory.phase is Phase.LAND and may_land and may_touch and strategy.watches_swinging:
-        # the vehicle oscillates: it leaves the cone over the pad too often, or its error does not shrink
+        # the vehicle oscillates: it leaves the cone over the pad too often, or stays in it for too long
         waited_s = now_s - max(memory.phase_since_s, memory.started_s + touchdown.calm_wait_s)
         leaves = memory.swings >= s.config.checks.swings_max
         swings = waited_s > s.config.checks.over_pad_time_max_s if over_pad else leaves

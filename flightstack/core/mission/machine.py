@@ -95,11 +95,11 @@ def masks(phases: Collection[Phase]) -> NDArray[np.int64]:
     return found
 
 
-_MASKS = masks(ORDINARY)  # ``TABLE`` for compiled code
+_MASKS = masks(ORDINARY)  # ``TABLE`` as an array, for compiled code
 
 
 class Transition(NamedTuple):
-    """A phase transition."""
+    """Change of the phase, or of the kind of abort."""
 
     before: Phase  # phase before the transition
     after: Phase  # phase after the transition; equal to ``before`` if only the kind of abort changes

@@ -32,13 +32,13 @@ class Condition(IntEnum):
     OWN_LOST = 1 << 2  # the vehicle state is missing, too old or implausible
     LINK_LOST = 1 << 3  # the heartbeat is missing or too old
     TARGET_LOST = 1 << 4  # the target state is missing, too old or implausible
-    READY = 1 << 5  # inputs and battery are good; the vehicle is armed or ready to arm; the fleet may begin
+    READY = 1 << 5  # inputs and battery are good; the vehicle is armed or ready; the fleet permits a start
     ARMED = 1 << 6
     WAS_ARMED = 1 << 7  # the vehicle was armed earlier in this flight
     EXTERNAL = 1 << 8  # the vehicle follows set-points of this stack
     WAS_EXTERNAL = 1 << 9  # the vehicle followed set-points earlier in this flight
     STANDING = 1 << 10  # the vehicle reports ground contact
-    AT_START = 1 << 11  # the vehicle is where the landing starts
+    AT_START = 1 << 11  # the vehicle is at the start point of the landing and moves with the target
     STARTED = 1 << 12  # the landing has started
     OVER_PAD = 1 << 13  # the vehicle is inside the descending cone
     TOUCH = 1 << 14  # the touchdown rule is met

@@ -27,9 +27,9 @@ RESIDUAL_MAX_M_S = 1e-6  # largest violation of box or barrier by an accepted re
 class FilterResult(NamedTuple):
     """Filtered velocity, and the data to check it."""
 
-    velocity_enu_m_s: Vec3  # filtered velocity, always inside the box
-    slack_m_s: float  # g . u + omega h + dh/dt at the command; negative only if INFEASIBLE
-    active: bool  # whether the barrier changed the command
+    velocity_enu_m_s: Vec3  # filtered velocity, inside the box if the filter ran
+    slack_m_s: float  # g . u + omega h + dh/dt at the command; negative only if INFEASIBLE or OWN
+    active: bool  # whether the barrier, or a user's filter, changed the command
     status: FilterStatus  # origin of the result
     residual_m_s: float  # largest violation by OSQP: of the box, or of the barrier after clipping to the box
     iterations: int  # number of the solver's iterations

@@ -40,7 +40,7 @@ class TargetMotion(NamedTuple):
     velocity_sigma_m_s: float
 
 
-# time, s; effect of an acceleration of 1 m/s^2 on position, s^2, and velocity, s; its fraction left then
+# time, s; effect of 1 m/s^2 of acceleration on position, s^2, and velocity, s; its fraction left
 _Time = tuple[float, float, float, float]
 _NOW: _Time = (0.0, 0.0, 0.0, 1.0)
 
@@ -88,7 +88,7 @@ class TargetEstimator:
             self._lose_yaw()
         if position_sigma_m > 0.0 or velocity_sigma_m_s > 0.0:
             xy = self._noise_at_least(position_sigma_m, velocity_sigma_m_s)
-        if not 0.0 < dt_s <= RESTART_S:  # NaN for the first sample
+        if not 0.0 < dt_s <= RESTART_S:  # dt_s is NaN for the first sample
             self._begin(xy, position_enu_m, velocity_enu_m_s)
             return
         if self._turns:

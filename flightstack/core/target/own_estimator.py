@@ -122,7 +122,7 @@ class OwnEstimator:
         memory, (_, second, third, fourth) = self.memory, self.memory.pending
         memory.pending = (second, third, fourth, memory.sent_m_s)
         elapsed_s = own.source_time_s - memory.time_s
-        if not 0.0 <= elapsed_s <= GAP_MAX_S:  # NaN before the first sample
+        if not 0.0 <= elapsed_s <= GAP_MAX_S:  # elapsed_s is NaN before the first sample
             self._begin(own)
         elif elapsed_s > 0.0:
             memory.time_s = own.source_time_s

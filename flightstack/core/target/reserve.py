@@ -25,8 +25,8 @@ class Reported:
     arrival_s: float = math.nan
     standing: bool = False  # whether the vehicle is disarmed, or no status was received
     low: bool = False  # whether the voltage at rest is too low to start a landing
-    flying: float = math.nan  # effort in flight from the throttle; without a throttle, from the voltage
-    resting: float = math.nan  # effort at rest, from the voltage
+    flying: float = math.nan  # vertical effort from the throttle; without a throttle, as ``resting``
+    resting: float = math.nan  # expected effort in hover, from the voltage; used outside free flight
     sags: float = math.nan  # loss term of the voltage sag (``Reserve.sags``)
     most: float = math.nan  # effort at which the thrust command saturates, at the voltage in flight
 
@@ -43,7 +43,7 @@ class ReserveEstimate:
     most_m_s2: Vec3  # limit of the commanded acceleration at full thrust reserve
     share: float  # weight of one tick in the moving average
     lasting_m_s: float  # gravity multiplied by the averaging time, m/s
-    least: float  # minimum thrust reserve for the start of a landing
+    least: float  # smallest thrust reserve with which a landing continues
     reserve: float  # ratio of maximum thrust to weight; NaN if unknown
     charge: Charge  # state of the battery
     acceleration_max_m_s2: Vec3  # limit of the commanded acceleration, ENU; z limits the upward one
