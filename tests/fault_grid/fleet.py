@@ -19,7 +19,7 @@ MOMENTS_S = {"crossing": 1.5, "approach to land": 3.6, "touchdown": 4.3}
 
 
 class Way(StrEnum):
-    """Fault of the second of three members."""
+    """Faults that the second of three members can have."""
 
     KILLED = "process killed"
     SILENT = "radio silent"

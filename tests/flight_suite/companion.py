@@ -183,7 +183,7 @@ def onboard_words(room: Room) -> list[str]:
 
 @contextlib.contextmanager
 def companion(room: Room) -> Iterator[Companion]:
-    """Start the onboard process; the context ends it."""
+    """Start the onboard process, and end it at the end of the context."""
     child = StartedChild("onboard", onboard_words(room), room.folder)
     session = None
     try:

@@ -122,7 +122,7 @@ class Pilot:
         return self._run(step, work, done, limit_s)
 
     def fly_for(self, step: str, velocity_enu_m_s: Vec3, time_s: float) -> None:
-        """Send a velocity set-point for this time, s."""
+        """Send a velocity set-point for ``time_s``."""
         until_s = self.vehicle_s + time_s
         self.fly(step, velocity_enu_m_s, lambda: self.vehicle_s >= until_s, time_s + 1.0)
 

@@ -32,11 +32,11 @@ class Limits:
     settle_s: float  # wait at zero velocity before the drift is measured
     still_m_s: float  # largest speed with a zero velocity set-point
     drift_m: float  # largest allowed displacement in 5 s with a zero velocity set-point
-    step_m_s: float  # speed of the step to the north and back
+    step_m_s: float  # speed of the velocity step to the north and back
     step_s: float  # duration of each direction of the step
     moved_share: tuple[float, float]  # range of the step's distance, as a fraction of speed times duration
     lost: Lost  # reaction of the vehicle to missing set-points
-    lost_s: float  # maximum time until this reaction, s
+    lost_s: float  # maximum time from the last set-point to this reaction, s
 
 
 _OWN = Limits(
@@ -92,7 +92,7 @@ class Room:
     fence: Fence = field(default_factory=Fence)  # limits of the vehicle's position during the step
     system_id: int = 1  # system id of the vehicle
     signing_key: Path | None = None  # MAVLink signing key; None: unsigned
-    takeoff_height_m: float = 0.5  # height of the pilot's climb
+    takeoff_height_m: float = 0.5  # height of the pilot's take-off
     target_offset_m: Vec3 = ZERO  # landing spot relative to the tracked frame, in that frame's axes
     limits: Limits | None = None  # limits of the steps; None: those of the profile
     speed: float = 1.0  # ratio of a simulator's time to real time; 1 on hardware
@@ -114,7 +114,7 @@ def configured(scenario: Scenario, folder: Path) -> Path:
 
 @contextlib.contextmanager
 def simulated(folder: Path, scenario_name: str = SCENARIO) -> Iterator[Room]:
-    """Start vehicle and robot in real time; the context ends them."""
+    """Start vehicle and robot in real time, and end them at the end of the context."""
     scenario = load(scenario_name)
     config = configured(scenario, folder)
     ports, children = [Port(), Port()], []
@@ -173,7 +173,7 @@ def on_px4(
     mocap: bool = False,
     recorder: Path | None = None,
 ) -> Iterator[Room]:
-    """Start simulator, PX4 and robot; the context ends them.
+    """Start simulator, PX4 and robot, and end them at the end of the context.
 
     Raises FileNotFoundError: no PX4 there. Raises LaunchError: a process did not start.
 
@@ -222,7 +222,7 @@ def on_px4(
         target = start("target", "--listen", target_at, "--connect", onboard_at, *(clock or paced))
         yield Room(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
-            configured(scenario, folder), folder, FENCE, system_id=instance + 1,  # PX4's rule for the id
+            configured(scenario, folder), folder, FENCE, system_id=instance + 1,  # as PX4 does
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
             speed=1.0 if clocked else speed, clock=folder / "clock" if clocked else None, px4=px4,
         )  # fmt: skip

@@ -17,4 +17,4 @@ def first(numbers):
     return numbers[0]
 
 
-import_module("flightstack.compiled.jit").jitted(first)(import_module("numpy").zeros(1))  # starts numba
+import_module("flightstack.compiled.jit").jitted(first)(import_module("numpy").zeros(1))  # loads the compiler

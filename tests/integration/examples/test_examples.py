@@ -46,7 +46,7 @@ def run(name, *words, cwd=ROOT):
 
 @contextmanager
 def running(name, *words):
-    """Run an example until Ctrl-C."""
+    """Run an example, and end it by Ctrl-C at the end of the context; it must print no error."""
     child = subprocess.Popen([sys.executable, EXAMPLES / name, *words], cwd=ROOT, stderr=subprocess.PIPE)
     try:
         yield child

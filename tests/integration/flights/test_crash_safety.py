@@ -115,7 +115,7 @@ def test_a_kill_costs_half_a_second_of_the_log_at_most(tmp_path, victim, lockste
 def test_a_disk_that_fills_up_in_flight_ends_the_record_and_not_the_flight(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
     limits = (PAST_APPROACH_BYTES, PAST_APPROACH_BYTES)
-    resource.prlimit(run.process.pid, resource.RLIMIT_FSIZE, limits)  # the launcher's children inherit them
+    resource.prlimit(run.process.pid, resource.RLIMIT_FSIZE, limits)  # the children inherit the limits
     assert run.end() == 1  # the vehicle landed, but the log is incomplete
     said = "\n".join(run.lines)  # any order: a recorder on a busy machine may be seconds late
     assert "-> LANDED" in said

@@ -26,7 +26,7 @@ CELLS = {
 GROUPS = sorted({(part, moment) for part, _, moment in CELLS}, key=str)
 # tolerances of the columns in s, s and m, because other processors round differently
 TOLERANCES = (0.1, 0.5, 0.01)
-_FIRST_NUMBER = 5  # first numeric column of the page's tables
+_FIRST_NUMBER = 5  # number of the first column with numbers in the page's tables
 
 
 @pytest.fixture(scope="module", autouse=True)

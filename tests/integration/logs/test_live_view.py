@@ -72,7 +72,7 @@ def sender():
 
 @pytest.fixture
 def watching(sender, tmp_path):
-    """Run ``watch --view`` as a process with a publisher."""
+    """Run ``watch --view`` as a process that receives from ``sender``."""
     out = tmp_path / "live.rrd"
     child = subprocess.Popen(
         [*COMMAND, "watch", "--connect", sender[1], "--view", str(out), "--config", str(CONFIG)],

@@ -46,7 +46,7 @@ def vehicle():
 
 
 def signing(client, key):
-    """Let a client sign its messages by pymavlink."""
+    """Make a client sign its messages with pymavlink."""
     client._mav.robust_parsing = True
     client._mav.signing.secret_key = key.secret
     client._mav.signing.sign_outgoing = True

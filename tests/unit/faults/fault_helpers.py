@@ -22,7 +22,7 @@ def fault(what: What, kind: Kind, **values) -> Fault:
 
 
 def running(what: What, kind: Kind, start_s: float = 0.0, **values) -> Running:
-    """Return the running fault, as from a schedule."""
+    """Return a fault that runs from ``start_s`` on."""
     return Running(fault(what, kind, **values), stream(1, "test"), start_ns=round(start_s * NS))
 
 

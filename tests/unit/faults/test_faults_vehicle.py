@@ -17,7 +17,8 @@ FOR_HALF_A_SECOND = [
     for what, kind in OF_THE_VEHICLE
     if TABLE[what][kind].healable and kind not in (Kind.WEAK, Kind.DEAD)
 ]
-NEUTRAL = {What.LINK_IN, What.LINK_OUT, What.HEARTBEAT, What.SETPOINTS, What.CLOCK}  # not in the vehicle
+# faults of links and of the clock, which do not act on the vehicle itself
+NEUTRAL = {What.LINK_IN, What.LINK_OUT, What.HEARTBEAT, What.SETPOINTS, What.CLOCK}
 
 
 def test_a_stuck_motor_turns_on_after_disarming():

@@ -18,7 +18,7 @@ BOTH = np.ones(2, dtype=np.int64)
 
 
 class Nearest(NamedTuple):
-    """Smallest distances and collision of a vehicle pair."""
+    """Smallest distance and ellipsoid norm of two vehicles, and the time of their overlap (-1: none)."""
 
     distance_m: float
     ellipsoid: float

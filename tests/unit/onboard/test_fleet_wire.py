@@ -116,7 +116,7 @@ def test_a_word_arrives_on_the_clock_of_who_reads_it(sides):
     b.wire.say(said)
     pass_time(a, b)
     (word,) = a.hear()
-    assert word.stamp_s == pytest.approx(said.stamp_s, abs=1e-4)  # equal times, epochs 5 s apart
+    assert word.stamp_s == pytest.approx(said.stamp_s, abs=1e-4)  # equal clock readings, epochs 5 s apart
     assert word.claim_s == pytest.approx(0.5, abs=1e-4)
     assert word.clock_bound_s == pytest.approx(DELAY_S, rel=0.02)
     assert word.arrival_s == a.now_s

@@ -43,7 +43,7 @@ class FreePlant:
         self.sim._world.set_vehicle((0.0, 0.0, HIGH_M), tuple(q.tolist()), velocity, rates)
 
     def rotors(self, rpm):
-        """Set the rotors to this speed and keep the command."""
+        """Set speed and command of the rotors, rpm."""
         self.record.rotors.rpm[:] = rpm
         self.record.firmware.commands[:] = rpm
 

@@ -84,7 +84,7 @@ class FakePx4:
         self.send(mav.MAVLink_hil_actuator_controls_message(time_us, outputs, mode, flags))
 
     def fly(self, until_s, controls=(0.0,) * 4, *, armed=False):
-        """Answer every HIL_SENSOR with these outputs until a time of flight, s."""
+        """Answer each HIL_SENSOR with these motor outputs, up to ``until_s`` after the first HIL_SENSOR."""
         deadline_s = time.monotonic() + 4 * PATIENCE_S
         flown_s = 0.0
         while flown_s < until_s:

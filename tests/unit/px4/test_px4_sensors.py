@@ -21,7 +21,7 @@ ANGLE = st.floats(-math.pi, math.pi)
 
 
 def quaternion(yaw, pitch, roll):
-    """Return the attitude FLU in ENU, rotated about z, y, x."""
+    """Return the attitude, FLU to ENU, after rotations about z, y and x, rad."""
 
     def half(angle, axis):
         q = np.zeros(4)

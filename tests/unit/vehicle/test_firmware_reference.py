@@ -54,7 +54,7 @@ def data(name):
 
 
 def euler_axes(roll, pitch, yaw):
-    """Return the body axes of a ZYX rotation, FLU, rad."""
+    """Return the body axes (FLU) after a ZYX rotation by these angles, rad."""
     (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
     x = (cy * cp, sy * cp, -sp)
     y = (cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr)
