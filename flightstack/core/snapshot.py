@@ -15,7 +15,7 @@ FUTURE_MAX_S = 0.05  # largest time by which a vehicle state may be ahead of thi
 
 @numeric
 class Relative(NamedTuple):
-    """Vehicle state relative to the target; it exists only if both states are known."""
+    """Vehicle state relative to the target; it exists only if both states are available."""
 
     own: OwnState
     target: TargetState

@@ -85,7 +85,7 @@ def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
 
     For an active constraint g . (u - c) = -rate h, g . u has to grow by rate times the closing speed plus the
     acceleration of the other vehicle; the curvature of h reduces this sum, and the half share halves it. The
-    room below the slew limit is homogeneous in g and concave, so it is smallest along an axis.
+    remaining slew limit is homogeneous in g and concave, so it is smallest along an axis.
     """
     fleet, speeds_m_s = config.fleet, config.limits.velocity_max_m_s
     slew_m_s2 = strategy_of(config).acceleration_max_m_s2

@@ -1,4 +1,4 @@
-"""Checks of the robust filter outside the pad: a vehicle with lag and errors keeps the barrier.
+"""Checks of the robust filter outside the pad: the barrier holds for a vehicle with lag and errors.
 
 docs/how_it_works/robust_filter.md derives each check. These speeds lower h, depending on the side of the
 boundary's peak:

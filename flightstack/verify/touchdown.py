@@ -36,8 +36,8 @@ def descent_time_s(config: FlightConfig, x: Extremes) -> float:
 def modelled(config: FlightConfig) -> Check:
     """Check that the lag of the velocity loop's model is within a factor of ``AGREE`` of the declared lag.
 
-    The lag correction uses the declared lag, and the disturbance estimate uses the model: it would take a
-    large difference for a disturbance. The identified loops of the shipped configurations agree within a
+    The lag correction uses the declared lag, and the disturbance estimate uses the model: a large
+    difference would count as a disturbance. The identified loops of the shipped configurations agree within a
     factor of 1.5.
     """
     loop = config.velocity_loop

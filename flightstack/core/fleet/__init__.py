@@ -1,4 +1,4 @@
-"""Fleets without a leader: how vehicles keep apart, and in which order they land.
+"""Fleets without a leader: how vehicles avoid each other, and in which order they land.
 
 The offset of two vehicles must remain outside an ellipsoid: its barrier h = r_xy (rho - 1) gives one linear
 constraint on this vehicle's velocity. Each of the two vehicles takes a share of the avoidance (none, half or

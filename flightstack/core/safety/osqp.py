@@ -118,7 +118,7 @@ class Osqp:
         if failed or solver.value is None:
             raise RuntimeError(f"OSQP rejects a program with {rows} constraints: error {failed}")
         self._cleanup, self._made, self.solver = library.osqp_cleanup, solver, solver.value
-        self._owned = (settings, numbers, ends, units, places, columns)  # references that keep the memory
+        self._owned = (settings, numbers, ends, units, places, columns)  # memory that the solver uses
         _, solution, info, _ = (ctypes.c_int64 * 4).from_address(self.solver)  # four pointers of OSQPSolver
         self.status, self.iterations = info + _STATUS_AT, info + _ITERATIONS_AT
         self.solution = ctypes.c_int64.from_address(solution).value

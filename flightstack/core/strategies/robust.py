@@ -139,7 +139,7 @@ class RobustFilter(Filter):
         return margin_m / self.full
 
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
-        """Return the vertical velocity that keeps the barrier at the measured horizontal velocity.
+        """Return the vertical velocity that satisfies eq. 11 at the measured horizontal velocity.
 
         The horizontal velocity responds later than the vertical one, so the measured one is used. The bound
         uses the h that remains when the vertical loop has reached its command.
@@ -172,7 +172,7 @@ class RobustFilter(Filter):
     def permitted_m_s(self, nominal: Vec3, own: Vec3, at: Relative) -> Vec3:
         """Limit a chosen velocity: it gets the properties of ``own`` that the certificate assumes.
 
-        The program keeps the barrier by the vertical velocity and expects a horizontal velocity as from the
+        The program satisfies eq. 11 by the vertical velocity, and expects a horizontal velocity as from the
         position loop. Therefore the velocity relative to the target is at most gain times distance, h falls
         by horizontal motion no faster than its rate allows, and the vehicle sinks no faster than ``own``,
         which includes the height of the boundary ahead.
@@ -244,7 +244,7 @@ class RobustFilter(Filter):
         return d_m < robust.commit_radius_m and d_m + uncertain_m < robust.corridor_m
 
     def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
-        """Whether the vehicle does not follow a descent command; velocity shows this sooner than height."""
+        """Whether the vehicle does not follow a descent command; velocity shows this before height does."""
         pad_m_s, descent_m_s = at.target.velocity_enu_m_s[2], self._config.robust.descent_m_s
         commanded_m_s, sinking_m_s = pad_m_s - command_m_s[2], pad_m_s - at.own.velocity_enu_m_s[2]
         return commanded_m_s > COMMANDED_SHARE * descent_m_s and sinking_m_s < STOPPED_SHARE * descent_m_s

@@ -2,7 +2,7 @@
 
 ``track.py`` uses ``drifted`` and ``smoothed`` for the target's samples, too.
 
-A link that delivers recent time stamps can still deliver wrong data. Three facts are known without a second
+A link that delivers recent time stamps can still deliver wrong data. Three checks need no second
 sensor:
 
 * a state that repeats to the last bit while it reports motion, or for ``STILL_MAX_S`` while the vehicle

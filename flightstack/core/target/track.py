@@ -5,8 +5,8 @@ last, in time, and reachable from the last one. Rejected samples are counted.
 
 A velocity that contradicts the positions, such as a twist in the wrong frame or a heading that is wrong by
 half a turn, is detected over some samples. Position minus integrated velocity, summed with decay, is only
-noise; above ``checks.target_drift_max_m`` the target is distrusted, until it is below half of that. A target
-at rest shows no contradiction, so after the second one of a flight the target remains distrusted.
+noise; above ``checks.target_drift_max_m`` the target is distrusted until the sum is below half of it. As a
+target at rest shows no contradiction, the target remains distrusted after the second one of a flight.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class TargetTrack:
         return last
 
     def accept(self, sample: TargetSample) -> Reading:
-        """Judge one sample; an accepted sample becomes the newest one."""
+        """Check one sample; an accepted sample becomes the newest one."""
         verdict, memory = self._judge(sample), self.memory
         self.stepped_s = 0.0
         if verdict is Reading.FRESH:
