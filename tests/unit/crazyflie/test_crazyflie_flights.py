@@ -1,4 +1,4 @@
-"""Tests consecutive flights by the stack's own commands: heights, modes, and the ends of flights."""
+"""Tests consecutive flights with the commands of the flight stack: heights, modes, and ends of flights."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ KILL = (400, 0.0, 21196.0)
 
 
 class Stack:
-    """The stack's commands, connected to a bench with a movable floor."""
+    """Sends the commands of the flight stack to a simulated Crazyflie above a movable floor."""
 
     def __init__(self, floor_m: float = 0.0) -> None:
         self.floor_m = floor_m
@@ -49,7 +49,7 @@ class Stack:
                 self.bench._send()
 
     def climb(self, flight) -> None:
-        """Fly from the ground into OFFBOARD; the sequence of modes equals that of a first flight."""
+        """Take off and enter OFFBOARD; each flight begins with the same modes."""
         self.bench.stream = None
         self.run(flight, Request.NONE, lambda s: s is not None and s.mode is Mode.HOLD and not s.armed)
         plant = self.bench.firmware.plant
@@ -153,9 +153,9 @@ def test_a_take_off_from_a_deck_that_drives_rises_above_its_place_on_the_deck_th
         if pilot.arrived(seen, floor_m + 0.5):
             break
         vx, vy, vz = velocity.velocity_enu_m_s
-        if rise_m < CLEAR_M:  # the feet may still touch the deck
+        if rise_m < CLEAR_M:  # the feet may touch the deck
             assert (vx, vy) == pytest.approx((kept * deck_m_s[0], kept * deck_m_s[1]))
-            vx, vy = deck_m_s if n * period_s < 0.5 else (vx, vy)  # the deck carries it until lift-off
+            vx, vy = deck_m_s if n * period_s < 0.5 else (vx, vy)  # on the deck until 0.5 s
             left = (x, y)
         x, y = x + period_s * vx, y + period_s * vy
         rise_m += period_s * vz if n * period_s >= 0.5 else 0.0

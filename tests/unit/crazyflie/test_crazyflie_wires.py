@@ -1,4 +1,4 @@
-"""Both connections of the Crazyflie bridge: log packets, clock, queues, firmware settings, and MAVLink."""
+"""Tests both connections of the Crazyflie bridge: log packets, clock, firmware settings, and MAVLink."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_the_outbox_is_bounded_and_never_loses_what_stops_motors():
 
 
 def through_the_wire(message):
-    """Return the position in a packet, decoded by an independent implementation."""
+    """Pack a message, and return it as pymavlink decodes it."""
     parser = mav.MAVLink(None)
     return parser.decode(bytearray(packed(message)))
 
@@ -187,7 +187,7 @@ def test_velocities_and_rates_arrive_in_the_crazyflies_frame(ned, rate, yaw):
     _, velocity, rate_deg_s = bench.firmware.setpoints[-1]
     assert velocity == pytest.approx(enu_from_ned(ned), abs=1e-6)
     assert rate_deg_s == pytest.approx(-math.degrees(rate), rel=1e-5, abs=1e-6)
-    # forward in the body is along the nose
+    # a forward velocity in the body frame points along the nose
     bench.setpoint((0.4, 0.0, 0.0), frame=8, yaw=yaw_ned_from_enu(yaw))
     bench.step()
     heading = bench.firmware.plant.yaw
@@ -256,9 +256,6 @@ def test_a_known_clock_is_moved_by_no_single_packet_and_follows_those_that_agree
     gap_s = max(b - a for a, b in pairwise(usable_s))
     assert gap_s < (0.03 if not stays else 0.08 if wrong_ms > 0 else 0.85)
     assert usable_s[-1] == 60.0 + 0.01 * 999
-
-
-# Faults of motion capture
 
 
 # Faults that the supervisor reports

@@ -1,4 +1,4 @@
-"""Tests which poses of motion capture are forwarded, and what the vehicle receives."""
+"""Tests which poses of the motion capture are forwarded, and which messages the vehicle receives."""
 
 import math
 
@@ -29,7 +29,7 @@ from tests.unit.target.ros2_helpers import pose_stamped
 SPEC = TargetSpec.parse("lab/pose", TargetType.POSE)
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 S = 1_000_000_000
-EPOCH_S = 1.7e9  # clock offset of the motion capture computer, s
+EPOCH_S = 1.7e9  # offset of the motion capture computer's clock, s
 UNIT = (
     st.tuples(*[st.floats(-1.0, 1.0)] * 4)
     .filter(lambda q: sum(e * e for e in q) > 0.01)
@@ -45,7 +45,7 @@ def sample(at_s, position=(0.0, 0.0, 0.0), q=LEVEL, *, frame="map"):
 
 
 def stream(checks, start_s, seconds, position=(0.0, 0.0, 0.0), rate_hz=100.0, *, armed=False, **more):
-    """Feed a steady stream; return the forwarded poses and the last problem."""
+    """Feed poses at a constant rate; return the forwarded poses and the last problem."""
     passed, problem = [], None
     for i in range(round(seconds * rate_hz)):
         at_s = start_s + i / rate_hz
@@ -113,7 +113,7 @@ def test_armed_a_jump_is_never_believed_disarmed_after_a_second():
 
 
 def passed_at(checks, since_s, seconds, ahead_s=0.0):
-    """Return the times at which poses at 100 Hz were forwarded, for this offset of their time stamps."""
+    """Feed poses at 100 Hz with this offset of their stamps; return the times of the forwarded ones, s."""
     times = [since_s + 0.01 * k for k in range(round(seconds * 100))]
     return [t for t in times if checks.step([sample(t + ahead_s)], t, armed=True)]
 
@@ -140,7 +140,7 @@ def test_what_was_lost_for_a_while_may_be_somewhere_else():
     checks = PoseChecks()
     stream(checks, 0.0, 1.0, armed=True)
     passed = checks.step([sample(2.0, (3.0, 0.0, 0.0))], 2.004, armed=True)
-    assert len(passed) == 1  # a motion of 3 m in 1 s is possible
+    assert len(passed) == 1  # a vehicle can fly 3 m in 1 s
     assert checks.step([sample(9.0, (9.0, 0.0, 0.0))], 9.004, armed=True) == ()
 
 
@@ -204,7 +204,7 @@ def test_both_messages_carry_the_pose_into_the_ned_room(position, q, seed):
     vision = wire(vision_position_estimate(passed, 1_500_000))
     assert (vision.x, vision.y, vision.z) == pytest.approx(ENU_TO_NED @ position, rel=1e-5, abs=1e-5)
     back = Rotation.from_euler("ZYX", [vision.yaw, vision.pitch, vision.roll]).as_matrix()
-    assert back == pytest.approx(turned, abs=2e-3)  # near the pole single precision limits the accuracy
+    assert back == pytest.approx(turned, abs=2e-3)  # in single precision, worst at a pitch of 90 degrees
     assert vision.covariance == pytest.approx(expected, rel=1e-4, abs=1e-5)
     assert (vision.usec, vision.reset_counter) == (1_500_000, 3)
 
@@ -233,16 +233,16 @@ def test_each_autopilot_gets_what_it_wants_once_it_is_heard(autopilot, kind):
         passed = checks.step([sample(at_s)], at_s + 0.004, armed=False)
         return kinds(vehicle.step(passed, at_s + 0.004)), checks.problem(at_s + 0.004)
 
-    assert step(0.0)[0] == ["HEARTBEAT"]  # the bridge sends heartbeats, but no poses yet
+    assert step(0.0)[0] == ["HEARTBEAT"]  # no poses before the vehicle's heartbeat
     vehicle.handle(heartbeat(autopilot), 0.005)
     sent = []
     for i in range(1, 200):
         messages, problem = step(i / 100.0)
         sent += messages
     assert problem is None
-    assert sent.count(kind) == pytest.approx(100, abs=3)  # sent at 50 Hz; poses arrive at 100 Hz
+    assert sent.count(kind) == pytest.approx(100, abs=3)  # 50 Hz of the 100 Hz are sent
     assert set(sent) <= {kind, "HEARTBEAT"}
-    assert kind not in step(6.0)[0]  # no heartbeat for 6 s: the vehicle counts as absent
+    assert kind not in step(6.0)[0]  # no heartbeat for 6 s: no poses
 
 
 def test_only_an_autopilot_that_needs_one_gets_an_origin_until_it_shows_it():
@@ -275,7 +275,7 @@ def test_without_a_pose_the_key_the_endpoint_and_other_keys_are_named():
 
         wait_for(found, "the other key")
         source.poll(0.0, armed=True)
-        assert source.problem == begin  # in flight nothing is searched
+        assert source.problem == begin  # other keys are not searched in flight
     finally:
         other.close()
         session.close()

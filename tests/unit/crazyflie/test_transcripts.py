@@ -1,4 +1,4 @@
-"""Tests flights of a Crazyflie behind the bridge on a simulated clock, as ``transcripts.txt`` lists them."""
+"""Tests the flights of a Crazyflie with the bridge in ``transcripts.txt``, on a simulated clock."""
 
 import ast
 import math
@@ -43,10 +43,10 @@ FACTS = {
 
 
 class Stage(Bench):
-    """Plays the steps of a transcript; a step is a method, with "-" or " " instead of "_"."""
+    """Plays the steps of a transcript; ``WORDS`` has the function of each step."""
 
     def __init__(self, firmware, posed=False, tilt_deg=0.0, **options):
-        """``posed``: whether the bridge sends external poses; ``tilt_deg``: see ``tilt``."""
+        """``posed``: whether the flight uses a motion capture; ``tilt_deg``: argument of ``tilt``."""
         self.mark_s, self.results = 0.0, []
         self.posed = self.poses = posed
         self.tilt(tilt_deg)
@@ -138,7 +138,7 @@ class Stage(Bench):
         return len(self.velocities()) - before == count
 
     def follows(self, gap_s):
-        """Whether positions arrived with gaps below ``gap_s`` since the mark."""
+        """Whether positions have arrived with gaps below ``gap_s``, s, since ``mark_s``."""
         times_s = [t for t in self.times("LOCAL_POSITION_NED") if t > self.mark_s]
         return max(b - a for a, b in pairwise(times_s)) < float(gap_s)
 
@@ -206,7 +206,7 @@ WORDS = {
 
 
 def flights():
-    """Yield name, options and steps of each flight of the file."""
+    """Yield name, options and steps of each flight in ``transcripts.txt``."""
     for paragraph in (Path(__file__).parent / "transcripts.txt").read_text().split("\n\n")[1:]:
         head, *lines = paragraph.strip().splitlines()
         head, _, variants = head.partition(" : ")

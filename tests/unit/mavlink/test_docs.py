@@ -1,4 +1,4 @@
-"""Compares tables of the vehicle documentation with the code."""
+"""Compares the tables of the MAVLink documentation with the code."""
 
 from __future__ import annotations
 

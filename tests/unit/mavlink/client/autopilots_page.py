@@ -1,4 +1,4 @@
-"""Generates the tables of docs/reference/autopilots.md; run as a module, it writes them into the page.
+"""Generates the tables of docs/reference/autopilots.md. This command writes them into the page:
 
 python -m tests.unit.mavlink.client.autopilots_page
 """
@@ -20,7 +20,7 @@ from tests.unit.verify.certificate_page import BEGIN, END, split
 
 PAGE = Path(__file__).parents[4] / "docs" / "reference" / "autopilots.md"
 PROFILES = (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)
-EXAMPLE = "lab"  # scenario whose configuration gives the required values in the tables
+EXAMPLE = "lab"  # scenario whose configuration determines the required values in the tables
 
 
 def _table(head, rows):
@@ -121,7 +121,7 @@ def _releases(name):
 
 
 def rules(name):
-    """Return the table of the parameters that are checked for one autopilot, for all releases."""
+    """Return the table of the checked parameters of an autopilot, for all its releases."""
     rows = [
         [
             each.name + _releases(each),

@@ -1,4 +1,4 @@
-"""Tests that frames of the vehicle are identified by ids, known address and heartbeats."""
+"""Tests that ids, the known address and heartbeats identify the frames of the vehicle."""
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -55,7 +55,7 @@ def test_a_path_that_delivers_all_once_more_and_later_says_nothing_new(late_s):
             said.append(senders.admits(decode(path.pop(0)[1]), HERE, now_s, armed=k > 300))
     assert said
     assert not any(said)
-    assert senders.ignored == 0  # no other sender conflicts with the vehicle
+    assert senders.ignored == 0  # no frame counts as one of another sender
 
 
 def test_a_sender_that_numbers_all_its_frames_alike_is_heard():
@@ -94,7 +94,7 @@ def test_a_vehicle_behind_a_new_port_is_followed_once_the_old_one_is_silent():
     wire = Wire()
     assert wire.beats(armed=True)
     assert not wire.beats(peer=THERE, now_s=SILENT_S, armed=True)
-    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # until a heartbeat arrives
+    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # first a heartbeat is needed
     assert wire.beats(peer=THERE, now_s=SILENT_S + 0.1, armed=True)
     assert wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)
     assert not wire.admits(position(), HERE, SILENT_S + 0.2, armed=True)
@@ -139,7 +139,7 @@ def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
         assert not wire.admits(message, now_s=second + 0.5, armed=True, stream="script")
     assert not wire.admits(message, now_s=2.9, armed=True, stream="script")
     assert wire.beats(now_s=3.0, armed=True, mode=OFFBOARD)
-    wire.numbers[HERE] += 100  # frames were lost, and the vehicle has another address
+    wire.numbers[HERE] += 100  # 100 frames were lost: a changed mode or disarming counts when repeated
     assert not wire.admits(message, now_s=4.0, armed=True)
     assert wire.admits(message, now_s=5.0, armed=True)
 
@@ -147,7 +147,7 @@ def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
 def test_a_stream_that_a_router_filters_is_believed_at_once():
     wire = Wire()
     for tick in range(20):
-        wire.numbers[HERE] = wire.numbers.get(HERE, 0) + 12  # a router filters 12 frames
+        wire.numbers[HERE] = wire.numbers.get(HERE, 0) + 12  # a router drops 12 frames
         assert wire.admits(position(tick), armed=True)
     wire.numbers[HERE] += 12
     assert wire.beats(now_s=0.5, armed=True, mode=OFFBOARD)

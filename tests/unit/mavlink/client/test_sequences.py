@@ -12,14 +12,14 @@ from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, PROFILES, PX4
 from flightstack.core.types import Landed, Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import HEIGHT, commands, params, sequencer, status
 
-MODE, ARM, RISE, LAND, ASK = 176, 400, 22, 21, 512  # ids of MAV_CMD
+MODE, ARM, RISE, LAND, ASK = 176, 400, 22, 21, 512  # numbers of MAV_CMD
 NONE, TAKEOFF, EXTERNAL, DOWN, KILL = (
     Request.NONE, Request.TAKEOFF, Request.EXTERNAL, Request.LAND, Request.MOTORS_OFF
 )  # fmt: skip
 READY, ARMED, FLIES = {}, {"armed": True}, {"armed": True, "landed": Landed.IN_AIR}
 OURS, LANDS, OTHER, RISES = ({"mode": m} for m in (Mode.EXTERNAL, Mode.LAND, Mode.OTHER, Mode.TAKEOFF))
 STREAM = "set-points at 100 Hz until then"
-# profile, request, rows: time in s, vehicle status (None: no heartbeat), ids of the commands that are sent
+# profile, request, rows: time in s, vehicle status (None: no heartbeat), numbers of the sent commands
 STORIES = {
     "nothing for no request": (PX4, NONE, [(0.0, READY, [])]),
     "nothing to a vehicle that is not heard": (PX4, TAKEOFF, [(1.0, None, [])]),
@@ -76,7 +76,7 @@ def test_what_is_sent_in_each_story(name):
 
 
 def sent(s, request, ticks, *, note=lambda tick: None, period_s=0.01, **shown):
-    """Return (time, message) of all sent messages for a constant vehicle status."""
+    """Return (time in s, message) of all messages sent in ``ticks`` ticks at a constant vehicle status."""
     found = []
     for tick in range(ticks):
         now_s = tick * period_s
@@ -106,9 +106,9 @@ def test_parameters_of_the_commands(profile, request_, shown, expected):
 
 @pytest.mark.parametrize("stands_m", [0.0, 0.4, -2.5, 31.0])
 def test_ardupilot_climbs_from_where_it_stands_wherever_home_is(stands_m):
-    """ArduPilot moves its home to the vehicle at arming, except for a locked home."""
+    """ArduPilot moves its home to the vehicle when it arms, unless the home is locked."""
     s = sequencer(ARDUPILOT)
-    s.above_home = (-1.0, 99.0)  # the height is older than the arming
+    s.above_home = (-1.0, 99.0)  # this height was measured before the arming
     assert commands(s.step(TAKEOFF, status(0.0, **OURS), 0.0)) == [ARM]
     (asked,) = s.step(TAKEOFF, status(0.5, **ARMED, **OURS), 0.5)
     assert (asked.command, asked.param1) == (ASK, 33.0)

@@ -1,4 +1,4 @@
-"""Tests state and parameters that the client reads from a vehicle, and the reasons it gives for silence."""
+"""Tests vehicle state and parameters that the client reads, and the reasons it gives for missing messages."""
 
 import math
 import struct
@@ -63,7 +63,7 @@ def test_repeated_and_late_positions_do_not_refresh_the_state(state, late_ms):
 
 
 def fly(state, since_s, until_s, ahead_s=0.0):
-    """Send positions at 50 Hz with a boot clock offset of 60 s; return the times of accepted ones."""
+    """Feed positions at 50 Hz, with a boot clock offset of 60 s; return the times of the accepted ones, s."""
     taken = []
     for k in range(round((until_s - since_s) / 0.02)):
         at_s = since_s + 0.02 * k
@@ -191,14 +191,14 @@ def test_the_cause_is_named_with_its_count(grown, words):
 
 def test_who_speaks_instead_is_named():
     senders = {(255, 190): 3, (2, 1): 4}
-    text = why_silent(1, {"received": 7, "unknown_id": 5, "garbage_bytes": 150}, senders)  # as beside PX4
+    text = why_silent(1, {"received": 7, "unknown_id": 5, "garbage_bytes": 150}, senders)  # typical of PX4
     assert text == (
         "no heartbeat of system 1, component 1: frames come from system/component 2/1, 255/190; --system-id "
         "names the vehicle's"
     )
     many = {(system, 1): 1 for system in range(10, 20)}
     assert "10/1, 11/1, 12/1, 13/1, ...;" in why_silent(1, {"received": 7}, many)
-    assert "for 12 s: no data" in why_silent(1, {}, senders, time=" for 12 s")  # all senders are silent
+    assert "for 12 s: no data" in why_silent(1, {}, senders, time=" for 12 s")  # nothing arrives
 
 
 def event(number, log_levels=0x66, arguments=b""):
@@ -260,7 +260,7 @@ def test_where_answers_are_lost_a_parameter_is_asked_for_fifteen_times():
     r = reader("LOST_ONCE", "LOST_LONG")
     r.step(0.0)
     r.step(0.4)
-    r.take(value("LOST_ONCE", 1.0))  # the answer to the second request
+    r.take(value("LOST_ONCE", 1.0))  # the reply to the second request
     sent = [now for tick in range(41, 1000) for now in [tick * 0.01] if r.step(now)]
     assert len(sent) == 13
     assert r.done

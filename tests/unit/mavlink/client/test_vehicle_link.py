@@ -63,7 +63,7 @@ def test_lockstep_stamps_what_came_with_the_time_of_the_request(vehicle):
     link = linked(vehicle, defer_timesync=True)
     vehicle.send(heartbeat(), attitude(30), position(30))
     poll(link, 77.0)
-    assert link.state.own is None  # the state is empty until a tick reads the messages
+    assert link.state.own is None  # messages wait for the TIMESYNC request
     vehicle.send(dialect.MAVLink_timesync_message(0, 30_000_000))
     poll(link, 77.0)
     assert link.state.own.arrival_s == 30_000_000 / 1e9
@@ -86,7 +86,7 @@ def auto(vehicle):
 def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
     assert auto.state.profile is None
     assert auto.failed is None
-    auto.command(Request.LAND, 0.0)  # no vehicle is known yet
+    auto.command(Request.LAND, 0.0)  # ignored: no vehicle is known yet
     assert not auto.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.0)
     vehicle.send(position(10))
     poll(auto, 0.1)
@@ -105,7 +105,7 @@ def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
     sent = vehicle.take("COMMAND_LONG")
     assert [m.command for m in sent if m.get_type() == "COMMAND_LONG"] == [511, 511, 511, 21]
     assert auto.take_texts() == [(6, "its heartbeat says: PX4, OFFBOARD")]
-    for now_s in (0.4, 60.0):  # after a long silence the vehicle still counts as the same one
+    for now_s in (0.4, 60.0):  # the profile does not change, even after a long silence
         vehicle.send(heartbeat(4, autopilot=3))
         poll(auto, now_s)
     assert (auto.state.profile, auto.refused, auto.senders.ignored) == (PX4, None, 2)
@@ -156,13 +156,13 @@ def test_a_vehicle_that_restarts_while_it_is_waited_for_is_asked_and_told_anew(v
 
     beat = heartbeat(4, autopilot=3)
     for second in range(1, 30):
-        tick(float(second), beat)  # the frequent requests are over, and no position arrives
+        tick(float(second), beat)  # no position arrives, and requests become rare
     tick(30.0, beat, dialect.MAVLink_gps_global_origin_message(0, 0, 0, 0))
     tick(30.1, attitude(30_000), position(30_000))
     assert auto.state.own.arrival_s == 30.1
     assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in tick(31.5, beat))
     auto.take_texts()
-    again = tick(40.0, beat)  # after a silence the vehicle counts as restarted
+    again = tick(40.0, beat)  # after a silence, as after a restart
     assert asked(again) == {1.0, 30.0, 32.0, 245.0}
     assert any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in again)
     assert [text for _, text in auto.take_texts()] == [
@@ -187,15 +187,15 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
     shows(1.0, 1)
     assert auto.state.status.mode is Mode.TAKEOFF
     auto.command(Request.EXTERNAL, 1.0)
-    assert not auto.send_setpoint(still, 1.0)  # a set-point would keep the vehicle on the ground
+    assert not auto.send_setpoint(still, 1.0)  # it would keep the vehicle on the ground
     auto.command(Request.TAKEOFF, 1.1)
     assert not auto.send_setpoint(still, 1.1)
     shows(4.0, 3)
     assert auto.state.status.mode is Mode.TAKEOFF
     auto.command(Request.EXTERNAL, 4.0)
     assert auto.send_setpoint(still, 4.0)
-    assert auto.state.status.mode is Mode.EXTERNAL  # at once: this vehicle's messages do not change
-    shows(5.0, 1)  # on the pad, where set-points still press the vehicle down
+    assert auto.state.status.mode is Mode.EXTERNAL  # ArduPilot's heartbeat does not show it
+    shows(5.0, 1)  # on the pad; set-points still press it down
     assert auto.send_setpoint(still, 5.0)
     assert auto.state.status.mode is Mode.EXTERNAL
 
@@ -211,4 +211,4 @@ def test_too_slow_a_line_is_refused_with_the_numbers(age_s, baud, enough):
     assert f"checks.own_age_max_s = {age_s:g} s" in text
     assert f"carries {baud / 10:.0f} B/s" in text
     assert f"set the line to {enough} baud or more" in text
-    plan(enough, 100.0, age_s)  # the baud rate that the message recommends is fast enough
+    plan(enough, 100.0, age_s)  # the recommended baud rate is sufficient

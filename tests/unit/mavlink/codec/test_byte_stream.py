@@ -1,4 +1,4 @@
-"""Tests endpoints on serial lines and TCP connections that are full, in use, or not yet available."""
+"""Tests endpoints on serial lines and TCP connections: buffers are full, or a line is in use or missing."""
 
 import time
 from collections import Counter
@@ -24,7 +24,7 @@ def wire(request, tmp_path):
 
 
 def connected(far, endpoint):
-    """Wait until bytes pass both ways."""
+    """Wait until bytes arrive in both directions."""
     came = []
 
     def passed():
@@ -51,7 +51,7 @@ def test_full_line_drops_whole_messages_and_never_blocks(wire):
         longest_s = max(longest_s, time.monotonic() - before_s)
         sent += 1
         assert sent < 200_000, "the buffers have no end"
-    assert longest_s < AT_ONCE_S  # limit for a busy machine; a blocking write would never end
+    assert longest_s < AT_ONCE_S  # a limit for a busy machine: a blocking write would never end
     assert endpoint.counters["sent"] - began == sent
     data, whole = bytearray(), sent - endpoint.counters["outgoing_full"]
 

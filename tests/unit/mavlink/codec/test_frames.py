@@ -46,7 +46,7 @@ def test_heading_round_trip_and_range(yaw):
 
 @given(unit_quaternions(), vectors)
 def test_attitude_and_vector_conversions_agree(q, v_flu):
-    """A rotation from body FLU over ENU to NED equals a rotation from FLU over FRD to NED."""
+    """The conversion from body FLU to NED gives the same vector by way of ENU and by way of FRD."""
     through_enu = frames.ned_from_enu(frames.world_from_body(q, v_flu))
     through_frd = frames.world_from_body(frames.ned_frd_from_enu_flu(q), frames.frd_from_flu(v_flu))
     assert through_enu == pytest.approx(through_frd, abs=1e-9)

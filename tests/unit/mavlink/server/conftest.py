@@ -26,7 +26,7 @@ USERS: dict[str, type[Served]] = {"px4": Simulated, "crazyflie": Bridged}
 
 @functools.cache
 def prepared(user: str, situation: str) -> Served:
-    """Return a vehicle of the server in a situation; copy it before use."""
+    """Return a vehicle in a situation, from a cache: copy it before use."""
     made = USERS[user]()
     if situation != "disarmed":
         getattr(made, situation)()
@@ -35,11 +35,11 @@ def prepared(user: str, situation: str) -> Served:
     return made
 
 
-VIEWS = ("due_s", "voltage_v", "throttle")  # fields of the record of the watches that have a view
+VIEWS = ("due_s", "voltage_v", "throttle")  # fields of the watches' record that have a view
 
 
 def copied(made: Served) -> Served:
-    """Return a copy of a vehicle; the views of the autopilot's record are views of the copy's record."""
+    """Return a copy of a vehicle; its views refer to the copied record of the autopilot's watches."""
     memo, watches = {}, getattr(getattr(made.server, "flight", None), "watches", None)
     if watches is not None:
         memo[id(watches.cell)] = record = watches.cell.copy()
@@ -54,7 +54,7 @@ def user(request) -> str:
 
 @pytest.fixture
 def fresh(user):
-    """Return a vehicle of the server in a situation: ``disarmed``, ``homed``, ``fly`` or ``offboard``."""
+    """Return a function that makes a vehicle: ``disarmed``, ``homed``, ``fly`` or ``offboard``."""
 
     def make(situation: str) -> Served:
         return copied(prepared(user, situation))
@@ -64,7 +64,7 @@ def fresh(user):
 
 @pytest.fixture
 def numbers(user) -> frozenset[int]:
-    """Return the MAV_CMD numbers of the commands that a vehicle supports."""
+    """Return the numbers (MAV_CMD) of the commands that the vehicle supports."""
     return frozenset(prepared(user, "disarmed").server.commands.table)
 
 

@@ -1,4 +1,4 @@
-"""Common interface of both vehicles that use the MAVLink server, so that one suite tests both."""
+"""Common interface of the two vehicles that use the MAVLink server, for tests that run with both."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ def setpoint(n=0.0, e=0.0, d=0.0, *, frame=1, mask=2503, yaw=0.0, rate=0.0, targ
 class Served:
     """A vehicle that a MAVLink server controls.
 
-    A subclass has ``now_s``; ``velocity_enu_m_s``: last velocity passed to the vehicle; ``tick``: run 10 ms;
-    ``fly``: take off and hold; ``homed``: stand disarmed with a home position.
+    A subclass has ``now_s``; ``velocity_enu_m_s``: last velocity passed to the vehicle; ``tick``: runs 10 ms;
+    ``fly``: takes off and holds; ``homed``: waits, disarmed, until the vehicle has a home position.
     """
 
     server: Server
     telemetry: list  # messages to all clients since the start
-    silence_s: float  # time without set-points after which another client may take control
+    silence_s: float  # time without set-points, s, after which another client may take control
 
     def state(self) -> list[object]:
-        """Return all values of the vehicle that commands change."""
+        """Return the values of the vehicle that commands can change; intervals in us."""
         intervals_us = [self.server.streams.interval_us(i) for i in (30, 32, 1)]
         return [self.mode, self.armed, intervals_us, self.server.vehicle.home_enu_m]
 
@@ -65,7 +65,7 @@ class Served:
         return self.server.handle(message, sender, self.now_s)
 
     def command(self, number: int, *params: float, sender=COMPANION, target=(1, 1)) -> int | None:
-        """Return the MAV_RESULT of a command, None without a reply."""
+        """Send a command; return its MAV_RESULT, or None without a reply."""
         replies = self.handle(as_long(number, params, target), sender)
         acks = [r for r in replies if r.get_type() == "COMMAND_ACK"]
         assert all((a.target_system, a.target_component, a.command) == (*sender[:2], number) for a in acks)
@@ -97,7 +97,7 @@ class Served:
 
 
 class Bridged(Served):
-    """Crazyflie bridge that is connected to the firmware model, without cflib."""
+    """The Crazyflie bridge, connected to the firmware model without cflib."""
 
     silence_s = 1.0
 

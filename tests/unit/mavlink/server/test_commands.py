@@ -72,10 +72,10 @@ def test_a_command_that_comes_again_changes_nothing_and_is_answered_alike(
             result, after = outcome(served, as_long(number, params))
             again, later = outcome(served, as_long(number, params))
             if number == 185 and result == [ACCEPTED] and user == "px4":
-                assert again == [DENIED]  # PX4 terminates only an armed vehicle
+                assert again == [DENIED]  # PX4 terminates only armed vehicles
             else:
                 assert again == result, params
-            if number != 246:  # a restart: the second one also changes the vehicle
+            if number != 246:  # 246 is a restart; the second restart also changes the vehicle
                 assert later == after, params
 
 
@@ -137,4 +137,4 @@ def test_modes_there_are_not_are_denied_with_those_that_there_are(served, main: 
     served.handle(mav.MAVLink_set_mode_message(1, 1, main << 16 | sub << 24))
     assert word in served.texts()[-1]
     assert served.mode is FlightMode.HOLD
-    assert served.command(176, 0.0, 4.0, 3.0) == DENIED  # the mode is no custom mode
+    assert served.command(176, 0.0, 4.0, 3.0) == DENIED  # the flag for custom modes is missing

@@ -1,4 +1,4 @@
-"""Tests which set-points are accepted, and what other senders may do during a flight by set-points."""
+"""Tests which set-points are accepted, and which requests of other senders during a flight by set-points."""
 
 from __future__ import annotations
 

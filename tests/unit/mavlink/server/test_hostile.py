@@ -30,7 +30,7 @@ def frame_of(cls, id_: int, payload: bytes):
 
 
 def hostile(rng: random.Random, id_: int, commands: list[int]):
-    """Return a random message with this id; most are addressed to the vehicle and use its parameter names."""
+    """Return a random message with this id, usually addressed to the vehicle and with its parameter names."""
     cls = mav.mavlink_map[id_]
     size = cls.unpacker.size
     pattern = rng.choice([None, *EXTREMES])
@@ -53,7 +53,7 @@ def hostile(rng: random.Random, id_: int, commands: list[int]):
         message.custom_mode = rng.choice(list(PX4_CODES.values())).custom_mode
     if hasattr(message, "param_id") and rng.random() < 0.8:
         message.param_id = rng.choice(PARAMETERS)
-        message._param_id_raw = message.param_id.encode()  # the packing needs this field
+        message._param_id_raw = message.param_id.encode()  # pymavlink packs this field
         if hasattr(message, "param_type"):
             message.param_type = rng.choice((6, 9))
     return message
@@ -110,7 +110,7 @@ LAND = PX4_CODES[FlightMode.LAND]
 
 
 def asks_to_land(message) -> bool:
-    """Whether a message is the only request that every sender may make: to land."""
+    """Whether a message requests a landing, the only request that every sender may make."""
     kind = message.get_type()
     if kind in ("COMMAND_LONG", "COMMAND_INT"):
         codes = (message.param2, message.param3)
@@ -134,7 +134,7 @@ def test_a_stranger_can_neither_fly_it_nor_change_what_its_owner_has_set(flown, 
     now_mode, now_armed, now_us, *now_rest = flown.state()
     assert (now_mode, now_armed, now_rest) == (mode, armed, rest)
     assert flown.server.parameters._values == parameters._values
-    rarer = zip(now_us, intervals_us, strict=True)  # -1 us: stream off; strangers may only lengthen
+    rarer = zip(now_us, intervals_us, strict=True)  # us; -1: stream off; strangers may only shorten them
     assert all(0 < now <= before or before < 0 for now, before in rarer)
 
 

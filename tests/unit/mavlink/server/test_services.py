@@ -27,7 +27,7 @@ def test_heartbeat_comes_once_a_second_and_at_once_on_a_change(served) -> None:
 
 
 def test_message_intervals_are_bounded_by_the_loop_and_can_be_switched_off(served) -> None:
-    assert served.command(511, 31.0, 1.0) == ACCEPTED  # this message interval requests 1 MHz
+    assert served.command(511, 31.0, 1.0) == ACCEPTED  # an interval of 1 us
     assert served.command(511, 32.0, 50_000.0) == ACCEPTED
     assert served.command(511, 30.0, -1.0) == ACCEPTED
     ack, interval = served.handle(as_long(510, (32.0,)))
@@ -119,7 +119,7 @@ def test_missions_logs_and_files_are_refused_at_once(served) -> None:
 def test_messages_from_itself_and_of_no_interest_do_nothing(served) -> None:
     assert served.handle(as_long(400, (1.0,)), (1, 1)) == []
     assert served.handle(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
-    for number in range(300):  # in pymavlink its field has the name of the message number
+    for number in range(300):  # pymavlink uses the name ``id`` for this field and for the message number
         assert served.handle(mav.MAVLink_statustext_message(6, b"hello", number)) == []
     assert not served.armed
 

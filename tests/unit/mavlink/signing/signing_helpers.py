@@ -1,4 +1,4 @@
-"""Clocks, signers and frames for the tests of signing; pymavlink signs the frames."""
+"""Clocks, signers, and frames signed by pymavlink, for the tests of message signing."""
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 

@@ -13,7 +13,7 @@ from flightstack.cli.real import preflight
 
 
 class Vehicle:
-    """Sends heartbeats, signed if it has a key. Only the message with the first key may be unsigned."""
+    """A vehicle that sends heartbeats, signed if it has a key; only the first key may arrive unsigned."""
 
     def __init__(self, key=None, *, armed=False, obeys=True):
         self.keys = [key]

@@ -1,4 +1,4 @@
-"""Tests signed endpoints on real sockets: accepted frames, counters, log, and replies."""
+"""Tests signing endpoints on real sockets: accepted frames, counters, log, and replies."""
 
 import select
 import socket
@@ -16,7 +16,7 @@ from tests.unit.mavlink.signing.signing_helpers import COMPANION, KEY, S, forged
 
 
 class Wire(Caller):
-    """A signed endpoint, and a socket that sends frames to it."""
+    """An endpoint with a signing key, and a socket that sends frames to it."""
 
     def __init__(self, key=KEY):
         self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=key)
@@ -123,7 +123,7 @@ TWO_HOURS = 2 * 3600 * S
 
 
 class Vehicle:
-    """A vehicle signed by pymavlink calls the companion: an accepted frame advances its clock."""
+    """A vehicle that signs with pymavlink; an accepted frame of the companion advances its clock."""
 
     def __init__(self, port, stamp):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -154,7 +154,7 @@ def turn(link):
 
 
 def joined(link, stamp):
-    """Return a vehicle with its clock at ``stamp``, which has sent its first message."""
+    """Return a vehicle whose clock is at ``stamp``, and which has sent its first message."""
     vehicle = Vehicle(link.endpoint.local_port, stamp)
     link.poll(0.0)
     vehicle.send()

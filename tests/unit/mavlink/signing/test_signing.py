@@ -31,7 +31,7 @@ def clock():
     return Clock()
 
 
-# --- rules by which the signer accepts a frame
+# --- rules for accepting a frame
 
 
 def test_accepts_what_pymavlink_signs_and_signs_what_pymavlink_accepts(clock):
@@ -67,7 +67,7 @@ def test_one_forged_frame_locks_nobody_out_before_or_after_the_peer_has_appeared
     for _ in range(2):
         assert signer.refusal(forged()) is Refusal.BAD_SIGNATURE
         assert signer.refusal(heartbeat().pack(peer)) is None
-    # The same attack locks out a peer that uses pymavlink's check, which ours replaces.
+    # The same frame locks a peer out that uses the check of pymavlink.
     victim = theirs((1, 1), stamp=clock.ticks)
     with pytest.raises(dialect.MAVError):
         victim.decode(bytearray(forged()))
@@ -77,7 +77,7 @@ def test_one_forged_frame_locks_nobody_out_before_or_after_the_peer_has_appeared
 
 def test_each_changed_bit_is_noticed(clock):
     signer, frame = clock.signer(), signed(stamp=clock.ticks)
-    for bit in range(8 * 10, 8 * len(frame)):  # header bytes select the frame type; later bytes are tested
+    for bit in range(8 * 10, 8 * len(frame)):  # all bytes after the header
         changed = bytearray(frame)
         changed[bit // 8] ^= 1 << bit % 8
         assert signer.refusal(bytes(changed)) is Refusal.BAD_SIGNATURE
@@ -127,7 +127,7 @@ def test_clock_that_went_back_over_a_restart_opens_nothing(clock, key):
     first.save()
     assert load_state_of(key).sent > sent
     before = first.now()
-    clock.unix_ns -= 100 * 10**9  # sets the clock back to the time of the old frame
+    clock.unix_ns -= 100 * 10**9  # the clock is set back to the time of the old frame
     second = clock.signer(key)
     assert second.now() == before + STALE_TICKS
     assert "clock is 100 s behind" in second.warning
