@@ -25,7 +25,7 @@ from sim.plant.sensors import BLOCK, NS, MeasurementChannel
 from sim.plant.state_error import DELAY, TURN, WIDTH, ErrorRows, PastRecord, mismeasured_path
 from sim.scenarios.tables import PathKind, TargetLink, TargetSpec
 
-DRIVE_LAG_S = 0.1  # time constant of the drive, s; assumption: ROBOTIS gives none, likely are 0.05 to 0.15 s
+DRIVE_LAG_S = 0.1  # time constant of the drive, s; assumption (ROBOTIS gives none; likely 0.05 to 0.15 s)
 
 
 class Deck(NamedTuple):
@@ -89,7 +89,7 @@ def _to_waypoints(points_m: Sequence[tuple[float, float]], speed_m_s: float, tur
 
 
 def _by_function(name: str, speed_m_s: float, turn_rad_s: float) -> Course:
-    """Steer by the user's function; speed and turn rate are limited to the last two arguments."""
+    """Steer by the user's function; limit its values to ``speed_m_s`` and ``turn_rad_s``."""
     function: Any = referred(name, "target.function")
 
     def steer(t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
@@ -284,7 +284,7 @@ class TargetModel:
         return pads
 
 
-MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # columns of ``PAD``: position, heading, body velocity, turn rate
+MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # measured columns: position, heading, body velocity, turn rate
 
 
 class TargetOdometry:

@@ -62,7 +62,7 @@ class Pilot:
 
     @property
     def passes_on(self) -> tuple[float, float, float] | None:
-        """Speeds (horizontal, up, down) up to which set-points pass unchanged, m/s; None: all may change."""
+        """Speeds (horizontal, up, down) up to which set-points pass unchanged, m/s; None: unknown."""
         return self._clip if self._engaged and self._setpoint is not None else None
 
     def handed_on(self, setpoint: Setpoint) -> None:

@@ -159,7 +159,7 @@ def clock_lag_s(recording: Recording) -> Floats:
 
 Mask = NDArray[np.bool_]
 
-GAP_FACTOR = 5.0  # time between two samples that counts as a gap, in sample periods
+GAP_FACTOR = 5.0  # longest time between two samples without a gap, in sample periods
 SPEED_MAX_M_S = 6.0  # largest speed between two motion-capture samples; no Crazyflie in a room is faster
 FROZEN_S = 0.05  # duration after which a repeated pose counts as frozen, s; motion capture lost the body
 ESTIMATE_OFF_M = 0.3  # distance from motion capture above which an estimate has diverged; good flights: 0.2 m

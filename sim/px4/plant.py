@@ -187,7 +187,7 @@ class Px4Sensors:
         return [*messages, dialect.MAVLink_hil_sensor_message(now_us, *accel, *gyro, *slow, fields)]
 
     def _slow(self, body: Body) -> tuple[float, ...]:
-        """Return magnetic field (3, G), pressure and differential pressure (hPa), altitude (m), T (C)."""
+        """Return magnetic field (3), G; pressure, differential pressure, hPa; altitude, m; temperature, C."""
         x, y, z = frd_from_flu(body_from_world(body.quaternion, enu_from_ned(FIELD_NED_GAUSS)))
         nx, ny, nz = self._mag.take()
         height = body.position_enu_m[2]

@@ -62,7 +62,7 @@ class LockstepVehicle(VehicleNode):
     words: FleetEnd | None = None  # link between the companion and the other members; None: no fleet
     answered: bool = field(default=False, init=False)  # whether the companion answered the previous tick
     _companion: Peer | None = field(default=None, init=False)  # the peer that answered first
-    _alive: bool = field(default=True, init=False)  # whether the companion has answered so far
+    _alive: bool = field(default=True, init=False)  # False after a time-out, until it answers again
     _replies: list[Message] = field(default_factory=list, init=False)  # replies for the next tick
     _late: list[Received] = field(default_factory=list, init=False)  # frames that belong to the next tick
     _request: Message = field(default=None, init=False)  # request of this tick
@@ -74,7 +74,7 @@ class LockstepVehicle(VehicleNode):
 
     @property
     def answers(self) -> bool:
-        """Whether the vehicle waits for its companion, which has not left and has answered so far."""
+        """Whether the vehicle waits for its companion, which has neither left nor timed out."""
         return self._alive and not self.over
 
     @property

@@ -95,7 +95,7 @@ class Robot:
         self._driving = not scenario.target.wait_for_landing
 
     def begin(self) -> None:
-        """Compute tick 0. Raises NoAnswerError: time-out of a condition for it."""
+        """Compute tick 0. Raises NoAnswerError: a process that it needs was not ready in time."""
         self._keep(self.first_tick())
 
     def first_tick(self) -> Ticks:
@@ -307,6 +307,6 @@ def sample_rows(samples: F64) -> F64:
 
 
 def target_sample(arrival_s: float, row: Sequence[float]) -> TargetSample:
-    """Return the sample with these nine values."""
+    """Return the sample with the values of ``row``, one row of ``sample_rows``."""
     source_time_s, x, y, z, vx, vy, vz, yaw, rate = row
     return TargetSample(arrival_s, source_time_s, "map", "target", (x, y, z), (vx, vy, vz), yaw, rate)

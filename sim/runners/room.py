@@ -214,7 +214,7 @@ class MemberWords:
         self._told = zenoh_link.fifo_subscriber(session, f"{namespace}/{TOLD}")
         self._heard = zenoh_link.blocking_publisher(session, f"{namespace}/{HEARD}")
         self._tick, self._payload = -1, b""
-        self._last: int | None = None  # last tick of the member's process
+        self._last: int | None = None  # last tick of the member's process; None: it runs
         self._silent = False
 
     @property

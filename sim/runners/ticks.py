@@ -35,7 +35,7 @@ class BatchRecord(Record):
     # receives the number of ticks flown, including a tick whose second part is missing
     plan: Annotated[I64, 4]
     rate_hz: int
-    radio_ms: int  # delay of set-points by the radio
+    radio_ms: int  # delay of set-points by the radio, ms
     # whether the controller sends set-points to an armed vehicle in the air; if not, the vehicle stands
     flies: bool
     status_s: float  # arrival time of the newest heartbeat
@@ -48,7 +48,7 @@ class BatchRecord(Record):
     supervisor: int  # state of the firmware's supervisor
     stream_until_s: float  # time at which the autopilot stops waiting for set-points
     # results
-    own_sent: Annotated[F64, 8]  # newest vehicle state as sent: boot clock, position, velocity, yaw
+    own_sent: Annotated[F64, 8]  # newest state as sent: boot time, s; position, m; velocity, m/s; yaw, rad
     setpoint: Vector  # newest set-point, as the autopilot received it
 
 

@@ -27,7 +27,7 @@ MET, OPEN, MISSED = "met", "open", "missed"
 SHARE_MIN = 0.01  # lower limit of a fraction in a ratio; rarer saturation does not change a flight
 TRACKING_WITHIN = 0.25  # relative difference of two tracking errors that counts as agreement
 
-Statistic = Callable[..., Any]  # function of arrays of the same shape along ``axis``
+Statistic = Callable[..., Any]  # function that reduces arrays of equal shape along ``axis``
 
 
 class Estimate(NamedTuple):

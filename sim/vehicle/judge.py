@@ -25,11 +25,11 @@ from sim.world.step import GROUND, PAD, WorldRecord, tumbled
 
 GAP_MS = 30  # longest gap that does not end a contact, ms; a bounce is shorter
 NONE_MS = -1_000_000
-BESIDE_M, ABOVE_M = 2.0 * RADIUS_BESIDE_M, 2.0 * RADIUS_ABOVE_M  # half axes of the ellipsoid
+BESIDE_M, ABOVE_M = 2.0 * RADIUS_BESIDE_M, 2.0 * RADIUS_ABOVE_M  # semi-axes of the ellipsoid, m
 
 
 class JudgeRecord(Record):
-    """Barrier of the verdict, and extreme values of the flight since the last reading."""
+    """Barrier of the verdict, and extreme values since the last call of ``write_truth``."""
 
     alpha_1_m: float
     beta_m: float
@@ -59,7 +59,7 @@ def judge(j: JudgeRecord, world: WorldRecord) -> None:
 class ContactRecord(Record):
     """Simulated times of contacts, ms; ``NONE_MS``: no contact."""
 
-    bits: int  # bits of all contacts since the last reading
+    bits: int  # bits of all contacts since the last call of ``write_truth``
     since_ms: int  # start of the current contact with pad or ground
     pad_ms: int  # time of the last contact with the pad's top
     ground_ms: int

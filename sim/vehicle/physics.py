@@ -66,9 +66,9 @@ class DragRecord(Record):
     """Rotor drag and weight of the vehicle."""
 
     moment: float  # moment about the centre of mass from the drag along body x and y, N m per m/s
-    damping: float  # torque against roll and pitch rate, N m s
-    xy: float  # drag along body x and y, N s/m
-    along: float  # additional drag along body z, N s/m
+    damping: float  # torque against a roll or pitch rate divided by the rate, N m s
+    xy: float  # drag along body x and y divided by the velocity, N s/m
+    along: float  # additional drag along body z divided by the velocity, N s/m
     weight: float  # weight of the vehicle, N
 
 
