@@ -1,4 +1,4 @@
-"""Flies a fleet once for all tests of its log; the tests share a worker."""
+"""Flies a fleet once; all tests of its log run in the same worker process."""
 
 import pytest
 
@@ -7,5 +7,5 @@ from tests.fleet_log import fly_fleet
 
 @pytest.fixture(scope="session")
 def fleet(tmp_path_factory):
-    """Three vehicles above three robots; two wait for the right of way; 10 % of the messages are lost."""
+    """Return a flight of three vehicles with three robots; two wait, and 10 % of the messages are lost."""
     return fly_fleet(tmp_path_factory.mktemp("fleet"))

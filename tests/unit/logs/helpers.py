@@ -1,4 +1,4 @@
-"""Helpers for tests of logs: a recorded flight, a message, and a bounded wait for another process."""
+"""Helpers for tests of logs: a recorded flight, its messages, and a bounded wait for a process."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def payloads(tick, now_ns):
 
 
 def record(path, ticks=300, close=True):
-    """Write a flight as the recorder does, in small chunks; without ``close`` it ends as after a kill."""
+    """Write a log as the recorder does, in small chunks; without ``close`` it ends as after a kill."""
     recorder = Recorder(McapFile(path))
     client = recorder.client()
     recorder.take(client, control(Metadata("run", {"seed": "1"})))

@@ -40,7 +40,7 @@ def rows(path):
 
 
 def rewritten(source, path, **how):
-    """Return the log as another MCAP writer would write it, in chunks of 4 kB."""
+    """Copy a log as another MCAP writer would write it, in chunks of 4 kB; return the path of the copy."""
     with source.open("rb") as stream, path.open("wb") as out:
         reader, writer, channels = make_reader(stream), Writer(out, chunk_size=4096, **how), {}
         writer.start("ros2", "test")
@@ -66,7 +66,7 @@ def logs(tmp_path_factory):
 
 
 def chunks(path):
-    """Return (start, end) of each chunk in the file."""
+    """Return (start, end) of each chunk in the file, bytes."""
     with path.open("rb") as stream:
         indexes = make_reader(stream).get_summary().chunk_indexes
     return [(c.chunk_start_offset, c.chunk_start_offset + c.chunk_length) for c in indexes]
@@ -115,7 +115,7 @@ def test_every_verb_ends_with_a_sentence_whatever_is_damaged(logs, kind, tmp_pat
 @pytest.mark.parametrize("place", ["data", "kind"])
 @pytest.mark.parametrize("number", [0, -2])
 def test_what_is_before_and_behind_a_damaged_chunk_is_read(logs, kind, place, number, tmp_path):
-    """The first chunk contains the declarations, which the summary repeats."""
+    """The first chunk contains schemas and channels, but the summary repeats them."""
     data, spans = bytearray(logs[kind].read_bytes()), chunks(logs[kind])
     begin, end = spans[number]
     data[{"data": (begin + end) // 2, "kind": begin}[place]] ^= 0x40
@@ -220,14 +220,14 @@ def test_what_is_no_log_is_named(tmp_path, case):
         LogFile(path)
 
 
-@pytest.mark.slow  # the tests above are quick
+@pytest.mark.slow  # quick tests cover the main cases
 def test_every_byte_offset_of_a_small_log(tmp_path):
     """After a power failure the file may end at any byte."""
     small, cut = (tmp_path / name for name in ("small.mcap", "cut.mcap"))
     file, timing = McapFile(small), LoopTimingRow(EPOCH_NS, 0, 0.01, 0.0, 0.0, 0.0, 0, 0)
     channel = file.channel("/t", schemas.LOOP_TIMING)
     file.metadata("run", {"seed": "1"})
-    ends = {}  # size of the file -> required messages
+    ends = {}  # number of readable messages by size of the file
     for tick in range(6):
         file.write(channel, EPOCH_NS + tick, 5, tick, timing._replace(tick=tick).pack())
         if tick % 2:
@@ -248,7 +248,7 @@ def test_every_byte_offset_of_a_small_log(tmp_path):
         assert len(messages) >= max((n for end, n in ends.items() if end <= at), default=0)
         if readable > 8:
             cut.write_bytes(data[:readable])
-            assert rows(cut) == messages  # these bytes contain all readable messages
+            assert rows(cut) == messages  # the first ``readable`` bytes contain these messages
         counts.add(len(messages))
     assert counts == {0, 2, 4, 6}
 

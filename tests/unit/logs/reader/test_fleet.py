@@ -1,4 +1,4 @@
-"""Tests the log of a fleet: members are read as single flights; the verdict is that of all members."""
+"""Tests the log of a fleet: each member is read as a single flight, and all members are judged together."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def test_a_member_is_read_as_a_single_flight(fleet):
 
 
 def test_the_members_together_are_the_fleet(fleet):
-    """A message of a member is in that member's flight only; one pass over the log gives equal flights."""
+    """Each message belongs to one member or is shared; members read together equal members read alone."""
     parts = {member: LogFile(fleet.log, member) for member in MEMBERS}
     counts = {member: sum(1 for _ in part.messages()) for member, part in parts.items()}
     shared = ("/tf", "/tf_static", "/fleet/pairs")
@@ -65,7 +65,7 @@ def test_what_needs_one_flight_names_the_members(fleet, tmp_path):
     with pytest.raises(LogError, match=r"no member 'cf4'; it holds cf1, cf2, cf3"):
         load_flight(fleet.log, "cf4")
     single = write_log(tmp_path / "flight.mcap", landing())
-    assert LogFile(single).members == ("cf1",)  # the log names no vehicle
+    assert LogFile(single).members == ("cf1",)  # the default name, since the log contains none
     with pytest.raises(LogError, match="no member 'cf2'; it holds cf1"):
         LogFile(single, "cf2")
 
@@ -110,7 +110,7 @@ def test_without_the_end_of_a_pair_nothing_is_safe():
     assert known.violation is None
     cut = fleet_verdict(both, [PAIR], NAMES, complete=False)
     assert (cut.collisions, cut.ellipsoid_violations, cut.ellipsoid_min, cut.distance_min_m) == (None,) * 4
-    hit = PAIR._replace(collided_ms=0, violations=2)  # a later record does not change these results
+    hit = PAIR._replace(collided_ms=0, violations=2)  # these counts are certain, also without later records
     cut = fleet_verdict(both, [hit], NAMES, complete=False)
     assert (cut.collisions, cut.ellipsoid_violations, cut.outcome) == (1, 2, Outcome.CRASHED)
     assert cut.members["cf1"].reason == "collision with cf2"

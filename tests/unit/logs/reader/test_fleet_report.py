@@ -26,7 +26,7 @@ def run(*arguments):
 
 @pytest.fixture(scope="module")
 def told(fleet, tmp_path_factory):
-    """Return the command's output about the pages that it writes."""
+    """Write the report pages by the command, and return the JSON object that it prints."""
     folder = tmp_path_factory.mktemp("pages")
     done = run("report", fleet.log, "--out", folder / "report.html", "--json")
     assert done.exit_code == 0
@@ -73,7 +73,7 @@ def test_the_page_of_all_links_those_of_the_members(told):
                   "times inside", "flightstack sitl --scenario scenario.toml --seed 1 --lockstep",
                   "cf3.controller"):  # fmt: skip
         assert words in text
-    assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # waiting vehicle, and vehicle with right of way
+    assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # waiting vehicle, vehicle with the right of way
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def test_the_verdict_is_printed_with_a_line_of_each_member(fleet):
 @pytest.fixture(scope="module")
 def saved(fleet, tmp_path_factory):
     """Return the path of the fleet's recording."""
-    pytest.importorskip("rerun", reason="needs the extra [view]")  # loading takes a second
+    pytest.importorskip("rerun", reason="needs the extra [view]")  # this import takes a second
     from logs.view.view import save
 
     out = tmp_path_factory.mktemp("view") / "fleet.rrd"

@@ -1,4 +1,4 @@
-"""Tests a log as arrays: values and times are correct, and missing values are not invented."""
+"""Tests a log as arrays: values and times are correct, and missing values remain missing."""
 
 import itertools
 import math

@@ -26,7 +26,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def broken(whole, tmp_path_factory):
-    """Return the log of ``whole``, truncated in the middle."""
+    """Return a copy of the log ``whole``, truncated in the middle."""
     path = tmp_path_factory.mktemp("broken") / "broken.mcap"
     data = whole.read_bytes()
     path.write_bytes(data[: len(data) // 2])

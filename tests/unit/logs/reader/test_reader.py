@@ -1,4 +1,4 @@
-"""Tests that other programs read our logs, and that texts and names in a foreign log do no harm."""
+"""Tests that other programs read our logs, and that hostile texts and names in a log do no harm."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def same(a, b):
 
 
 def test_two_cdr_libraries_agree_on_every_message(recorded):
-    """Read with the MCAP project's indexed reader and ROS 2 decoder, and with rosbags."""
+    """The libraries are the reader and ROS 2 decoder of the MCAP project, and rosbags."""
     with recorded.open("rb") as stream, AnyReader([recorded]) as bags:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         theirs: dict[str, list] = {}
@@ -106,7 +106,7 @@ def test_two_cdr_libraries_agree_on_every_message(recorded):
 
 
 def rerun(tmp_path, *arguments):
-    """Run the program with its own home folder, because it stores settings there."""
+    """Run Rerun with a temporary home folder, because it stores settings there."""
     return subprocess.run(
         [str(RERUN), *map(str, arguments)],
         capture_output=True, text=True, timeout=PATIENCE_S, check=False,

@@ -37,7 +37,7 @@ def test_landed(verdict_of):
     assert verdict.touchdown_error_m == pytest.approx(math.hypot(x, y))
     assert verdict.touchdown_speed_vertical_m_s == pytest.approx(-vz)
     assert verdict.touchdown_speed_horizontal_m_s == pytest.approx(math.hypot(vx, vy))
-    # the contact is half a tick before the true state that reports it
+    # the contact is between two ticks; the simulator's record has its time
     assert verdict.time_to_land_s == pytest.approx(
         touch.first_touch_time_s - rows.begin_tick * DT_S, abs=1e-6
     )
@@ -191,10 +191,10 @@ NAN, STILL = math.nan, (0.0, 0.0, 0.0)
 @pytest.mark.parametrize(
     ("changes", "outcome", "violation", "word"),
     [
-        # this contact is farther from the centre
+        # the contact is farther from the centre than this radius
         ([lambda rows: rows.run.update(pad_radius_m="0.01")], Outcome.CRASHED, ANY, ""),
         (
-            # the pad continues at 0.1 m/s
+            # the vehicle stands still while the pad continues at 0.1 m/s
             [truth(lambda rows, tick: tick > rows.truth[rows.touch].tick + 10, velocity_enu_m_s=STILL)],
             Outcome.TIMEOUT, ANY, "relative speed",
         ),
@@ -243,7 +243,7 @@ def test_a_declared_abort_carries_what_the_autopilot_said_of_it(verdict_of):
 
 
 def test_landed_by_estimate(verdict_of):
-    """The log has no true states, as on real hardware."""
+    """The log has no true states, like that of a real vehicle."""
     rows = landing()
     rows.truth = []
     verdict = verdict_of(rows)

@@ -20,7 +20,7 @@ CONFIG = FlightConfig(Barrier(alpha_1_m=1.0, beta_m=1.5), checks=Checks(clearanc
 
 @pytest.fixture
 def judged(tmp_path):
-    """Judge a flight that aborts at tick 600 and is beyond the clearance distance from tick 700 on."""
+    """Return a function that judges a flight with an abort at tick 600 that is clear from tick 700 on."""
 
     def judged(low_tick, *, config=CONFIG, declared=True):
         rows = landing()
@@ -52,7 +52,7 @@ def judged(tmp_path):
 WIDE = replace(CONFIG, checks=Checks(clearance_m=2.0))
 
 
-# the first state beyond the clearance distance contains the minimum h of earlier steps, so it still counts
+# the first state beyond the clearance distance still counts: its smallest h is that of the steps before it
 @pytest.mark.parametrize(
     ("low_tick", "violation", "how"),
     [
@@ -75,7 +75,7 @@ def test_h_counts_until_it_is_clear(judged, low_tick, violation, how):
 
 
 def left_at(rows, tick, contacts=lambda r: 0, down_m_s=0.3):
-    """Let the vehicle take off again at this tick, and reach the clearance distance 50 ticks later."""
+    """Let the vehicle take off again at this tick, and be clear of the target 50 ticks later."""
     stamp = EPOCH_NS + tick * 10_000_000
     rows.steps = [r._replace(phase=Phase.LEAVE) if r.stamp_ns >= stamp else r for r in rows.steps]
     for r in rows.truth[tick + 1 :]:
@@ -88,7 +88,7 @@ def left_at(rows, tick, contacts=lambda r: 0, down_m_s=0.3):
 
 
 def rested(rows):
-    """Return the tick at which the vehicle has rested for the required time, and the last tick."""
+    """Return the tick at which the required time at rest ends, and the last tick."""
     off = max(r.tick for r in rows.truth if r.motors_running) + 1
     return off + round(2.0 / DT_S), len(rows.truth) - 1
 

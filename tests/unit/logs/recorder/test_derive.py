@@ -109,7 +109,7 @@ def test_what_is_not_valid_is_not_shown():
 def test_rates_follow_the_log_time_only():
     counts: dict[str, int] = {}
     deriver = Deriver("cf1")
-    for t_ns in range(0, 10_000_000_000, 2_000_000):  # states arrive at 500 Hz for ten seconds
+    for t_ns in range(0, 10_000_000_000, 2_000_000):  # steps at 500 Hz for ten seconds
         for topic in derive(step(t_ns), deriver):
             counts[topic] = counts.get(topic, 0) + 1
     assert counts["/tf"] == counts["/cf1/pose"] == 500
@@ -195,7 +195,7 @@ def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart(
         }  # fmt: skip
         pad, ellipsoid = shown["pad", 0], shown["ellipsoid", 0]
         assert pad.scale.x == 2.0 * radius_m
-        # the diameters equal half of the ellipsoid of the pair
+        # the diameters are half as large as those of the pair's ellipsoid
         assert (ellipsoid.type, ellipsoid.scale.x, ellipsoid.scale.z) == (ellipsoid.SPHERE, 0.25, 0.75)
         assert f"seed = {n}" in by_topic[f"/{name}/run"][0].data
         decode = derivers.declare(f"/uas{n}/mavlink_source", schemas.MAVLINK)

@@ -1,4 +1,4 @@
-"""Tests feed and recorder with real sockets and files: memory is bounded, and losses are reported."""
+"""Tests feed and recorder with sockets and files: buffers are bounded, and losses are reported."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from tests.unit.logs.helpers import EPOCH_NS, timing
 
 
 class InThread:
-    """Runs the loop of a recorder process in a thread, which ends with the ``with`` block."""
+    """Runs a recorder in a thread, until the end of the ``with`` block."""
 
     def __init__(self, tmp_path, until=None):
         self.socket = tmp_path / "feed.sock"
@@ -126,7 +126,7 @@ def test_nonsense_is_counted_and_harms_nobody_else(tmp_path):
         channel = good.channel("/t", schemas.LOOP_TIMING)
         with socket.socket(socket.AF_UNIX) as raw:
             raw.connect(str(recorder.socket))
-            raw.sendall(HEADER.pack(2**32 - 1, 1, 0, 0, 0) + b"x" * 100)  # no record has this length
+            raw.sendall(HEADER.pack(2**32 - 1, 1, 0, 0, 0) + b"x" * 100)  # an impossible length
         with socket.socket(socket.AF_UNIX) as raw:
             raw.connect(str(recorder.socket))
             bad_topic = control(Declare(3, "/~~~", schemas.LOG)).replace(b"~~~", b"\xed\xa0\x80")
@@ -155,7 +155,7 @@ def test_nonsense_is_counted_and_harms_nobody_else(tmp_path):
 
 
 def deaf_server(tmp_path):
-    """Return a listener and a feed whose records are not read yet."""
+    """Return a listening socket that reads nothing, and its path."""
     server = socket.socket(socket.AF_UNIX)
     server.bind(str(tmp_path / "deaf.sock"))
     server.listen(1)
@@ -185,7 +185,7 @@ def test_slow_recorder_never_blocks_real_time_and_drops_are_counted(tmp_path, ve
             continue
         records += split(received)
     messages = [r for r in records if r.channel != CONTROL]
-    assert [m.sequence for m in messages] == list(range(len(messages)))  # the oldest records are complete
+    assert [m.sequence for m in messages] == list(range(len(messages)))  # the newest records were dropped
     assert len(messages) + client.dropped == total
     assert msgspec.msgpack.decode(records[-1].payload, type=Losses).dropped == client.dropped
     client.close()

@@ -1,4 +1,4 @@
-"""Tests raw frames: they get the bytes of a generic codec, lose nothing, and are decoded as by pymavlink."""
+"""Tests raw frames in the log: same bytes as from a generic codec, no loss, same values as pymavlink."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_cut_frame_record_is_refused(frame, data):
 LINK = mav.MAVLink(None, srcSystem=1, srcComponent=1)
 PARSER = everything.MAVLink(None)
 STAMP_NS = 1_577_836_800_123_456_789
-ROS_FIELD = re.compile(r"[a-z](_?[a-z0-9])*")  # ROS 2 interface definition: field names
+ROS_FIELD = re.compile(r"[a-z](_?[a-z0-9])*")  # valid field names in ROS 2
 ROS_TYPE = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 
@@ -68,7 +68,7 @@ def framed(number, payload, sequence=0, system=1, component=1):
 
 
 def decoded(frame, peer="p00"):
-    """Return (topic, schema, fields) of the one message from a frame."""
+    """Return (topic, schema, message) of the decoded message that the frame gives."""
     decoder = frame_decoder("/cf1/mavlink_source")
     ((topic, schema, data),) = decoder(0, pack_mavlink(STAMP_NS, frame, peer))
     store = schemas.store_for(schema)

@@ -1,4 +1,4 @@
-"""Tests the recorder as a process that is killed or stopped, or that has a full disk."""
+"""Tests the recorder as a process: it is killed or stopped, or its disk is full."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ RECORD = (
 
 
 def start(tmp_path, *, file_limit=None, until="None"):
-    """Start a recorder as a process; return when it listens."""
+    """Start a recorder as a process; return it and its paths when it listens."""
     paths = (tmp_path / "feed.sock", tmp_path / "flight.mcap")
     code = RECORD.replace("None", until)
     if file_limit:
@@ -101,7 +101,7 @@ def test_a_disk_that_cannot_keep_what_it_took_is_a_failure(tmp_path, monkeypatch
 
 
 class SmallDisk(io.BytesIO):
-    """A file on a disk with limited space, bytes."""
+    """A file on a disk with ``room`` bytes."""
 
     room = 60_000
 

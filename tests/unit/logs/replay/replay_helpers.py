@@ -1,4 +1,4 @@
-"""Flies the point mass and records the flight with the recorder's own code."""
+"""Flies a point mass, and records the flight with the code of the onboard process and the recorder."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ STEP, INPUT, STATE = "/cf1/controller/step", "/cf1/controller/input", "/cf1/cont
 
 
 class FileFeed:
-    """A feed that writes directly into a file, with the recorder's flushes."""
+    """A feed that writes directly into a file, and flushes it as the recorder does."""
 
     def __init__(self, path: Path):
         self.file = McapFile(path)
@@ -54,7 +54,7 @@ class NoSession:
 def record(
     path: Path, world: World, seconds: float, *, until=None, config: FlightConfig = CONFIG, after=()
 ) -> Path:
-    """Fly and record; end at the time limit or when the controller has finished."""
+    """Fly and record for at most ``seconds``; ``after``: frames sent after the last tick."""
     feed = FileFeed(path)
     feed.file.attachment("cf1/onboard.toml", "application/toml", 0, dumps(config).encode())
     feed.file.metadata("cf1/onboard", {"namespace": "cf1"})
@@ -75,7 +75,7 @@ def record(
 
 
 def short_flight(path: Path, seconds: float = 3.0) -> Path:
-    """Return a flight that starts in the air next to the pad and lands: all phases of a landing."""
+    """Record the first seconds of a landing that starts in the air next to the pad; return the path."""
     world = World(CONFIG, position=(-0.6, 0.2, 0.95))
     record(path, world, seconds)
     assert world.phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED)

@@ -24,7 +24,7 @@ from tests.point_mass import World
 from tests.synthetic_flight import landing, write_log
 from tests.unit.logs.replay.replay_helpers import CONFIG, INPUT, STATE, STEP, record, short_flight
 
-TICK = 40  # number of a tick in flight
+TICK = 40  # number of the changed tick, in flight
 
 
 @pytest.fixture(scope="module")
@@ -139,8 +139,8 @@ def test_a_log_cut_at_any_byte_is_equal_up_to_there_or_refused(recorded, tmp_pat
         assert result.equal, result.outputs.first
         assert any("breaks off" in note for note in result.notes)
         compared.add(result.compared)
-    assert max(refused) < 10  # only parts without any decision are refused
-    assert len(compared) > 5  # many parts of different length
+    assert max(refused) < 10  # only logs without a decision are refused
+    assert len(compared) > 5  # logs of many lengths were compared
     assert max(compared) <= replay(recorded).compared
 
 
@@ -269,7 +269,7 @@ def test_a_flight_with_a_thrust_reserve_replays_bit_by_bit(powered):
 
 @pytest.mark.parametrize("byte", [-1, -9, -25])
 def test_what_was_told_of_the_battery_counts(powered, tmp_path, byte):
-    """Change the last bits of the values in the message: estimate, tilt and voltage."""
+    """A changed bit of the estimated reserve, the tilt or the voltage in the log is found."""
     changed = at(POWER, lambda data: flipped(data, byte), TICK)
     result = replay(rewritten(powered, tmp_path / "changed.mcap", change=changed))
     assert result.outputs.first[0].index == TICK

@@ -16,7 +16,7 @@ from tests.golden.flights import path_of, write_kept
 
 RECORDED = path_of("fleet_3_cf1")
 NEIGHBOURS = "/cf1/controller/neighbours"
-TICK = 60  # a tick whose decisions depend on the messages
+TICK = 60  # number of a tick whose decisions depend on the messages
 
 
 def test_each_tick_has_what_was_told_in_it():
@@ -29,7 +29,7 @@ def test_each_tick_has_what_was_told_in_it():
 
 
 def one_bit(message):
-    """Change one bit of the east position in the last message, less than a nanometre."""
+    """Change one bit of the east position in the last status message, by less than a nanometre."""
     *before, word = unpack_neighbours(message.data)
     x, y, z = word.position_enu_m
     (bits,) = struct.unpack("<Q", struct.pack("<d", x))

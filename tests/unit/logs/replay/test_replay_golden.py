@@ -1,6 +1,7 @@
 """Tests that the controller still makes the decisions recorded in the golden logs.
 
-After an intended change of decisions, ``python -m tests.golden update`` shows it and flies again.
+After an intended change of the decisions, ``python -m tests.golden update`` shows the differences and records
+new logs.
 """
 
 import pytest

@@ -22,11 +22,11 @@ def run(capsys, *arguments):
     return ended.value.code or 0, told.out, told.err
 
 
-KEPT_S = 5.0  # the copied logs have the first seconds of the flight only, because each tick is replayed
+KEPT_S = 5.0  # duration of the copied logs, s; short, because each tick is replayed
 
 
 def copied(source, target, change):
-    """Copy the begin of a log; ``change`` returns new data for each message; None removes the message."""
+    """Copy the start of a log; ``change`` returns the new data of each message, or None to remove it."""
     log, file, end_ns = LogFile(source), McapFile(target), math.inf
     for name, values in log.metadata().items():
         file.metadata(name, values)

@@ -1,4 +1,4 @@
-"""Tests that a controller whose state was restored at any tick decides as the original one."""
+"""Tests that a controller with a restored state of any tick makes the decisions of the original one."""
 
 import struct
 from copy import deepcopy
@@ -64,7 +64,7 @@ def test_restored_at_any_tick_it_decides_what_the_straight_run_decides(fault, at
 
 
 def leaves(value, name="controller"):
-    """Yield all plain values in an object, at any depth, except the solver's scratch memory."""
+    """Yield (name, value) of all plain values in an object, at any depth, except those of the solver."""
     if isinstance(value, SafetyFilter | type) or callable(value):
         return
     if is_dataclass(value):

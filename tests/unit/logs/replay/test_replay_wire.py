@@ -29,12 +29,12 @@ GOLDEN = path_of("contact")
 SOURCE, SINK = "/uas1/mavlink_source", "/uas1/mavlink_sink"
 
 POSITION, ANSWER = dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, dialect.MAVLINK_MSG_ID_TIMESYNC
-SKIPPED = 200  # messages of this kind before the changed one, so that the flight is in progress
+SKIPPED = 200  # number of the changed frame among those of its kind, in flight
 PAYLOAD_AT = 10  # offset of the payload in a MAVLink 2 frame, bytes
 
 
 def frame_changed(target, topic, message_id, byte):
-    """Return the golden log with one changed byte in a frame's payload, after 200 frames of the kind."""
+    """Return the golden log with one changed byte in the payload of the 200th frame of a kind."""
     seen = 0
 
     def change(message):
@@ -58,7 +58,7 @@ def frame_changed(target, topic, message_id, byte):
 
 
 def misread(path):
-    """Return the names of the inputs that differ if they are computed from the recorded data."""
+    """Return the first differences between the recorded inputs and those computed from the frames."""
     flight = FlightInputs(path)
     wire = WireReplay(flight, flight.config(), found := Tally())
     for tick in flight.ticks():
@@ -91,7 +91,7 @@ def test_a_changed_bit_of_the_vehicles_position_means_other_inputs(tmp_path, byt
 
 
 def once(topic, number, change):
-    """Return a function that changes one message of a topic, given by its index."""
+    """Return a function that changes the message ``number`` of a topic; the first has number 1."""
     seen = itertools.count(1)
     return lambda m: change(m.data) if m.topic == topic and next(seen) == number else m.data
 
@@ -108,7 +108,7 @@ def test_a_changed_bit_of_the_targets_odometry_means_other_inputs(tmp_path):
 
 
 def test_frames_after_the_last_tick_belong_to_none(tmp_path):
-    """A process that lands the vehicle itself sends messages without a controller's decision."""
+    """An onboard process that ends may still send frames, without decisions of the controller."""
     frame = packed(dialect.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 0, 1, 191)
     path = record(tmp_path / "flight.mcap", World(CONFIG, position=(-0.6, 0.2, 0.95)), 0.3, after=(frame,))
     *ticks, rest = FlightInputs(path).ticks()
