@@ -95,7 +95,7 @@ class Battery:
         return self.resistance_ohm * (self.idle_current_a + self.hover_current_a)
 
     def hover_duty(self, speed_rpm: float, voltage_v: float) -> float:
-        """Return the duty cycle at a speed near hover, given the voltage under the load of hover."""
+        """Return the duty cycle at a speed near hover, given the battery voltage under hover load."""
         return (self.motor_v(speed_rpm) + self.hover_sag_v) / (voltage_v + self.hover_sag_v)
 
 

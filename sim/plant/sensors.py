@@ -149,8 +149,8 @@ class MeasurementChannel:
         self._losses, self._width = Losses(link, seed, purpose + ".loss"), len(sigmas)
         self._noise = NoiseRows(sigmas, seed, purpose + ".noise")
         self._rate, self._delay_ns = link.rate_hz, round(link.delay_s * NS)
-        self._queue: deque[tuple[int, tuple[float, ...]]] = deque()  # time of release, row of the sample
-        self._taken = self._due_ns = 0  # number of measurements, time of the next one
+        self._queue: deque[tuple[int, tuple[float, ...]]] = deque()  # time of release, ns; row of the sample
+        self._taken = self._due_ns = 0  # number of measurements; time of the next one, ns
 
     def run(self, times_ns: Sequence[int], measure: Callable[[list[int]], F64]) -> tuple[list[int], F64]:
         """Measure the samples that are due at these times, in increasing order, and release samples.

@@ -67,8 +67,8 @@ class Px4Session:
     """Vehicle, sensors and the connection to one PX4.
 
     ``stop`` ends every wait. ``speed``: ratio of simulated to wall time; 0: as fast as PX4 replies.
-    ``silent_max_s``: wall time without an answer after which PX4 counts as dead. ``tell``: called with a
-    word for the launcher: connected, lockstep, armed or disarmed.
+    ``silent_max_s``: wall time without an answer after which PX4 counts as dead. ``tell``: called with each
+    new state, for the launcher: connected, lockstep, armed or disarmed.
     """
 
     def __init__(

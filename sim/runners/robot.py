@@ -41,7 +41,7 @@ SHAPE: Shape[Sample] = Shape(_move, lambda first, now: (now[0], *first[1:]))
 
 
 class TargetFaults(ScheduledFaults):
-    """Schedule and effects of the robot's faults; a delayed sample is returned by a later call.
+    """Schedule and effects of the robot's faults; a later ``deliver`` returns a delayed sample.
 
     ``faults``: faults of the scenario; those of the vehicle are ignored.
     """

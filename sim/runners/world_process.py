@@ -191,7 +191,7 @@ def _drive(team: Scenario, options: TargetOptions, stop: Stop, stack: ExitStack)
 
 
 def world_main(team: Scenario, options: VehicleOptions) -> int:
-    """Run the vehicles until SIGTERM, SIGINT or ``duration_s``; print ``ready URL ...``, cf1's first.
+    """Run the vehicles until SIGTERM, SIGINT or ``duration_s``; print ``ready`` and their URLs, cf1 first.
 
     It also prints ``armed`` and ``disarmed`` on each change, with the vehicle's name.
 

@@ -32,7 +32,7 @@ class MocapRecord(Record):
     """Samples in the order of measurement: arrived samples, then samples in transit, then future samples."""
 
     measured_ms: Annotated[I64, ROWS]
-    arrives_ms: Annotated[I64, ROWS]  # arrival time, or ``LOST``
+    arrives_ms: Annotated[I64, ROWS]  # arrival time, ms, or ``LOST``
     values: Annotated[F64, ROWS * VALUES]  # noise of each value; after the measurement, the measured value
     measuring: int  # row of the next measurement
     arriving: int  # row of the next arrival
