@@ -88,7 +88,7 @@ class Condition:
             yield self.mocap_problem
 
     def _unplaced(self, now_s: float) -> Iterator[str]:
-        """Yield the reasons why the position is not known."""
+        """Yield the reasons why there is no good position estimate."""
         params, health = self.link.params, self.health
         if (found := params.get(ESTIMATOR, KALMAN)) != KALMAN:
             yield f"{ESTIMATOR} is {found}, {KALMAN} (Kalman) needed"

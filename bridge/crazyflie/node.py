@@ -158,7 +158,7 @@ class Node(Server[Vehicle]):
         return state is None or now_s - state.at_s > _GAP_S
 
     def _tell_readiness(self, now_s: float) -> None:
-        """Report the reason against arming whenever its text, apart from numbers, changes."""
+        """Report the reason against arming when its text changes; a change of numbers does not count."""
         found = self.vehicle.problems(now_s)
         text = f"Not ready: {found[0]}" if found else "Ready to arm"
         kind = re.sub(r"[-+.\d]+", "", text)

@@ -125,7 +125,7 @@ class Power(Enum):
 
 
 class Connected(NamedTuple):
-    """The link is open and the start-up requests are answered."""
+    """Event: the link is open, and the firmware has answered the start-up requests."""
 
     protocol: int
     params: dict[str, str]  # values of ``link.PARAMS``, without parameters unknown to the firmware
@@ -133,7 +133,7 @@ class Connected(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """The link is lost or could not be opened; the next attempt follows."""
+    """Event: the link is lost or could not be opened; the next attempt follows."""
 
     reason: str
     protocol: None = None
@@ -250,7 +250,7 @@ class BootClock:
         return boot_ms, self._clock.lateness_s(boot_ms / 1000.0, at_s)
 
     def now_ns(self, now_s: float) -> int:
-        """Return the firmware clock at a bridge time, ns, for TIMESYNC."""
+        """Return the firmware's clock, ns, at a time of the bridge's clock, for TIMESYNC."""
         return max(1, round((now_s - self._clock.memory.offset_s) * 1e9))
 
 

@@ -101,7 +101,7 @@ class Endpoint:
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """Receivers of ``send``: configured peers, and heartbeat senders heard in the last 10 s."""
+        """Receivers of ``send``: configured peers, and heartbeat senders active in the last 10 s."""
         return self._peers.reached
 
     @property

@@ -42,7 +42,7 @@ class MocapSource:
         self._spec, self.checks = spec, checks
         at = f" at {', '.join(where)}" if where else ""
         self._search, self._waits = KeySearch(session), f"mocap: no pose on {spec.text}{at} yet"
-        self._arrived = False  # whether any sample has arrived
+        self._arrived = False  # whether a sample has arrived since the start
         self.problem: str | None = self._waits  # reason why there is no good pose, or None
         self._unreadable: str | None = None  # reason why the newest sample is unreadable, or None
 

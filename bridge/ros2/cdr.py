@@ -26,7 +26,7 @@ _UNPACK_POSE = {name: codec(name, frame_id=None, foreign=True)[1] for name in (P
 
 
 class OdometryError(ValueError):
-    """A payload that is not a usable message of its type."""
+    """The payload is not a usable message of the expected type."""
 
 
 class Odometry(NamedTuple):

@@ -160,7 +160,7 @@ class _Generator:
         return f"({', '.join(parts)},)" if parts else "()"
 
     def flush(self) -> None:
-        """End the current run of numbers."""
+        """Generate the code of the current run of numbers, and end the run."""
         if self._codes:
             name = f"LAYOUT{len(self.layouts)}"
             self.layouts[name] = [_layout(self._codes, at) for at in range(_ALIGNMENT_MAX)]

@@ -58,7 +58,7 @@ class Node(NamedTuple):
 
 
 def check_topic(topic: str) -> str:
-    """Return a topic name after checking that it is fully qualified."""
+    """Return a topic name after checking it. Raises ValueError: it is not fully qualified."""
     if _TOPIC.fullmatch(topic) and len(topic) <= TOPIC_LENGTH_MAX:
         return topic
     raise ValueError(

@@ -24,7 +24,7 @@ _UNUSED_M2 = 1e3  # variance from which a value counts as unknown; diff_drive_co
 
 
 class RawSample(NamedTuple):
-    """A received sample with the numbers of its attachment."""
+    """A received sample, with sequence number and time of its attachment."""
 
     payload: bytes
     sequence: int | None = None  # sequence number of the attachment; None: no attachment

@@ -69,7 +69,7 @@ ROS_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class TargetSpec:
-    text: str  # text that the user gave
+    text: str  # source as the user wrote it
     dialect: Dialect
     name: str  # key, or topic with the leading slash
     type: TargetType = TargetType.ODOMETRY
@@ -145,11 +145,11 @@ class PoseTrack:
         self._noise_m, self._child = link.position_noise_m, child_frame_id
         self._last: Pose | None = None  # last accepted pose
         self._strange = 0  # number of consecutive poses that are outliers or older than the last one
-        self._unsettled = 0  # number of poses since the last restart
+        self._unsettled = 0  # number of poses since the last restart of the estimator
         self.problem = ""  # reason why poses result in no odometry, or empty
 
     def take(self, pose: Pose) -> Odometry | None:
-        """Return the odometry of a pose; None if the velocity is unknown."""
+        """Return the odometry of a pose; None: a repeated pose, an outlier, or velocity not known yet."""
         time_s, last = pose.stamp_ns / 1e9, self._last
         step_s = (pose.stamp_ns - last.stamp_ns) / 1e9 if last is not None else math.inf
         if step_s == 0.0:

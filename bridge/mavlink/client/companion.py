@@ -26,7 +26,7 @@ _E7 = 1e7  # MAVLink's integer degrees are multiples of 1e-7 degrees
 
 
 class Origin(NamedTuple):
-    """Position of local (0, 0, 0) on earth, WGS84."""
+    """Position on earth (WGS84) of the origin of the local frame."""
 
     latitude_deg: float
     longitude_deg: float

@@ -19,7 +19,7 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import named
 from bridge.mavlink.transport.address import Peer
 
-SILENT_S = 2.5  # time without a frame after which the known sender is not alive, s; heartbeats have 1 Hz
+SILENT_S = 2.5  # time without a frame after which the known sender counts as silent, s; heartbeats have 1 Hz
 _APART_S = 0.5  # time for which addresses must alternate to prove two senders, s; reordering is shorter
 _GAP_MAX = 4  # largest small step of the sequence number (modulo 256): three lost frames
 _STEADY = 8  # number of frames in a row with steps up to _GAP_MAX after which a larger step is suspicious
@@ -42,7 +42,7 @@ class Senders:
 
     known: Peer | None = None  # address of the vehicle; None before its first frame
     ignored: int = 0  # number of rejected frames with the vehicle's ids
-    doubled: str | None = None  # error text as long as a second address with the same ids is alive
+    doubled: str | None = None  # error text once two addresses send with the same ids; None: one address
     _now_s: float = -math.inf  # arrival of the newest frame
     _known_s: float = -math.inf  # arrival of the newest frame from the known address
     _kind: Kind | None = None

@@ -97,7 +97,7 @@ def event_text(message: Message) -> tuple[int, str] | None:
 
 
 def _values(kinds: list[str], data: bytes) -> list[float | str]:
-    """Decode arguments, which are packed without padding, little-endian."""
+    """Decode the arguments of an event: little-endian, without padding."""
     enums = [_table().enums.get(kind) for kind in kinds]
     codes = (_CODES[enum.kind if enum else kind] for enum, kind in zip(enums, kinds, strict=True))
     numbers = struct.unpack_from("<" + "".join(codes), data)

@@ -97,7 +97,7 @@ class VehicleState:
         return self._following
 
     def follow(self, following: bool) -> None:
-        """Record that a set-point (True) or a take-off command (False) is sent."""
+        """Record whether the vehicle now follows set-points, or (False) its own take-off."""
         if following != self._following:
             self._following = following
             self._refresh()

@@ -70,7 +70,7 @@ class ParameterReader:
 
     @property
     def left(self) -> list[str]:
-        """Names without a result."""
+        """Names of the parameters that have no result yet."""
         return list(self._asked)
 
     @property

@@ -99,8 +99,8 @@ class Texts:
     """Texts that wait to be sent, at most 64; the rate of refusals is limited."""
 
     def __init__(self) -> None:
-        self.waiting: list[Text] = []  # texts that wait to be sent
-        self._said_s: dict[str, float] = {}  # time of the refusals of the last second by topic
+        self.waiting: list[Text] = []  # texts that wait to be sent, oldest first
+        self._said_s: dict[str, float] = {}  # times of the refusals in the last second, by topic
         self._hidden = 0
         self._id = 0  # id of the newest text that was split into chunks
 
@@ -168,7 +168,7 @@ class Commander(ABC):
         | dialect.MAV_SYS_STATUS_SENSOR_3D_MAG
         | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
     )
-    height_range_m: ClassVar[tuple[float, float]]  # allowed take-off height above home
+    height_range_m: ClassVar[tuple[float, float]]  # lowest and highest take-off above home, m
 
     def __init__(self) -> None:
         self.mode = FlightMode.HOLD  # flight mode; also defined for a disarmed vehicle
@@ -327,7 +327,7 @@ class Commander(ABC):
             self._begin(now_s)
 
     def _change(self, mode: FlightMode) -> None:
-        """Change the mode without starting to fly it."""
+        """Change the mode and report it, without ``_begin``."""
         if mode is not self.mode:
             self.texts.say(dialect.MAV_SEVERITY_INFO, f"Mode {mode.value}")
         self.mode = mode

@@ -117,7 +117,7 @@ class Server(ABC, Generic[V]):
         return {}
 
     def condition(self, snapshot: Snapshot[V]) -> object:
-        """Return a value whose change sends HEARTBEAT and SYS_STATUS immediately."""
+        """Return a value; when it changes, HEARTBEAT and SYS_STATUS are sent immediately."""
         vehicle = snapshot.vehicle
         return vehicle.mode, vehicle.armed, vehicle.failsafe, snapshot.valid
 

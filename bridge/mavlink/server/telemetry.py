@@ -34,8 +34,8 @@ class Snapshot(Generic[V]):
     estimate: Any
     valid: bool  # whether position and velocity are good enough for control
     now_s: float  # time on the server's clock, which schedules the streams
-    boot_s: float  # time on the vehicle's boot clock
-    epoch_ns: int = 0  # Unix time at zero of the boot clock
+    boot_s: float  # time on the vehicle's boot clock, s
+    epoch_ns: int = 0  # Unix time at which the boot clock was zero, ns
 
     @property
     def boot_ms(self) -> int:
@@ -99,7 +99,7 @@ def home_position(s: Snapshot[V], latitude_e7: int, longitude_e7: int) -> Messag
 
 
 def heading_deg(s: Snapshot[V]) -> float:
-    """Return the heading clockwise from north, 0 to 360."""
+    """Return the heading clockwise from north, 0 to 360 degrees."""
     return math.degrees(yaw_ned_from_enu(yaw_from_quaternion(s.estimate.quaternion))) % 360.0
 
 
@@ -238,7 +238,7 @@ class Streams(Generic[V]):
         return messages + [stream.build(snapshot) for stream in self._passed(snapshot.now_s)]
 
     def next_s(self, message_ids: frozenset[int]) -> float:
-        """Return a lower bound of the next due time of these messages, without messages of every tick.
+        """Return a lower bound, s, of the due times of these messages, except messages of every tick.
 
         The bound is -inf unless exactly position and attitude, of these messages, are sent at every tick.
         """

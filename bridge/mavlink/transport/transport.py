@@ -175,7 +175,7 @@ class ByteStream:
         self._ready()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for input and write pending frames meanwhile."""
+        """Wait for input and write pending frames; return whether there is input."""
         until_s = time.monotonic() + timeout_s
         while True:
             channel, left_s = self._ready(), max(0.0, until_s - time.monotonic())
