@@ -192,7 +192,7 @@ class Tally:
     first: list[Difference] = dataclasses.field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._newest = -1  # newest tick with a difference
+        self._newest = -1  # number of the newest tick with a difference
 
     def add(self, topic: str, tick: int, found: Iterable[tuple[str, str, str]]) -> None:
         """Add the differences (field, recorded, replayed) of a topic in a tick."""

@@ -89,7 +89,7 @@ def page(
         Panel("waits", "Who waited for whom", _WAITS, tables.waits_table(sides)),
     ]
     title = run.get("scenario", fleet.path.stem)
-    label = first.member if of is not None else ""  # name of a vehicle that flew with others
+    label = first.member if of is not None else ""  # name of the vehicle on the page of a fleet member
     about = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
     about += [run["mode"]] if "mode" in run else []
     return Page(

@@ -35,7 +35,7 @@ _PHASES: dict[Phase | int, tuple[int, int, int, float]] = {
 }
 _SPACE_PX = 640  # height of a spatial figure, pixels
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and distance of the legend below the axis, pixels
-POINTS_MAX = 4000  # maximum number of points per line; more points are not visible and make the page large
+POINTS_MAX = 4000  # maximum number of points of a line; more are not visible and make the page large
 _FAULT_STRIP = 0.965  # lower edge of the strip that marks a fault, as a fraction of the figure's height
 LABEL_SHARE = 0.05  # smallest width of a band with a name, as a fraction of the axis
 BEFORE_S, AFTER_S = 1.0, 3.0  # time shown initially before and after the landing, s

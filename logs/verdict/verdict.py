@@ -93,12 +93,12 @@ class FleetVerdict(Verdict):
 
     # verdict of each member, by name; a member that collided with another vehicle has the outcome crashed
     members: dict[str, Verdict]
-    collisions: int | None  # pairs whose shapes overlapped; None: data are missing, or there are no pairs
+    collisions: int | None  # number of pairs that collided; None: data are missing, or no pairs
     # number of times that two flying vehicles came inside their ellipsoid; None as for ``collisions``
     ellipsoid_violations: int | None
     # smallest ellipsoid norm of two flying vehicles; below 1: inside; None: never two in flight, or unknown
     ellipsoid_min: float | None
-    distance_min_m: float | None  # smallest distance of two centres of mass; None: unknown, or no pairs
+    distance_min_m: float | None  # smallest distance of two centres of mass, m; None: unknown, or no pairs
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:

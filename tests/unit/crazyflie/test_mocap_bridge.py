@@ -240,7 +240,7 @@ def test_each_autopilot_gets_what_it_wants_once_it_is_heard(autopilot, kind):
         messages, problem = step(i / 100.0)
         sent += messages
     assert problem is None
-    assert sent.count(kind) == pytest.approx(100, abs=3)  # 50 Hz of the 100 Hz are sent
+    assert sent.count(kind) == pytest.approx(100, abs=3)  # sent at 50 Hz, received at 100 Hz
     assert set(sent) <= {kind, "HEARTBEAT"}
     assert kind not in step(6.0)[0]  # no heartbeat for 6 s: no poses
 

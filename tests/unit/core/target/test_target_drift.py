@@ -55,7 +55,7 @@ def test_a_velocity_that_the_positions_contradict_is_soon_noticed(fault, yaw):
     noticed_s = next(
         t for t, track, _ in drive(Checks(), 4.0, yaw=yaw, says=WRONG[fault]) if track.memory.distrusted
     )
-    # limit: 0.1 m after a low-pass of 0.2 s; the difference, which grows by 0.1 m/s or more, decays with 2 s
+    # the limit is 0.1 m after a low-pass of 0.2 s; a drift of 0.1 m/s is forgotten within about 2 s
     assert noticed_s < (2.0 if fault in ("half", "climbs", "flips every other second") else 1.3)
 
 

@@ -24,7 +24,7 @@ from tests.point_mass import World
 from tests.synthetic_flight import landing, write_log
 from tests.unit.logs.replay.replay_helpers import CONFIG, INPUT, STATE, STEP, record, short_flight
 
-TICK = 40  # number of the changed tick, in flight
+TICK = 40  # number of the changed tick; the vehicle flies then
 
 
 @pytest.fixture(scope="module")

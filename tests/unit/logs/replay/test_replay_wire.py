@@ -29,7 +29,7 @@ GOLDEN = path_of("contact")
 SOURCE, SINK = "/uas1/mavlink_source", "/uas1/mavlink_sink"
 
 POSITION, ANSWER = dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, dialect.MAVLINK_MSG_ID_TIMESYNC
-SKIPPED = 200  # number of the changed frame among those of its kind, in flight
+SKIPPED = 200  # number of the changed frame among the frames of its kind; the vehicle flies then
 PAYLOAD_AT = 10  # offset of the payload in a MAVLink 2 frame, bytes
 
 

@@ -139,7 +139,7 @@ def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
         assert not wire.admits(message, now_s=second + 0.5, armed=True, stream="script")
     assert not wire.admits(message, now_s=2.9, armed=True, stream="script")
     assert wire.beats(now_s=3.0, armed=True, mode=OFFBOARD)
-    wire.numbers[HERE] += 100  # 100 frames were lost: a changed mode or disarming counts when repeated
+    wire.numbers[HERE] += 100  # 100 lost frames: the claim needs a repetition
     assert not wire.admits(message, now_s=4.0, armed=True)
     assert wire.admits(message, now_s=5.0, armed=True)
 

@@ -187,7 +187,7 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
     shows(1.0, 1)
     assert auto.state.status.mode is Mode.TAKEOFF
     auto.command(Request.EXTERNAL, 1.0)
-    assert not auto.send_setpoint(still, 1.0)  # it would keep the vehicle on the ground
+    assert not auto.send_setpoint(still, 1.0)  # it would prevent the take-off
     auto.command(Request.TAKEOFF, 1.1)
     assert not auto.send_setpoint(still, 1.1)
     shows(4.0, 3)
