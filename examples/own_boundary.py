@@ -34,7 +34,10 @@ class Cone:
         return e_m[2] - min(self.slope * math.hypot(e_m[0], e_m[1]), self.height_m)
 
     def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
-        """Return h, its gradient by the vehicle's position, and dh/dt; on the axis the gradient points up."""
+        """Return h, its gradient with respect to the vehicle's position, and dh/dt.
+
+        On the axis the gradient points up.
+        """
         d = math.hypot(e_m[0], e_m[1])
         slope = self.slope if 0.0 < self.slope * d < self.height_m else 0.0
         gx, gy = (-slope * e_m[0] / d, -slope * e_m[1] / d) if slope else (0.0, 0.0)

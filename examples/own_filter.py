@@ -15,7 +15,7 @@ import flightstack as fs
 
 
 class Smooth(fs.Filter):
-    """Filter the nominal velocity by a low-pass; return the nearest velocity that meets all constraints."""
+    """Low-pass the nominal velocity; return the nearest velocity that satisfies all constraints."""
 
     @dataclass
     class State:

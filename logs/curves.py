@@ -1,7 +1,8 @@
 """Curves of a flight over time, for the report and Rerun: a chart has rows, and a row has curves.
 
 The colours are from Okabe and Ito (2008): colour-blind readers can distinguish them, also in a grey-scale
-print. A colour has the same meaning in every chart; true and estimated values also differ by dash.
+print. A colour has the same meaning in every chart; the curves of true and estimated values also have
+different line styles.
 """
 
 from __future__ import annotations

@@ -89,7 +89,8 @@ def _guided_or_airborne(status: VehicleStatus) -> bool:
 
 
 def _landing(status: VehicleStatus) -> bool:
-    # A vehicle disarmed in the air is a contradiction; on the ground the landing command is harmless.
+    # "Disarmed" and "in the air" contradict each other: the step then counts as not done, so the landing
+    # command is sent. It is harmless if the vehicle stands on the ground.
     return status.mode is Mode.LAND or not (status.armed or status.landed in _AIRBORNE)
 
 

@@ -65,7 +65,8 @@ class MocapSource:
         passed, self.problem = self.checks.step(poses, now_s, armed=armed), self.checks.problem(now_s)
         self._arrived = self._arrived or bool(poses)
         if self._arrived or armed:
-            self._search.stop()  # no search in flight, which would receive all poses and odometry
+            # the search stops before flight, because it receives all poses and odometry
+            self._search.stop()
         if not self._arrived:
             keys = () if armed else self._search.keys()
             self.problem = self._waits + (f"; there are {', '.join(keys)}" if keys else "")

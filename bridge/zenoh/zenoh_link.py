@@ -136,7 +136,10 @@ def open_session(
 
 
 def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | None, role: Role) -> Any:
-    """Return Zenoh's configuration; arguments precede the file, the file this module's defaults."""
+    """Return Zenoh's configuration.
+
+    Arguments override the file, and the file overrides this module's defaults.
+    """
     untouched = zenoh.Config()
     try:
         if file is None:

@@ -199,8 +199,9 @@ class FleetMemory:
     slots: tuple[Heard, ...] = ()  # one slot for each other member, in the order of their ids
     claim_s: float = nan  # time at which this vehicle claimed the right of way, s; NaN: no claim
     granted: bool = False  # whether this vehicle has the right of way
-    waits_since_s: float = inf  # time since which the vehicle waits for the right of way, s
-    committed_s: float = inf  # time since which COMMITTED is announced, s
+    # time at which the vehicle began to wait for the right of way, s; inf: it does not wait
+    waits_since_s: float = inf
+    committed_s: float = inf  # time at which COMMITTED was first announced, s; inf: it is not announced
     crowded: bool = False  # whether the event "constraints relaxed" was sent
     crowded_s: float = -inf  # time at which constraints of neighbours were last relaxed, s
     left: bool = False  # whether the vehicle has left its pad for another vehicle, or has tried to

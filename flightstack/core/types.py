@@ -38,9 +38,9 @@ class FilterStatus(IntEnum):
     NOT_RUN = 0
     SOLVED = 1
     CLOSED_FORM = 2  # the solver failed, or its result was rejected: the exact projection is used
-    INFEASIBLE = 3  # no velocity in the box meets the barrier; the velocity that raises h fastest is used
+    INFEASIBLE = 3  # no velocity in the box satisfies the barrier; the one that raises h fastest is used
     REJECTED = 4  # an input of the program is not finite: there is no result
-    CROWDED = 5  # neighbours' constraints are relaxed by the smallest common slack; barrier and box are met
+    CROWDED = 5  # neighbours' constraints are relaxed by the smallest common slack; barrier and box hold
     OWN = 6  # result of a user's method ``filter``: the gate checks limits, but not the barrier
 
 

@@ -102,8 +102,9 @@ class Shape:
         return self._with_margin(_range(bend, d, 3.0 / a), _range(fade_bend, d, w * math.sqrt(1.5)))
 
     def turn_1_m(self, d: Span) -> float:
-        """Return the largest slope/d, 1/m, at least 0: the curvature for a tangential motion.
+        """Return the largest curvature for a tangential motion, slope/d, 1/m.
 
+        This is the largest value over the distances ``d``; it is never below 0.
         If b'/d and f'/d are positive, they fall with d, so they are largest at the near end.
         """
         near = d.low

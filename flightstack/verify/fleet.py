@@ -1,7 +1,7 @@
 """Checks of a configuration with a table [fleet], and of all members together (docs/how_it_works/fleet.md).
 
-Some velocity must meet the landing barrier, the velocity limits (box) and the neighbours' constraints (rows).
-h is the value of a neighbour's barrier and g its gradient. The worst constraint of a neighbour is
+Some velocity must satisfy the landing barrier, the velocity limits (box) and the neighbours' constraints
+(rows). h is the value of a neighbour's barrier and g its gradient. The worst constraint of a neighbour is
 
     g . u >= |g| w + a t - rate h,
 
@@ -76,7 +76,7 @@ def errors_m(config: FlightConfig) -> float:
 def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
     """Return the checks that two vehicles remain apart by their constraints.
 
-    If velocities follow the commands with a first-order lag T and both constraints are met, y = h has
+    If velocities follow the commands with a first-order lag T and both constraints are satisfied, y = h has
     T y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
     and y remains positive if y' >= -L y, where L is the larger root.
 
@@ -204,8 +204,8 @@ def steepest(config: FlightConfig, shape: Shape) -> float:
 def anywhere_m(config: FlightConfig) -> float:
     """Return the h above which the constraints of any number of neighbours have a common feasible velocity.
 
-    This velocity is the pad's horizontal velocity with any climb; it meets the landing barrier if h is not
-    negative.
+    This velocity is the pad's horizontal velocity with any climb; it satisfies the constraint of the landing
+    barrier if h is not negative.
     """
     fleet, vz = config.fleet, config.limits.velocity_max_m_s[2]
     at_most = math.hypot(config.touchdown.target_speed_max_m_s, fleet.flat * vz)
@@ -244,7 +244,7 @@ def one_short_m_s(config: FlightConfig, aside_m_s: float, lowest: float) -> Most
 
 
 def _common_points(config: FlightConfig, slope: float, climb_m_s: float) -> list[Check]:
-    """Return the checks that a velocity meets neighbours' rows, velocity limits and landing barrier."""
+    """Return the checks that a velocity satisfies neighbours' rows, velocity limits and landing barrier."""
     fleet, (vx, vy, _), speed_m_s = config.fleet, config.limits.velocity_max_m_s, config.fleet.speed_max_m_s
     from_m, reach_m = anywhere_m(config), fleet.reach_m - fleet.radius_xy_m
     short_m_s, elevation = one_short_m_s(config, up_the_slope_m_s(config, slope, climb_m_s), -math.pi / 2.0)

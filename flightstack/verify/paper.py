@@ -1,4 +1,4 @@
-"""Checks of eq. 11 that any filter needs: some velocity in the box always meets the barrier.
+"""Checks of eq. 11 that any filter needs: some velocity in the box always satisfies the barrier.
 
 At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box raises h
 by ``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target lowers h by ``|s| w + w_z``. The difference must

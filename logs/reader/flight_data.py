@@ -234,7 +234,10 @@ class Sizes(NamedTuple):
 
 
 def sizes_of(config: FlightConfig | None, run: Mapping[str, str]) -> Sizes:
-    """Return the sizes of a flight; the metadata of a simulated run contain the pad radius."""
+    """Return barrier, pad radius and separation ellipsoid of a flight.
+
+    The metadata of a simulated run contain the pad radius.
+    """
     radius_m = number(run, "pad_radius_m")
     if config is None:
         return Sizes(None, PAD_RADIUS_M if radius_m is None else radius_m, None)

@@ -44,7 +44,8 @@ TOPICS_MAX = 512  # maximum number of derived topics, since a sender can invent 
 
 Derived = tuple[str, str, bytes]  # fields: topic, schema, CDR payload
 Derive = Callable[[int, bytes], list[Derived]]  # arguments: log time, ns, and CDR payload
-_Decoder = tuple[str, str, Callable[[Record], bytes]]  # fields: topic, schema, frame to CDR payload
+# fields: topic, schema, function that converts a frame to its CDR payload
+_Decoder = tuple[str, str, Callable[[Record], bytes]]
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 # attitude of the NED axes in ENU: a half turn about the horizontal line between east and north

@@ -44,7 +44,8 @@ BEFORE_S = 0.3  # time before phase TOUCHDOWN, s: a gust may press the vehicle o
 AFTER_S = 1.0  # time after phase TOUCHDOWN, s: with the paper's rule the vehicle falls the last centimetres
 MEMORY_S = 0.15  # time before a stop from which the sink rate of the descent is computed, s
 STOPPED_SHARE = 0.5  # fraction of the earlier median sink rate; below it the descent has stopped
-STAYS_S = 0.05  # interval after a stop, s; the mean sink rate in it must also be below STOPPED_SHARE
+# interval after a stop, s; its mean sink rate must also be below STOPPED_SHARE times the earlier median
+STAYS_S = 0.05
 SINK_MIN_M_S = 0.05  # slowest descent whose end can be detected, m/s
 # fraction of the highest sink rate; the last step above it was before the contact. A lower fraction includes
 # steps of a lagging state (lag 0.03 s, 50 Hz: contact 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)

@@ -65,8 +65,8 @@ def summary(
     """Return the object that ``--json`` prints.
 
     ``rows``: one or more; ``command``: command that repeats one seed, with ``{seed}``; ``wall_s``: wall time
-    of this call; ``flown_s``: simulated time of this call; ``judged_apart``: text on the verdict barrier and
-    the flown barrier, if they differ.
+    of this call; ``flown_s``: simulated time of this call; ``judged_apart``: text that names the barriers of
+    verdict and flight, and the boundary of a user's filter; empty if there is no difference.
     """
     counts = count(rows)
     lowest = [row.h_min_outside_pad_m for row in rows if row.h_min_outside_pad_m is not None]

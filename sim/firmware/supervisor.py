@@ -1,9 +1,9 @@
 """Supervisor: arming, set-point watchdog, tumble detection; a table holds the transitions.
 
 It follows firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated at 25 Hz, for a build
-that requires arming. It omits the checks before arming and the spin-up (part of DISARMED), emergency stop and
-deck faults, and the intermediate states before DISARMED and LOCKED. A disarm command acts immediately and
-also ends CRASHED; the firmware has a separate request to end CRASHED.
+that requires arming. It omits: the checks before arming, the spin-up (here part of DISARMED), the emergency
+stop, deck faults, and the intermediate states before DISARMED and LOCKED. A disarm command acts immediately
+and also ends CRASHED; the firmware has a separate request to end CRASHED.
 
 In flight, compiled code evaluates the table in numeric form, where a state is its index in ``STATES``.
 """

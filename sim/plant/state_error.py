@@ -89,7 +89,7 @@ def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None
 def mismeasured_path(
     past: Cell[PastRecord], positions: F64, velocities: F64, rows: F64, measured: F64
 ) -> None:
-    """Fill ``measured`` (n, 6) along a path of n samples."""
+    """Write measured position and velocity for each of the n samples of a path to ``measured`` (n, 6)."""
     for k in range(len(positions)):
         mismeasure(past[0], positions[k], velocities[k], rows[k])
         for i in range(6):

@@ -32,7 +32,9 @@ from sim.vehicle.physics import Physics, fly
 
 LANDED_AFTER_MS = 150  # time of contact after which the vehicle counts as landed, ms
 _KEPT = "vehicle"  # name of the compiled flight code in the cache folder
-WARM_UP_MS = 100  # simulated time in which all firmware loops run and motion capture arrives, ms
+# length of the warm-up run, ms of simulated time: long enough that every firmware loop runs and a sample of
+# motion capture arrives
+WARM_UP_MS = 100
 _COLLISION = ContactBit.VEHICLE.value
 _BROKEN = tuple(Fault(What.MOTOR, Kind.DEAD, motor=motor) for motor in range(1, 5))
 

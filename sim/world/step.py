@@ -187,7 +187,7 @@ def touched(sensors: Doubles, pad_m: float) -> int:
     return bits
 
 
-TUMBLE_COS = 0.5  # cosine of 60 degrees, the tilt of a tumble
+TUMBLE_COS = 0.5  # cosine of 60 degrees: a larger tilt counts as a tumble
 
 
 class ReachRecord(Record):

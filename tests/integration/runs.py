@@ -76,7 +76,10 @@ def fly(out: Path, scenario: str, seed: int = 0, *more) -> Result:
 
 
 def replayed(log: Path, *, apart: bool = False) -> dict:
-    """Replay a log, including the recorded MAVLink and Zenoh data; all decisions must be equal."""
+    """Replay a log, including the recorded MAVLink and Zenoh data; return the result.
+
+    All decisions must be equal.
+    """
     done = flightstack("replay", log, "--check", "--json", apart=apart)
     assert done.code == 0, done.out + done.err
     found = done.json

@@ -32,7 +32,10 @@ NAN = float("nan")
 def running(
     child: Started, *, ready: bool = True, within_s: float = PATIENCE_S
 ) -> Iterator[tuple[Started, str]]:
-    """Run a process and kill it at the end of the context; yield its ready line if it prints one."""
+    """Run a process, and kill it at the end of the context; yield the process and its ready line.
+
+    ``ready``: whether the process prints a ready line; if not, the yielded line is empty.
+    """
     try:
         yield child, line_of(child.stdout, within_s).strip() if ready else ""
     finally:

@@ -40,7 +40,7 @@ class Framer:
     Frames extend from marker to checksum, or to the end of the signature. After a frame, a stream waits for
     the complete next frame; after noise only if the header is that of a known message and the length fits,
     so a stray 0xFD delays no frames. Only the first byte of a wrong candidate is skipped. Dropped bytes and
-    frames are counted by the names in docs/how_to/security.md.
+    frames are counted under the names listed in docs/how_to/security.md.
     """
 
     def __init__(self, counters: Counter[str], *, stream: bool = False) -> None:

@@ -3,7 +3,8 @@
 The offset of two vehicles must remain outside an ellipsoid: its barrier h = r_xy (rho - 1) gives one linear
 constraint on this vehicle's velocity. Each of the two vehicles takes a share of the avoidance (none, half or
 all), and both shares sum to at least 1 (``pair.py``). In each tick ``member.py`` adds one constraint for each
-neighbour within reach. ``program.py`` finds with OSQP the velocity nearest to the nominal one that meets all
-constraints; ``solution.py`` computes the exact solution, from which OSQP starts. A vehicle that approaches
-another one also steps aside to its right. ``precedence.py`` gives the right of way to the oldest claim.
+neighbour within reach. ``program.py`` finds with OSQP the velocity nearest to the nominal one that satisfies
+all constraints; ``solution.py`` computes the exact solution, from which OSQP starts. A vehicle that
+approaches another one also steps aside to its right. ``precedence.py`` gives the right of way to the oldest
+claim.
 """

@@ -1,9 +1,10 @@
 """Quadratic program of a fleet member: ``safety/qp_filter.py`` with one more constraint for each neighbour.
 
-OSQP starts from the exact solution (``solution.py``), and its result is used only if it meets all constraints
-(``Row``) and equals that solution. If no velocity meets all constraints, vehicles with late messages get
-constraints without their reachable sets; if this is not enough, the constraints of all neighbours are relaxed
-by the smallest common slack. The landing barrier and the velocity limits (box) are never relaxed.
+OSQP starts from the exact solution (``solution.py``), and its result is used only if it satisfies all
+constraints (``Row``) and equals that solution. If no velocity satisfies all constraints, vehicles with late
+messages get constraints without their reachable sets; if this is not enough, the constraints of all
+neighbours are relaxed by the smallest common slack. The landing barrier and the velocity limits (box) are
+never relaxed.
 
 Over the pad, ``Cone`` first reduces the box. A single vehicle flies inwards, where the boundary is lower; a
 vehicle that gives way may fly outwards or past the centre, where the boundary may rise faster than it climbs.
@@ -50,7 +51,7 @@ class FleetProgram:
         self, nominal: Vec3, firm: Sequence[Row], neighbours: Sequence[Row], lower: Vec3, upper: Vec3,
         basic: Sequence[Row] = (),
     ) -> FleetResult:  # fmt: skip
-        """Return the velocity nearest to ``nominal`` that meets all constraints; neighbours' may be relaxed.
+        """Return the velocity nearest to ``nominal`` within all constraints; neighbours' may be relaxed.
 
         ``firm``: constraints that are never relaxed, the landing barrier first; ``basic``: constraints of the
         neighbours without the reachable sets of vehicles with late messages.
@@ -85,7 +86,7 @@ class FleetProgram:
                 less = given_m_s + RELAXED_M_S
                 found = nearest(nominal, [*firm, *(Row(g, b - less) for g, b in neighbours)], lower, upper)
                 point = found[0] if found is not None else point
-            elif landing is not None:  # rounding: only this corner of the box meets the barrier
+            elif landing is not None:  # rounding: only this corner satisfies the barrier
                 point = corner
         slack = -landing.missing_m_s(point) if landing is not None else math.nan
         active = landing is not None and landing.missing_m_s(clip_to_box(nominal, lower, upper)) > 0.0

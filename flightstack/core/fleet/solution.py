@@ -5,10 +5,10 @@
 ``by_active_set`` is a dual active-set method in plain floats (Goldfarb and Idnani, Mathematical Programming
 27, 1983): it starts at the clipped u', where sides of the box are active, adds the constraint with the
 largest violation until no constraint is violated, and removes a constraint whose multiplier would become
-negative. Its result is used only if it meets the Karush-Kuhn-Tucker conditions, which are checked here; if
-not, ``by_all_sets`` tries all active sets: in three dimensions at most three constraints are active at the
-minimiser. ``least_slack`` relaxes constraints if no point meets all. The result depends only on the data of
-this tick, and OSQP shares no code with this module.
+negative. Its result is used only if it satisfies the Karush-Kuhn-Tucker conditions, which are checked here;
+if not, ``by_all_sets`` tries all active sets: in three dimensions at most three constraints are active at the
+minimiser. ``least_slack`` relaxes constraints if no point satisfies all. The result depends only on the data
+of this tick, and OSQP shares no code with this module.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Row(NamedTuple):
     bound_m_s: float  # bound b of the constraint
 
     def missing_m_s(self, u: Vec3) -> float:
-        """Return the violation of the constraint by a velocity, m/s; 0 or less: the constraint is met."""
+        """Return the violation of the constraint by a velocity, m/s; 0 or less: it is satisfied."""
         return self.bound_m_s - (self.g[0] * u[0] + self.g[1] * u[1] + self.g[2] * u[2])
 
 
@@ -51,9 +51,9 @@ Nearest = tuple[Vec3, tuple[float, ...]]  # minimiser, m/s; one multiplier for e
 
 
 class Found(NamedTuple):
-    """The minimiser, or constraints that no velocity meets together."""
+    """The minimiser, or constraints that no velocity satisfies together."""
 
-    point: Vec3 | None  # minimiser, m/s; ``None``: no point meets all constraints
+    point: Vec3 | None  # minimiser, m/s; ``None``: no point satisfies all constraints
     # multipliers, in the order of the input; if point is None: multipliers of contradictory
     # constraints, whose gradients times these multipliers sum to 0
     multipliers: tuple[float, ...]
@@ -66,7 +66,7 @@ def by_active_set(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) 
     normals, bounds, lengths = [], [], []
     for (gx, gy, gz), bound in rows:
         length = math.sqrt(gx * gx + gy * gy + gz * gz)
-        if not length > _LEAST_LENGTH:  # no gradient: either all velocities meet the constraint or none
+        if not length > _LEAST_LENGTH:  # no gradient: all velocities or none satisfy the constraint
             gx = gy = gz = 0.0
             length = 1.0
         lengths.append(length)
@@ -183,7 +183,7 @@ def _impossible(
 
 
 def by_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    """Return the minimiser of the program, or ``None`` if no point of the box meets all constraints."""
+    """Return the minimiser of the program, or ``None`` if no point of the box satisfies all constraints."""
     point, count, start = clip_to_box(nominal, lower, upper), len(rows), np.array(nominal)
     if all(row.missing_m_s(point) <= 0.0 for row in rows):
         return point, (0.0,) * count
@@ -223,7 +223,7 @@ def by_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) ->
 
 
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    """Return minimiser and multipliers, or ``None`` if no point of the box meets all constraints."""
+    """Return minimiser and multipliers, or ``None`` if no point of the box satisfies all constraints."""
     x, y, z = point = clip_to_box(nominal, lower, upper)
     for (gx, gy, gz), bound_m_s in rows:
         if gx * x + gy * y + gz * z < bound_m_s:
@@ -237,7 +237,7 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Return the smallest common slack of the soft constraints, and a velocity that meets all with it.
+    """Return the smallest common slack of the soft constraints, and a velocity that satisfies all with it.
 
     Each set of contradictory constraints gives a lower bound of the slack. The search is repeated with this
     bound as slack until no such set is left: the slack is then the smallest sufficient one. It is infinite if

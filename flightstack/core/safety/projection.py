@@ -4,8 +4,8 @@
 
 The minimiser is ``clip(u' + lambda g)`` with the smallest multiplier lambda >= 0 that satisfies the
 half-space. g . clip(u' + lambda g) never falls with lambda and is linear between the values at which an axis
-meets its bound, so a walk over these values finds lambda exactly. The solver shares no code with this module;
-in flight it starts from this result and confirms or improves it.
+reaches its bound, so a walk over these values finds lambda exactly. The solver shares no code with this
+module; in flight it starts from this result and confirms or improves it.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
     )
 
 
-EMPTY = -1.0  # value of the multiplier if no point of the box meets the half-space
+EMPTY = -1.0  # value of the multiplier if no point of the box is in the half-space
 
 
 def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
     """Return the minimiser and the multiplier lambda of the half-space.
 
-    Lambda is 0 if the half-space is inactive, infinite if no finite value meets it, and ``EMPTY`` (with the
-    best corner) if no point of the box meets it.
+    Lambda is 0 if the half-space is inactive, infinite if no finite value satisfies it, and ``EMPTY`` (with
+    the best corner) if no point of the box does.
     """
     (nx, ny, nz), (lx, ly, lz), (hx, hy, hz) = nominal, lower, upper
     x, y, z = min(max(nx, lx), hx), min(max(ny, ly), hy), min(max(nz, lz), hz)
@@ -49,7 +49,7 @@ def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tup
 
 
 def _multiplier(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3, value: float) -> float:
-    """Return the lambda that meets the half-space; ``value`` is ``g . u`` at lambda = 0, below ``b``."""
+    """Return the lambda that satisfies the half-space; ``value`` is ``g . u`` at lambda = 0, below ``b``."""
     # values of lambda at which a component of u leaves its near bound (starts to change) and reaches its far
     # bound (stops)
     events: list[tuple[float, float]] = []

@@ -6,9 +6,9 @@ The program has one barrier row and three box rows; the solver is set up once an
 from the exact projection of this tick (``projection.py``), which its optimality test usually confirms
 immediately; otherwise it iterates. Therefore a result depends only on the data of this tick, and the time is
 bounded. (From zero the solver takes hundreds of iterations where the barrier's gradient is nearly the normal
-of a side of the box and both are active.) A result is used only if it has the status solved and meets box and
-barrier; otherwise the exact projection is used. If no point of the box meets the barrier, the command is the
-corner of the box that raises h fastest, with status INFEASIBLE.
+of a side of the box and both are active.) A result is used only if it has the status solved and satisfies
+box and barrier; otherwise the exact projection is used. If no point of the box satisfies the barrier, the
+command is the corner of the box that raises h fastest, with status INFEASIBLE.
 """
 
 from __future__ import annotations

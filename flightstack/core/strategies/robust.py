@@ -267,7 +267,7 @@ class RobustFilter(Filter):
 
 
 def _contradictions(config: FlightConfig) -> list[str]:
-    """Return a text for each rule between values that this configuration breaks."""
+    """Return one text for each consistency rule that the values of this configuration violate."""
     checks, loop, rate_hz, robust = config.checks, config.velocity_loop, config.loop.rate_hz, config.robust
     most_1_s, late_s = loop.rate_max_1_s(1.0 / rate_hz), loop.dead_time_s
     feet_m, pad_m = config.touchdown.feet_below_reference_m, config.touchdown.pad_radius_m

@@ -19,9 +19,9 @@ from tests.flight_suite.room import Fence, Lost, given, on_px4, simulated
 from tests.integration.runs import flightstack
 
 pytestmark = pytest.mark.vehicle
-STANDING_M_S = 0.15  # largest estimated speed of a vehicle that stands on the ground
+STANDING_M_S = 0.15  # largest estimated speed of a vehicle that stands on the ground, m/s
 STOPPED_S = 2.0  # time-out from the emergency stop to motors off, s
-AWAY_M_S = 0.3  # speed at which the pilot flies away from the start
+AWAY_M_S = 0.3  # speed at which the pilot flies away from the start, m/s
 FLIGHT_MAX_S = 90.0
 LANDED_MAX_S = 40.0  # time-out from the loss of the companion to motors off by the vehicle itself, s
 

@@ -25,7 +25,7 @@ from tests.px4_place import px4_or_skip
 
 @contextmanager
 def vehicle_process(*arguments):
-    """Run ``flightstack vehicle`` with a disarmed vehicle on the ground; yield its address."""
+    """Run ``flightstack vehicle``, disarmed on the ground; yield the process and the URL to connect to."""
     words = ("vehicle", "--scenario", "paper_moving_1", "--url", "udpin:127.0.0.1:0", *arguments)
     with verb(*words, within_s=WALL_MAX_S) as (child, ready):
         yield child, ready.split()[1].replace("udpin", "udpout")

@@ -94,18 +94,18 @@ LOST_S = 10.0  # time-out of PX4's fail-safe, s of wall time; COM_OF_LOSS_T = 1.
 LANDED_MAX_S = 60.0
 RECORDED_MAX_S = 60.0
 ROBOT_M_S = 0.2
-DRIVEN_M = 2.0  # smallest distance that the robot must drive during the flights
+DRIVEN_M = 2.0  # smallest distance that the robot must drive during the flights, m
 TAKEOFF_M = 1.2
 KILLED_M = 0.2  # height of the kill in the climb, m: PX4 climbs about 0.8 m more until its fail-safe acts
 ERROR_M = 0.25  # largest touchdown error, m; the pad has a radius of 0.5 m
-STANDS_M = 0.12  # height of the reference point above the pad
+STANDS_M = 0.12  # height of the reference point above the pad while the vehicle stands on it, m
 NEAR_M = 0.05
 TWITCH_S = 0.1  # duration below which a run of the motors is no flight, s; 12 ms was observed once
 CARRIED_S = 2.0  # time after motors off for which the vehicle must remain on the pad, s
 
 
 def scenario_file(folder):
-    """Return scenario ``large`` with short distances: a flight ends within twenty seconds."""
+    """Write scenario ``large`` with short distances, for flights below twenty seconds; return its path."""
     large = load("large")
     start = replace(large.start, offset_m=(-1.0, 0.5, 1.1))
     short = replace(
@@ -125,7 +125,10 @@ class Flown:
     truth: Truth  # true states from the first to the last flight
 
     def armed_s(self):
-        """Return start and end of each flight; PX4 may also run the motors for one sample before a flight."""
+        """Return start and end of each flight, s.
+
+        PX4 may also run the motors for one sample before a flight; this does not count.
+        """
         running = np.diff(self.truth.motors_running.astype(int), prepend=0, append=0)
         edges = self.truth.t_s[np.minimum(np.flatnonzero(running), len(self.truth.t_s) - 1)]
         times_s = zip(edges[::2], edges[1::2], strict=True)

@@ -47,7 +47,10 @@ STEPS = (
 
 @contextmanager
 def vehicle(*more: str):
-    """Run ``flightstack vehicle`` on a free loopback port, and an observer; both must end without error."""
+    """Run ``flightstack vehicle`` on a free loopback port; yield an observer of it.
+
+    The process must end without error.
+    """
     words = ("vehicle", "--scenario", "paper_static_1", "--url", "udpin:127.0.0.1:0", *more)
     with verb(*words, within_s=READY_MAX_S) as (child, ready):
         watch = Observer(ready.removeprefix("ready "))

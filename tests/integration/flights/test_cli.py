@@ -169,7 +169,7 @@ def test_a_package_of_another_project_with_the_same_name_is_named(name, tmp_path
 
 @pytest.fixture(scope="module")
 def flights(flown):
-    """Return the logs of two landings."""
+    """Return the paths of the logs of two landings."""
     landings = [flown("lab", seed) for seed in (1, 2)]
     assert [landing.code for landing in landings] == [0, 0], landings
     return [landing.log for landing in landings]

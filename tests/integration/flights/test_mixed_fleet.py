@@ -30,7 +30,7 @@ READY_S = 200.0  # time-out until PX4 can arm, s, also on a busy machine
 
 @contextlib.contextmanager
 def second_member(kind, folder, robots, place):
-    """Run the second vehicle: the simulated one, or PX4 as instance 1, which has the system id 2."""
+    """Run the second vehicle: the simulated one, or PX4 as instance 1, whose system id is 2."""
     words = ("--scenario", TEAM, "--seed", SEED, "--member", SECOND, "--connect", robots)
     if kind == "sitl":
         with verb("vehicle", *words, "--url", f"udpin:{place}"):

@@ -148,7 +148,7 @@ TAKES_ITS_TERMINAL = (
 
 
 def on_a_terminal(arguments):
-    """Start a subcommand as session leader on a new terminal; return the process and the test's end."""
+    """Start a subcommand as session leader on a new terminal; return the process and our end of it."""
     ours, theirs = pty.openpty()
     child = subprocess.Popen(
         [sys.executable, "-c", TAKES_ITS_TERMINAL, *COMMAND, *arguments],
@@ -193,7 +193,7 @@ def beat(vehicle, base_mode):
 
 @contextmanager
 def mocap_bridge():
-    """Run a motion capture bridge that has received messages of a vehicle."""
+    """Run a motion-capture bridge, up to its first pose for an armed vehicle; yield vehicle and bridge."""
     with (
         Mocap(KEY, lambda: ((1.0, 2.0, 0.5), (1.0, 0.0, 0.0, 0.0))) as mocap,
         plain_vehicle(12) as vehicle,

@@ -60,7 +60,7 @@ BAD = {
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory):
-    """Run ``validate`` on a folder with a good flight, one with a gap, and all kinds of bad ones."""
+    """Return the result of ``validate`` on a good flight, one with a gap, and all kinds of bad ones."""
     folder = tmp_path_factory.mktemp("mixed")
     shutil.copy(recorded.PIECE, folder / "good.parquet")
     write(folder / "hole.csv", changed(["qx"], nan_for_a_while))

@@ -1,4 +1,4 @@
-"""Logs of separate processes: they replay bit by bit, play back, and are judged with and without truth."""
+"""Tests logs of separate processes: exact replay, playback, and verdicts with and without true states."""
 
 import math
 from dataclasses import replace
@@ -23,8 +23,9 @@ def test_a_real_time_flight_replays_bit_by_bit_inputs_from_the_wire_included(tmp
     assert b"alpha_1_m" in config.data
 
 
-# largest differences of the verdicts from the estimate and from the true states: m; m/s and s. The target is
-# measured to 1 cm or better in these flights, so the limits show the errors of the method.
+# largest differences between the verdict computed from the estimate and the one computed from true states:
+# touchdown error, m; other values, m/s or s. The target is measured to 1 cm or better in these flights, so
+# the limits show the errors of the method.
 ERROR_M, SPEED_M_S = 0.015, 0.05
 FLIGHTS = [("paper_moving_1", 0), ("large", 0), ("lab", 1), ("stop_and_go", 0)]
 

@@ -32,7 +32,7 @@ PUT_TIME_MAX_S = 0.01
 
 
 def entities(path):
-    """Return, by entity, the number of rows with a time, and the names of all columns."""
+    """Return two dictionaries by entity: the number of rows with a time, and the names of all columns."""
     rows, columns = Counter(), {}
     for chunk in RrdReader(path).store().stream().to_chunks():
         rows[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
@@ -72,7 +72,7 @@ def sender():
 
 @pytest.fixture
 def watching(sender, tmp_path):
-    """Run ``watch --view`` as a process that receives from ``sender``."""
+    """Run ``watch --view``, which receives from ``sender``; yield the process and its recording's path."""
     out = tmp_path / "live.rrd"
     child = subprocess.Popen(
         [*COMMAND, "watch", "--connect", sender[1], "--view", str(out), "--config", str(CONFIG)],

@@ -23,7 +23,7 @@ BROWSER_LIMIT_S = 180
 
 
 def find_chromium():
-    """Return the path of a Chromium: that in the environment's CHROMIUM, or one found, or None."""
+    """Return the path in the variable CHROMIUM, else that of a browser on the search path, else None."""
     named = os.environ.get("CHROMIUM")
     return named if named else next((path for name in BROWSERS if (path := shutil.which(name))), None)
 

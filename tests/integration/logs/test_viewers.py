@@ -42,7 +42,7 @@ def log(flown):
 
 @pytest.fixture(scope="module")
 def bag(log):
-    """Return log time in ns and message of all messages by topic, decoded by rosbags."""
+    """Return, by topic, the log time in ns and the content of each message, decoded by rosbags."""
     found: dict[str, list] = {}
     with AnyReader([log]) as reader:
         for connection, log_time_ns, data in reader.messages():
@@ -86,7 +86,7 @@ def test_every_raw_frame_is_also_decoded_and_names_its_peer(log, bag):
 
 
 def rerun(home, *arguments):
-    """Run the program with its own home folder, because it stores settings there."""
+    """Run Rerun with its own home folder, because it stores settings there; return the ended process."""
     done = subprocess.run(
         [str(RERUN), *map(str, arguments)],
         capture_output=True, text=True, timeout=PATIENCE_S, check=False,

@@ -54,7 +54,7 @@ def bridge(server: Server, *arguments: str) -> Iterator[Verb]:
 def member_behind_the_bridge(
     scenario: Scenario, seed: int, number: int, url: str, robots: str
 ) -> Iterator[SimPlant]:
-    """Run a Crazyflie with simulated physics as a member of a fleet: the firmware model, and its bridge.
+    """Run a Crazyflie as a member of a fleet, with firmware model and bridge; yield its simulated physics.
 
     ``number``: system id; ``robots``: Zenoh endpoint of the robots, one of which moves the deck.
     """
@@ -143,7 +143,7 @@ class Mocap:
 
 @contextmanager
 def plain_vehicle(autopilot: int) -> Iterator[Client]:
-    """Provide a client that plays an autopilot with ``beat`` (a heartbeat), and uses only pymavlink."""
+    """Yield a client that plays an autopilot, with pymavlink only; its ``beat()`` sends a heartbeat."""
     one = Client(f"udpin:127.0.0.1:{free_port(udp=True)}", 1, 1, listen=True)
     try:
         one.beat = lambda: one.send(mav.MAVLink_heartbeat_message(2, autopilot, 0, 0, 3, 3))

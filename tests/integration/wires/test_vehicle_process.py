@@ -86,7 +86,7 @@ class Companion(Client):
             self.hello()
 
     def step(self, timeout_s: float = 20.0) -> bool:
-        """Wait for the next tick's request and answer it; False after a time-out."""
+        """Wait for the next tick's request and answer it; return False after a time-out."""
         deadline_s = time.monotonic() + timeout_s
         while time.monotonic() < deadline_s:
             for message in self.receive(max(0.0, deadline_s - time.monotonic())):

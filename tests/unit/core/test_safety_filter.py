@@ -37,7 +37,7 @@ boxes = st.tuples(sides, sides, sides).map(
 
 
 def project(*given):
-    """Return the exact projection; None: no velocity within the limits meets the constraint."""
+    """Return the exact projection; None: no velocity within the limits satisfies the constraint."""
     point, multiplier = projected(*given)
     return None if multiplier == EMPTY else point
 

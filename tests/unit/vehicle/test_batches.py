@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 
 def flown(scenario, seed, on_step=None, parameters=()):
-    """Fly a landing; return flight, record, and number of ticks flown in batches."""
+    """Fly a landing; return the flight, its recorded data, and the number of ticks flown in batches."""
     flights, in_batches = Flights(scenario, seed, on_step=on_step), 0
     (flight,), batches = flights.members, flights.batches
     for name, value in parameters:
@@ -37,7 +37,10 @@ def flown(scenario, seed, on_step=None, parameters=()):
 
 
 def assert_equal(scenario, seed, least, *parameters):
-    """Compare with a flight tick by tick; batches must fly ``least`` of the ticks, without numba none."""
+    """Compare a flight in batches with one flown tick by tick; return the recorded data of the first.
+
+    Batches must fly at least the fraction ``least`` of the ticks; without numba they must fly none.
+    """
     one, seen, in_batches = flown(scenario, seed, None, parameters)
     other, wanted, none = flown(scenario, seed, lambda tick, out: None, parameters)
     assert in_batches == 0 if is_off() else in_batches >= least * len(wanted.steps.t_s)

@@ -76,7 +76,7 @@ def test_poses_from_outside_whose_markers_are_tilted_make_it_drift(tilt_rad):
 
 
 def driven(error, seed=1):
-    """Return true position, velocity and heading of a robot on a circle, by tick, and its samples."""
+    """Return true position, velocity and heading of a robot on a circle, by tick, and its odometry."""
     spec = TargetSpec(PathKind.CIRCLE, 0.2, 0.5, wait_for_landing=False)
     robot = Robot(scenario(target=spec, odometry=TargetLink(error=error)), seed, TickGrid(100))
     first = robot.first_tick()

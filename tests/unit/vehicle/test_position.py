@@ -45,7 +45,10 @@ class TestPidPosition:
         st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.floats(-3.0, 3.0)
     )
     def test_the_first_tick_by_hand(self, error, velocity, yaw):
-        """Tilt = (kp + ki dt) (2 e - v) in the yawed frame; thrust likewise, with the integral of 2 e."""
+        """The tilt is (kp + ki dt) (2 e - v) in the yawed frame.
+
+        The thrust follows the same law; there the integral of the height error is added to 2 e.
+        """
         loop = cascade()
         at = (1.0, -2.0, 0.5)
         wanted = tuple(a + e for a, e in zip(at, error, strict=True))

@@ -34,7 +34,7 @@ class Log(EventLog):
 
 @pytest.fixture
 def ends():
-    """Yield a Zenoh session for the robot, and a subscriber to all its data."""
+    """Yield a Zenoh session for the robot, subscribers to its odometry and ticks, and a credit publisher."""
     endpoint = free_endpoint()
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
     wait_for(lambda: zenoh_link.transports(ours) == 1)
@@ -56,7 +56,7 @@ def robot_of(ends, log):
 
 
 def received(subscriber, number):
-    """Return all received data as soon as this number of messages has arrived."""
+    """Wait until at least this number of messages has arrived; return all that arrived."""
     came = []
     wait_for(lambda: came.extend(zenoh_link.drain(subscriber)) or len(came) >= number)
     return came
@@ -89,7 +89,7 @@ class Radio:
         self.inbox.set(STOP, 0)
 
     def at(self, now_ms):
-        """Return the vx of the set-point that is active at this time, and the time of its arrival, ms."""
+        """Return vx of the set-point that is active at this time, m/s, and the time of its arrival, ms."""
         receive(self.record, self.present, now_ms)
         return float(self.present.vx), int(self.record.taken_ms)
 

@@ -31,7 +31,7 @@ BASE = {
 
 
 def config(**sections):
-    """Return the base with replaced keys, e.g. ``config(robust={"rate_1_s": 2.0})``."""
+    """Return a configuration: ``BASE`` with replaced keys, e.g. ``config(robust={"rate_1_s": 2.0})``."""
     table = {name: dict(values) for name, values in BASE.items()}
     for name, values in sections.items():
         if isinstance(values, dict):

@@ -71,7 +71,7 @@ def _climb(c, x):
 
 
 def turn_back_m(c, x):
-    """Return the table of the height that is lost between the decision to go around and the climb."""
+    """Return the height that is lost between the decision to go around and the start of the climb, m."""
     late_s = c.velocity_loop.slope_time_s + c.envelope.lag_spread * c.velocity_loop.lag_z_s
     late_s += 2.0 / c.loop.rate_hz + c.own.delay_s
     down = c.robust.descent_m_s
@@ -92,7 +92,7 @@ def verdicts():
 
 
 def fleet():
-    """Return the table of checks of a member of fleet_3, and of all members together."""
+    """Return the table with the checks of one member of fleet_3 and those of all members together."""
     found = scenario.load("fleet_3")
     results = [*fleet_checks(found.onboard), *crowd(found)]
     rows = [_row(check.name, [check.claim, _room(check), check.worst]) for check in results]
@@ -113,7 +113,7 @@ def tables():
 
 
 def split(text, name):
-    """Return the text before, within and after a table's marks."""
+    """Return the text up to a table's begin mark, the table, and the text from its end mark on."""
     before, rest = text.split(BEGIN.format(name) + "\n", 1)
     within, after = rest.split(END, 1)
     return before + BEGIN.format(name) + "\n", within.rstrip("\n"), "\n" + END + after

@@ -55,7 +55,7 @@ class Wanderer:
 
 
 def fly(settings, seed, seconds=8.0):
-    """Fly one approach with the real control law and filter; return the lowest true h outside the pad.
+    """Fly one approach with the real control law and filter; return the lowest true h outside the pad, m.
 
     Vertical velocity differs from its command by up to the declared tracking error, horizontal velocity lags,
     and the relative position has a constant error of the declared size.

@@ -73,7 +73,7 @@ def test_each_limit_from_both_sides(name, passes, fails, more):
 
 
 def closest_m(rate_1_s, lag_s, seed, root_1_s):
-    """Return the lowest h while two vehicles fly towards each other; inf: the start is not admissible.
+    """Return the lowest h while two vehicles fly towards each other, m; inf: the start is not admissible.
 
     Each vehicle takes half of the pair's constraint, and each velocity loop is of first order.
     """
@@ -119,7 +119,7 @@ def landing_row(slope, bearing, pad):
 
 
 def neighbour_row(away, h_m, speed_m_s):
-    """Return the constraint of a neighbour at -``away`` from the vehicle, which flies towards it."""
+    """Return the constraint of a neighbour that is at -``away`` from the vehicle and flies towards it."""
     _, g = barrier(away, 0.25, 0.75)
     length = math.hypot(*g)
     return Row(g, speed_m_s * length + CONFIG.fleet.growth_m_s - CONFIG.fleet.rate_1_s * h_m)

@@ -1,4 +1,4 @@
-"""Tests that solutions of the fleet program are exact, and the constraints that silent vehicles cause."""
+"""Tests the exactness of the fleet program's solutions, and the constraints that silent vehicles cause."""
 
 import math
 import random

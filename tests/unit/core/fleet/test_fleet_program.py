@@ -57,7 +57,7 @@ def least_by_scipy(soft, firm, lower, upper):
 
 
 def met_nowhere(found, lower, upper):
-    """Whether no point within the velocity limits meets all constraints, within the solver's error."""
+    """Whether no point within the velocity limits satisfies all constraints, within the solver's error."""
     more = [row._replace(bound_m_s=row.bound_m_s + AGREES_M_S) for row in found]
     return least_by_scipy(more, [], lower, upper) > 0.0
 
@@ -71,7 +71,8 @@ FLAT = [
 UNIT_BOX = ((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
 # a constraint that the best corner of the limits violates by a rounding error
 ROUNDED, BESIDE = Row((1.0, -2.220446049250313e-16, 0.0), 0.5), ((-0.5, 0.5, -0.5), (0.5, 1.5, 0.5))
-# a constraint that the limits meet only at x = 0; there it requires z >= 0, or nothing if z is rounded away
+# a constraint that points within the limits satisfy only at x = 0; there it requires z >= 0, or nothing if
+# the coefficient of z is rounded to zero
 LEVEL, AGAINST = Row((1.0, 0.0, 4.2e-145), 0.0), ((-0.04, -0.5, -0.5), (0.0, 0.5, 0.5))
 
 
