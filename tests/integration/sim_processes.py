@@ -111,7 +111,7 @@ class Client:
         return mav.MAVLink_command_long_message(1, 1, number, 0, *params, *[NAN] * (7 - len(params)))
 
     def receive(self, timeout_s: float = PATIENCE_S) -> list:
-        """Return the messages of the next datagram; none after a time-out."""
+        """Return the messages of the next datagram; the list is empty after a time-out."""
         if not select.select([self._socket], [], [], timeout_s)[0]:
             return []
         data, self._to = self._socket.recvfrom(65536)

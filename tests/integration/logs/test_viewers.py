@@ -138,7 +138,7 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
 
 
 def numeric(reader, topic, fields):
-    """Whether a dotted path ends at a number, by the definitions in the log."""
+    """Whether the path of fields ends at a number, according to the message definitions in the log."""
     (connection,) = [c for c in reader.connections if c.topic == topic]
     kind = connection.msgtype
     for i, field in enumerate(fields):

@@ -50,7 +50,7 @@ class Node:
             self.messages[key.topic].append(decode(key.type_name, sample.payload.to_bytes()))
 
     def has_all_of_the_flight(self):
-        """Whether the robot's data have arrived up to the vehicle's last ones; a busy machine delays them."""
+        """Whether the robot's data are as new as the vehicle's last ones; a busy machine delays them."""
         self.poll()
         own, target = self.messages["/cf1/odom"], self.messages["/cf1/target/odom"]
         return seconds(target[-1]) >= seconds(own[-1])

@@ -65,8 +65,10 @@ def promise_m():
 
 
 def turned_against(settings_, factor):
-    """Return the target's accelerations and the errors, by tick, that cause the largest final distance of the
-    flown loop."""
+    """Return the target's accelerations and the errors, as velocities, with the largest final distance.
+
+    Both have one value for each tick of the flown loop.
+    """
     x, gain, ticks = extremes(settings_), settings_.robust.gain_over_pad_1_s, round(LONG_S * 100)
     none, knock = np.zeros(ticks), np.zeros(ticks)
     knock[0] = 1e-3
