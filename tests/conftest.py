@@ -91,9 +91,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Use one worker per core; with ``-n auto`` add one per stream of flights, which mostly wait."""
-    streams = 0 if config.option.numprocesses == "logical" else STREAMS
-    return streams + (os.cpu_count() or 1)
+    """Use one worker per core; with ``-n auto`` add four for three streams of flights, which mostly wait."""
+    more = 0 if config.option.numprocesses == "logical" else STREAMS + 1
+    return more + (os.cpu_count() or 1)
 
 
 @pytest.hookimpl(tryfirst=True)  # runs before pytest-xdist reads the groups
