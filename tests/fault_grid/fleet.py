@@ -67,8 +67,8 @@ SEED = 1
 FLEET_HEAD = f"""
 ## A fleet
 
-Each row is a flight of the three vehicles of `fleet_3` with seed {SEED}. The second vehicle fails
-permanently at {", ".join(f"{at_s:g} s ({moment})" for moment, at_s in MOMENTS_S.items())}.
+Each row is a flight of the three vehicles of `fleet_3` with seed {SEED}. In each flight the second vehicle
+fails permanently at one time: {", ".join(f"{at_s:g} s ({moment})" for moment, at_s in MOMENTS_S.items())}.
 Requirements: no two vehicles collide, none comes inside the [ellipsoid](../how_it_works/fleet.md) around
 another one, and the other two land on their pads.
 
