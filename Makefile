@@ -33,7 +33,7 @@ COLLECT := $(BIN)/python -m pytest --collect-only -q >/dev/null
 
 # one restart only: a test that ends its worker runs again in the next worker, and ends that one, too
 test: $(VENV)/.test
-	$(call CHECK,($(WARM) && $(COLLECT)))
+	$(call CHECK,($(COLLECT) & $(WARM) && wait $$!))
 	$(BIN)/python -m pytest -n auto --dist loadgroup --max-worker-restart 1 -q
 
 # unit tests without those marked slow, with fewer random examples; one worker per core, as no test flies in real time
