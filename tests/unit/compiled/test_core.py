@@ -38,7 +38,7 @@ def both(given):
 
 
 def flown(scenario, make):
-    """Fly a landing; return the decisions of each step, without wall times."""
+    """Fly a landing; return all decisions and the controller's last state, without wall times."""
     rows = []
 
     def note(_tick, out):

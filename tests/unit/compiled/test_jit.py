@@ -37,7 +37,7 @@ STEPS = 300
 
 
 def flight(loop, kind, error=False):
-    """Return all states of a short flight in gusts with a landing or a take-off."""
+    """Return true states and estimates of a short flight in gusts: a descent or a take-off."""
     mocap = OdometryLink(100.0, 0.005, 0.0, 0.005, 0.02, loss=0.02)
     spec = VehicleSpec(
         velocity_loop=VelocityLoop(loop),
@@ -72,7 +72,7 @@ def flat(value):
 
 
 def drives():
-    """Return all states and measurements of the robots of all scenarios."""
+    """Return all states and odometry samples of the robots of all scenarios."""
     out = []
     captured = replace(scenario.load("field"), odometry=TargetLink(50.0, error=StateError()))
     for each in (*map(scenario.load, scenario.names()), captured):
@@ -87,7 +87,7 @@ FLIGHTS, DRIVES = "[flight(*case) for case in CASES]", "drives()"
 
 
 def in_a_process(what=FLIGHTS, **environment):
-    """Return the results of a new interpreter, which must equal those of this process."""
+    """Return the results computed by a new interpreter, which a test compares with those of this process."""
     here = "from tests.unit.compiled.test_jit import CASES, drives, flight"
     needless = "import sys; assert not {'coverage', 'glfw'} & sys.modules.keys()"
     code = f"import json; {here}; print(json.dumps({what})); {needless}"
@@ -108,7 +108,7 @@ def test_plain_python_flies_the_same(compiled):
 
 
 def test_the_robot_drives_the_same_bits_in_plain_python_without_numba():
-    """The robot's process interprets the code, a campaign compiles it, and both must be equal."""
+    """Interpreted code, as in the robot's process, and compiled code give equal states of each robot."""
     assert repr(in_a_process(DRIVES, NUMBA_DISABLE_JIT="1")) == repr(flat(json.loads(json.dumps(drives()))))
     words = ["-m", "flightstack.cli.main", "target", "--scenario", "lab", "--duration", "0.1"]
     done = subprocess.run(
@@ -170,7 +170,7 @@ print(jit.jitted(add)(np.zeros(1)))
 
 
 def test_a_full_disk_and_damaged_machine_code_only_cost_time(tmp_path):
-    """After a loss of power the stored machine code may be empty, truncated or damaged."""
+    """A program returns the right result on a full disk and with empty, truncated or damaged machine code."""
     file = tmp_path / "adds.py"
     file.write_text(ADDS)
 
@@ -193,4 +193,4 @@ def test_a_full_disk_and_damaged_machine_code_only_cost_time(tmp_path):
         for content in (b"", damaged.read_bytes()[:-20], b"\xff" * 500):
             damaged.write_bytes(content)
             assert added() == ("1.0\n", "")
-            assert index.read_bytes() != content  # the machine code is stored again
+            assert index.read_bytes() != content  # the machine code was compiled and stored again

@@ -1,4 +1,4 @@
-"""Tests objects in compiled code: their fields, their methods, and the cases left to Python."""
+"""Tests objects in compiled code: their fields, their methods, and the cases that Python computes instead."""
 
 from copy import deepcopy
 from dataclasses import fields
@@ -49,7 +49,7 @@ def test_a_state_with_something_that_compiled_code_does_not_know_is_pythons(flow
 
 
 def take(kernel, later_s, x_m):
-    """Pass a later sample of the target, moved by ``x_m``, to the kernel."""
+    """Pass the newest target sample again to the kernel, ``later_s`` later and moved along x by ``x_m``."""
     last = kernel.track.newest
     x, y, z = last.position_enu_m
     kernel.take(
@@ -71,5 +71,5 @@ def test_compiled_methods_change_the_same_state_and_leave_rare_things_to_python(
     objects.read()
     take(other, 0.02, 0.001)
     assert repr(flown.state) == repr(other.state)
-    with pytest.raises(NotOrdinary):  # a jump of the target: Python computes this tick
+    with pytest.raises(NotOrdinary):  # the target jumps, so Python must compute this tick
         jitted(take)(objects, 0.02, 5.0)

@@ -7,7 +7,7 @@ SLOW = {"velocity_max_m_s": [0.4, 0.4, 0.5]}  # section ``limits`` of a slow veh
 
 
 def config(filter="robust", **sections):
-    """Return a configuration with the paper's barrier; ``sections`` replace the defaults."""
+    """Return a configuration with the paper's barrier; ``sections`` replace sections of the defaults."""
     return from_table(
         FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, **sections}
     )

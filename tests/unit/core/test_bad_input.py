@@ -18,7 +18,7 @@ def no_samples(_, inputs):
 
 
 def stuck_sample(world, inputs):
-    """Replace the target samples by the first ones, as a stuck sender repeats them."""
+    """Replace the target samples by the first ones, as from a sender that is stuck."""
     if not hasattr(world, "stuck"):
         world.stuck = inputs.target_samples
     return inputs._replace(target_samples=tuple(s._replace(arrival_s=world.t_s) for s in world.stuck))
@@ -34,7 +34,7 @@ def older_each_time(world, inputs):
 
 
 def half_a_second_late(world, inputs):
-    """Delay the target samples by half a second, in order."""
+    """Delay the target samples by half a second, without a change of their order."""
     queue = world.__dict__.setdefault("queue", {})
     queue.update((s.arrival_s, s) for s in inputs.target_samples)
     come = tuple(s for t_s, s in queue.items() if abs(world.t_s - 0.5 - t_s) < 0.5 * DT_S)
@@ -68,9 +68,9 @@ def test_a_stream_of_refused_samples_is_told_by_doublings():
 
 BAD = (math.nan, math.inf, -math.inf)
 GOOD = OwnState(1.0, 2.0, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.7)
-# times in the controller's state that are infinite or NaN until they are known
+# times in the controller's state that are infinite or NaN before their event
 TIMES = ("started_s", "own_ok_s", "offset_s", "time_s", "claim_s", "committed_s", "crowded_s")
-# NaN if the vehicle never stood on the ground, and if it reports no battery and no throttle
+# NaN if the vehicle was never on the ground, or if it reports neither battery nor throttle
 UNSET = ("ground_z_m", "effort")
 
 
@@ -82,7 +82,7 @@ def spoiled(own, field, axis, bad):
 
 
 def numbers(value):
-    """Yield every float in a nested state, except ``TIMES`` and ``UNSET``, which this flight may not set."""
+    """Yield the floats of a nested state, except those of ``TIMES``, ``UNSET`` and ``*since_s``."""
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
             if field.name not in UNSET and not field.name.endswith("since_s") and field.name not in TIMES:
@@ -104,14 +104,14 @@ def test_one_number_is_enough(field, axis, bad):
     assert not spoiled(GOOD, field, axis, bad).is_finite
     if field.endswith(("_m", "_m_s")):
         other = spoiled(GOOD, field, (axis + 1) % 3, -bad)
-        assert not spoiled(other, field, axis, bad).is_finite  # two such numbers do not cancel each other
+        assert not spoiled(other, field, axis, bad).is_finite  # two such values do not cancel each other
 
 
 @pytest.mark.parametrize("kind", FILTERS)
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 @pytest.mark.parametrize(("field", "axis"), [("velocity_enu_m_s", 2), ("position_enu_m", 0), ("yaw_rad", 0)])
 def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, field, axis, bad):
-    """Once the last good state is too old, the vehicle holds its position; later it lands."""
+    """While vehicle states are bad, the controller's state remains finite; later the vehicle lands."""
     world = World(config(kind, limits=SLOW), solid_pad=True)
     world.run(0.5)
     learned = world.controller.state.tracking.disturbance_m_s

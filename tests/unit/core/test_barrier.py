@@ -26,7 +26,7 @@ robusts = st.builds(RobustBarrier, smoothed, margins, radii)
 
 
 def shortened(barrier):
-    """Return the largest reduction of the slope by the smoothing at d >= 0.3 m: slope (s/d)^2 / 2."""
+    """Return the largest reduction of the slope by the smoothing for d >= 0.3 m: slope_max (s/d)^2 / 2."""
     inner = getattr(barrier, "barrier", barrier)
     steepest = inner.slope_max + (barrier.margin_m / barrier.fade_radius_m if inner is not barrier else 0.0)
     return steepest * 0.5 * (inner.apex_smoothing_m / 0.3) ** 2
@@ -58,8 +58,8 @@ def test_the_papers_numbers_follow_from_its_geometry_once_eq_7_has_units():
     barrier = Barrier(1.0 / (0.55 * math.tan(math.radians(60.0))), math.e * 0.55)
     assert (barrier.peak_height_m, barrier.peak_distance_m) == pytest.approx((0.55, 0.9526), abs=1e-4)
     assert barrier.beta_m == pytest.approx(1.495, abs=1e-3)
-    assert barrier.alpha_1_m == pytest.approx(1.0498, abs=1e-4)  # = 1 / (0.55 m tan 60 deg)
-    as_printed = 0.55 * math.tan(math.radians(60.0))  # a length, as printed in the paper
+    assert barrier.alpha_1_m == pytest.approx(1.0498, abs=1e-4)  # 1 / (0.55 m tan 60 deg)
+    as_printed = 0.55 * math.tan(math.radians(60.0))  # the paper prints this length for alpha
     assert as_printed == pytest.approx(0.9526, abs=1e-4)
     assert round(barrier.alpha_1_m, 1) in (1.0, 1.1)
     assert round(as_printed, 1) == 1.0
@@ -84,7 +84,7 @@ def test_the_slope_is_the_derivative_of_the_boundary(barrier, d):
 
 
 def missed(barrier, e, moved, angle):
-    """Return the linear prediction of h after a horizontal motion, minus the true h, m."""
+    """Return the error of a linear prediction of h after a horizontal motion, m: prediction minus true h."""
     dx, dy = moved * math.cos(angle), moved * math.sin(angle)
     h, g, _ = barrier.evaluate(e, STILL)
     return h + g[0] * dx + g[1] * dy - barrier.h((e[0] + dx, e[1] + dy, e[2]))
@@ -103,7 +103,7 @@ def test_no_motion_misses_the_linear_prediction_by_more_than_is_said(barrier, e,
 
 @given(places, ways)
 def test_of_a_cone_some_motion_misses_by_all_that_is_said(d, moved):
-    """This wide barrier is a cone of slope 2; the bound is continuous at the borders of its cases."""
+    """With a cone of slope 2, the largest error equals the bound, which is continuous between its cases."""
     barrier = Barrier(1e-6, 2e6)
     worst = max(missed(barrier, (d, 0.0, 0.0), moved, math.pi * n / 2000) for n in range(2001))
     bound = barrier.linearisation_bound_m((d, 0.0, 0.0), moved)

@@ -23,7 +23,7 @@ TICK_S = 1.0 / CONFIG.loop.rate_hz
 
 
 class Bench:
-    """Runs ticks of a controller with vehicle state and status from the test."""
+    """Runs ticks of a controller with vehicle states and status values that the test gives."""
 
     def __init__(self):
         self.controller, self.tick = Controller(CONFIG), 0
@@ -45,7 +45,7 @@ class Bench:
         return self.controller.step(Inputs(own, status, (sample,), operator), now_s)
 
     def wait(self, **said):
-        """Run ticks on the ground until the inputs have been good for the required time."""
+        """Run ticks on the ground until the take-off starts; it must start within twice the required time."""
         while (out := self.step(**said)).phase is Phase.WAIT:
             assert self.tick * TICK_S < 2.0 * CONFIG.checks.recovery_time_s
         return out
@@ -55,13 +55,13 @@ FLIES = {"armed": True, "mode": Mode.EXTERNAL, "landed": Landed.IN_AIR}
 
 
 def test_a_climb_is_sent_from_the_first_tick_and_stands_on_the_ground_without_complaint():
-    """PX4 first needs set-points, then spools up and ramps; meanwhile it need not follow the set-points."""
+    """Until its thrust has ramped up, a vehicle on the ground need not follow its set-points."""
     bench = Bench()
     assert bench.wait().phase is Phase.TAKEOFF
     waits = bench.step()
     assert waits.request is Request.TAKEOFF
     assert waits.setpoint is not None
-    assert not bench.memory.lifting  # outside external mode, the vehicle is not checked for following
+    assert not bench.memory.lifting  # outside external mode, the vehicle is not expected to follow
     ramps = {"armed": True, "mode": Mode.EXTERNAL}
     sent = [bench.step(**ramps).setpoint.velocity_enu_m_s for _ in range(400)]
     assert bench.memory.lifting
@@ -72,7 +72,7 @@ def test_a_climb_is_sent_from_the_first_tick_and_stands_on_the_ground_without_co
 
 
 def standing(now_s, arrived):
-    """Return the newest inputs of a vehicle on the ground at ``now_s``; ``arrived``: times of arrival, s."""
+    """Return the newest inputs of a vehicle on the ground at ``now_s``; ``arrived``: arrival times, s."""
     own_s, status_s, target_s = (max((t for t in times if t <= now_s), default=None) for times in arrived)
     own = None if own_s is None else OwnState(own_s, own_s, (1.5, 0.0, 1e-4 * own_s), ZERO, 0.0)
     status = None
@@ -93,13 +93,13 @@ CHECKS = CONFIG.checks
 @pytest.mark.parametrize(
     ("own", "status", "target", "starts_s"),
     [
-        (*WELL, 1.0),  # the landing starts at the second heartbeat
+        (*WELL, 1.0),  # the take-off starts at the second heartbeat
         (WELL[0], every(0.1), WELL[2], CHECKS.recovery_time_s),
         (WELL[0], every(0.1), every(0.02, first_s=3.0), 3.0 + CHECKS.recovery_time_s),
         (every(CHECKS.own_age_max_s + 0.05), every(0.1), WELL[2], None),  # 4 Hz is too slow
         (WELL[0], every(0.1), every(CHECKS.target_age_max_s + 0.08), None),  # 3 Hz is too slow
         (WELL[0], every(CHECKS.status_age_max_s + 2.0), WELL[2], None),
-        (WELL[0], every(0.1), [0.0], None),  # all later samples are rejected, as with a constant time stamp
+        (WELL[0], every(0.1), [0.0], None),  # later samples are rejected, as with a constant time stamp
         (WELL[0], every(0.1), [t for t in every(0.02) if t % 0.5 < 0.1], None),  # samples arrive in bursts
     ],
 )
@@ -129,7 +129,7 @@ def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():
 
 
 def test_a_take_off_that_does_not_rise_is_given_up_once_the_ramp_must_be_over():
-    """The vehicle hops near the ground: it reports that it is in the air, but does not climb."""
+    """A vehicle that hops near the ground, and reports that it is in the air but does not climb, aborts."""
     bench = Bench()
     bench.wait(armed=True, mode=Mode.EXTERNAL)
     for tick in range(round(RISE_FREE_S / TICK_S) - 1):

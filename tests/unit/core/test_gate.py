@@ -56,7 +56,7 @@ def ulps(value, count=5):
 
 
 class Plane(NamedTuple):
-    """A barrier whose value is the height, so that the expected limits are simple."""
+    """A barrier whose h is the height, so that the expected limits are simple."""
 
     bend_1_m: float = 0.0
 
@@ -72,7 +72,7 @@ def plane_check(e=(1.0, 0.0, 0.1), target=STILL, status=FilterStatus.SOLVED, **s
 
 
 def lowest_approved(gate, barrier_check, sideways=(0.0, 0.0)):
-    """Return the lowest vertical velocity that passes, by bisection to neighbouring floats."""
+    """Return the lowest vertical velocity that the gate approves, by bisection to neighbouring floats."""
 
     def passes(vz):
         v = (*sideways, vz)
@@ -125,7 +125,7 @@ def test_no_number_that_is_not_finite_passes(bad, name, axis):
 def test_no_place_or_target_that_is_not_finite_passes_whatever_the_filter_says(bad, axis, status):
     for barrier in (CONE, Plane(), RobustBarrier(CONE, 0.05, 0.06)):
         if isinstance(barrier, Plane) and axis != 2:
-            continue  # this barrier uses only the height
+            continue  # the value of this barrier depends only on the height
         for place, moving in ((bad, 0.0), (0.5, bad), (bad, bad)):
             e, target = [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]
             e[axis], target[axis] = place, moving
@@ -147,7 +147,7 @@ def test_the_box_ends_at_the_float(name, axis, sign):
 
 
 def test_a_corrected_set_point_answers_for_box_and_height_but_not_for_the_barrier():
-    """The barrier limits the velocity to be flown; the set-point only produces this velocity."""
+    """Velocity and set-point must be within box and height; only the velocity must keep the barrier."""
     level = (0.0, 0.0, 0.0)
     sinking = (0.0, 0.0, -0.5)
     assert check(level, setpoint=sinking, barrier_check=plane_check((1.0, 0.0, 0.0)))[0] is APPROVED
@@ -175,7 +175,7 @@ def test_the_greatest_height_ends_at_the_float():
      ((1.0, 0.0, 0.0), (0.3, 0.0, 0.0))],
 )  # fmt: skip
 def test_the_filters_promise_is_held_to_the_float(e, target):
-    """h + (v - v_t) T >= h (1 - omega T) within the solver's tolerance, so v >= v_t - omega h."""
+    """The gate requires h + (v - v_t) T >= h (1 - omega T), so v >= v_t - omega h, with a tolerance."""
     gate = Gate(0.7, (9e9, 9e9, 9e9), 3.0, 0.01)
     found = lowest_approved(gate, plane_check(e, target))
     assert found == pytest.approx(target[2] - 0.7 * e[2] - SOLVER_TOLERANCE_M_S, abs=1e-13)
@@ -184,7 +184,7 @@ def test_the_filters_promise_is_held_to_the_float(e, target):
 @pytest.mark.parametrize("target", [(0.1, 0.7, 0.0), (-0.4, -0.2, 0.3)])
 @pytest.mark.parametrize("sideways", [(0.9, 0.0), (0.0, -0.6)])
 def test_what_the_barrier_bends_away_by_is_allowed_for_and_no_more(target, sideways):
-    """The barrier is evaluated at the current position, for the relative motion within the tick."""
+    """The lower limit is reduced by the linearisation bound for the relative motion in one tick."""
     gate = Gate(0.7, (9e9, 9e9, 9e9), 3.0, 0.01)
     moved_m = 0.01 * math.hypot(sideways[0] - target[0], sideways[1] - target[1])
     straight = target[2] - 0.7 * 0.1 - SOLVER_TOLERANCE_M_S
@@ -269,7 +269,7 @@ def test_the_stop_needs_to_know_where_it_is():
 
 
 def test_the_solvers_tolerance_covers_what_it_may_leave():
-    """The tolerance is twice the largest allowed residual of the solver."""
+    """The gate's tolerance is twice the largest residual that the filter accepts from the solver."""
     assert SOLVER_TOLERANCE_M_S == 2.0 * RESIDUAL_MAX_M_S < 1e-5
 
 
@@ -308,4 +308,4 @@ def test_no_other_source_makes_an_approved_set_point_or_names_the_key():
     files = [f for room in ("flightstack", "bridge", "sim", "logs") for f in (root / room).rglob("*.py")]
     maker = re.compile(r"ApprovedSetpoint\(|gate import .*_KEY|gate\._KEY")
     found = {f.name: len(maker.findall(f.read_text())) for f in files if maker.search(f.read_text())}
-    assert found == {"gate.py": 2}  # the outputs are a checked velocity or the stop command
+    assert found == {"gate.py": 2}  # one call for a checked velocity, one for the stop command

@@ -56,7 +56,7 @@ def test_voltage_and_reserve_are_each_others_inverse_and_rise_together(table, vo
 
 
 def test_a_firmware_that_compensates_the_battery_ends_at_its_own_limit():
-    """A low voltage reduces the maximum thrust; a high voltage does not increase it."""
+    """A voltage below the compensated one reduces the maximum thrust; a higher one does not increase it."""
     table = replace(RESERVE, motor_voltage_max_v=3.07)
     assert table.at(4.0) == table.at(3.7) == pytest.approx((3.07 / (0.78 * 3.7)) ** 1.5)
     assert table.at(3.2) == RESERVE.at(3.2) < table.at(3.7) < RESERVE.at(3.7)
@@ -86,7 +86,7 @@ def test_all_accelerations_together_are_no_more_than_the_thrust(reserve, share):
 
 @given(st.floats(0.6, 0.93), st.floats(0.0, 0.3), st.floats(0.2, 2.0), st.floats(0.0, 0.5))
 def test_neither_climbs_nor_tilt_disturb_the_estimate(hover, sway_m_s, rate_1_s, tilt_rad):
-    """The throttle contains climbs and tilt; the estimate is corrected for both."""
+    """The estimated reserve is right within 0.2 %, although climbs and tilt change the throttle."""
 
     def rise(t):
         return sway_m_s * math.sin(rate_1_s * t)
@@ -148,7 +148,7 @@ CONFIG = config(reserve=TABLE, checks={"wait_time_max_s": 2.0})
 
 
 def told(volts, throttle, from_s=0.0):
-    """Return a fault of ``World`` that adds battery reports to the inputs."""
+    """Return arguments of ``World``: a fault that adds battery reports to the inputs from ``from_s`` on."""
 
     def fault(world, inputs):
         said = Power(world.t_s, volts, throttle, 1.0) if world.t_s >= from_s else None

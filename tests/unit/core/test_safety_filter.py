@@ -24,7 +24,7 @@ from tests.examples import examples
 FILTER = SafetyFilter(0.7)
 BOX = (0.2, 0.2, 0.5)
 STILL = (0.0, 0.0, 0.0)
-FREE, LOW, HIGH = range(3)  # state of an axis: free, at the lower limit, at the upper limit
+FREE, LOW, HIGH = range(3)  # state of a component of u: free, at its lower limit, at its upper limit
 SOLVED = ext_builtin.osqp_status_type.OSQP_SOLVED
 velocities = st.tuples(*(st.floats(-2.0, 2.0),) * 3)
 slopes = st.one_of(st.just(0.0), st.floats(-4.0, 4.0))
@@ -51,7 +51,7 @@ def dot(a, b):
 
 
 def by_active_sets(nominal, g, b, lower, upper):
-    """Return the nearest allowed point of all 54 sets of active bounds: an independent projection."""
+    """Return the best point of all 54 sets of active bounds, which is an independent projection."""
     best, least = None, math.inf
     for states in itertools.product((FREE, LOW, HIGH), repeat=3):
         for on_barrier in (False, True):
@@ -104,13 +104,13 @@ def test_exact_cases_of_the_projection():
     assert project((0.0, 0.5, 0.25), (0.0, 0.0, 1.0), 0.25, lower, upper) == (0.0, 0.5, 0.25)
     assert project(STILL, (0.0, 0.0, 1.0), 0.5, lower, upper) == (0.0, 0.0, 0.5)
     assert project(STILL, (1.0, 0.0, 1.0), 1.0, lower, upper) == (0.5, 0.0, 0.5)
-    assert project(STILL, (1.0, 1.0, 1.0), 3.0, lower, upper) == (1.0, 1.0, 1.0)  # a single corner is allowed
+    assert project(STILL, (1.0, 1.0, 1.0), 3.0, lower, upper) == (1.0, 1.0, 1.0)  # one allowed corner
     assert project(STILL, (1.0, 1.0, 1.0), math.nextafter(3.0, 4.0), lower, upper) is None
     assert project((-3.0, 0.0, 0.0), (1.0, 0.0, 0.5), 1.25, lower, upper) == (0.75, 0.0, 1.0)
     assert project((-3.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.5, lower, upper) == (-1.0, 0.0, 0.0)
     assert project(STILL, (0.0, 0.0, 0.0), 0.5, lower, upper) is None
     assert project((9.0, 9.0, 9.0), (0.0, 0.0, 0.0), -0.5, lower, upper) == (1.0, 1.0, 1.0)
-    # the slope is so small that the multiplier has no finite value
+    # the gradient is so small that the multiplier has no finite value
     tiny = 5e-324
     assert project((0.0, 0.0, -9.0), (0.0, 0.0, tiny), tiny, lower, upper) == (0.0, 0.0, 1.0)
     with pytest.raises(ValueError, match=r"unpack"):
@@ -151,7 +151,7 @@ def test_a_result_does_not_depend_on_what_was_solved_before():
             BOX,
         )
     again = used.solve(*asked)
-    assert again.velocity_enu_m_s == fresh.velocity_enu_m_s  # the results are equal to the last bit
+    assert again.velocity_enu_m_s == fresh.velocity_enu_m_s  # the velocities are equal to the last bit
     assert again.iterations == fresh.iterations
 
 
@@ -209,7 +209,7 @@ def test_the_multiplier_makes_the_projection_optimal(nominal, g, b, box):
     point, multiplier = projected(nominal, g, b, *box)
     assume(multiplier != EMPTY and math.isfinite(multiplier))
     for n, gi, x, lo, hi in zip(nominal, g, point, *box, strict=True):
-        pull = n + multiplier * gi - x  # multiplier of a limit; zero unless the limit is active
+        pull = n + multiplier * gi - x  # multiplier of the component's limits; zero unless one is active
         assert pull == pytest.approx(0.0, abs=1e-9) or (x == lo and pull < 0.0) or (x == hi and pull > 0.0)
 
 

@@ -23,7 +23,7 @@ def blind(settings):
 
 
 def lags(settings):
-    """Whether a vehicle that does not follow its set-points is detected within 5 s."""
+    """Whether the controller detects within 5 s that the vehicle does not follow its set-points."""
     watch = Plausibility(settings)
     for _ in range(500):
         watch.follow((settings.limits.velocity_max_m_s[0], 0.0, 0.0), ZERO)
@@ -31,7 +31,7 @@ def lags(settings):
 
 
 def drifted_away(settings):
-    """Whether a vehicle state is distrusted that moves at 0.1 m/s but reports a velocity of zero."""
+    """Whether a vehicle state is distrusted if its position moves at 0.1 m/s and its velocity is zero."""
     watch = Plausibility(settings)
     for n in range(500):
         watch.take(OwnState(0.01 * n, 0.01 * n, (0.001 * n, 0.0, 0.0), ZERO, 0.0))
@@ -39,7 +39,7 @@ def drifted_away(settings):
 
 
 def parted(settings):
-    """Whether a target is distrusted that moves at 0.1 m/s but reports a velocity of zero."""
+    """Whether a target is distrusted if its position moves at 0.1 m/s and its velocity is zero."""
     track = TargetTrack(settings.checks)
     for n in range(500):
         at = TargetSample(0.01 * n, 0.01 * n, "map", "target", (0.001 * n, 0.0, 0.0), ZERO, 0.0, 0.0)
@@ -56,7 +56,7 @@ def cleared(settings):
     return found.request is Request.LAND
 
 
-# fields: section, key, another value, tested behaviour, its results with the default and the other value
+# fields: section, key, another value, function that tests the behaviour, its results with default and other
 CHANGES = [
     ("touchdown", "descent_m_s", 0.5,
      lambda c: asked(Phase.TOUCHDOWN, replace(c, filter="paper"), (0.0, 0.0, 0.03)).velocity[2],

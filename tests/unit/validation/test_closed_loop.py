@@ -64,7 +64,7 @@ def test_the_simulators_own_flight_is_found_again():
     assert found is not None
     assert found.thrust == pytest.approx(0.97, abs=0.01)
     a, b = found.recorded, found.simulated
-    assert a.horizontal_m > 0.2  # the vehicle is half a second behind at 0.6 m/s
+    assert a.horizontal_m > 0.2  # at 0.6 m/s the vehicle follows about half a second late
     assert b.horizontal_m == pytest.approx(a.horizontal_m, rel=0.15)
     assert b.vertical_m == pytest.approx(a.vertical_m, abs=0.02)
     assert b.duty == pytest.approx(a.duty, rel=0.01)
@@ -80,7 +80,7 @@ def test_a_tired_battery_saturates_in_both():
 
 
 def test_a_plant_of_less_thrust_is_named():
-    """The thrust that is identified from the flight contradicts the vehicle file."""
+    """With a vehicle file that is 10 % too heavy, the thrust factor of the flight is 10 % larger."""
     weak = replace(ROOM, body=replace(ROOM.body, mass_kg=1.1 * ROOM.body.mass_kg))
     assert fly(screen(recorded(AIRFRAME)), weak, 0).thrust == pytest.approx(1.1 * 0.97, abs=0.01)
 

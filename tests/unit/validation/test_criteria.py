@@ -24,7 +24,7 @@ ERROR = sensing.Error(0.02, (0.002, 0.01, 0.014, 0.025))
 
 
 def horizon(seconds, position=0.35, velocity=0.4):
-    """Return the errors of a model, divided by those of a prediction with constant velocity."""
+    """Return errors at a horizon; ``position``, ``velocity``: model error over that of constant velocity."""
     return open_loop.Horizon(
         seconds,
         open_loop.Compared(position * 0.02, 0.02, 0.9 * 0.02),
@@ -97,7 +97,7 @@ def test_a_part_that_no_flight_covers_is_missed():
 
 
 def test_chance_explains_some_of_a_difference_and_not_more():
-    """Recorded errors differ by a factor of three; simulated errors are a third or six times larger."""
+    """Recorded errors spread by a factor of three: 1.33 times as large is no clear miss, 6 times is one."""
 
     def word(factor):
         sizes = np.geomspace(0.006, 0.018, 8)

@@ -21,7 +21,7 @@ PUT_IN = StateError(
 
 
 def made(seed, error, seconds=30.0):
-    """Return a flight on figures of eight at 0.2 to 1 m/s, with an estimate from the model."""
+    """Return a flight on figures of eight at 0.2 to 1 m/s, with estimates from the error model."""
     t = np.arange(0.0, seconds, 0.01)
     rng = np.random.default_rng(seed)
     pace = rng.uniform(0.4, 1.0)
@@ -40,7 +40,7 @@ def made(seed, error, seconds=30.0):
 
 
 def pooled(found, quantity):
-    """Return ratios of simulated to recorded errors by speed band, and the difference of their delays, s."""
+    """Return the ratio of simulated to recorded errors by speed band, and the difference of delays, s."""
     pairs = [(getattr(each.simulated, quantity), getattr(each.recorded, quantity)) for each in found]
     sizes = np.sqrt(np.nanmean(np.square([[e.by_speed for e in pair] for pair in pairs]), axis=0))
     return sizes[0] / sizes[1], np.mean([a.delay_s - b.delay_s for a, b in pairs])
@@ -57,7 +57,7 @@ def test_simulated_estimates_are_like_those_that_the_same_model_made():
 
 
 def test_the_defaults_are_like_the_recorded_flights():
-    """Only a third of the flights are compared; docs/how_it_works/own_state.md has a table of all."""
+    """The default errors have 65 to 135 % of the size in every third recorded flight, and the same delay."""
     recorded = [load(path) for path in flights()[::3]]
     found = [compare(flight, number) for number, flight in enumerate(recorded) if flight.usable]
     for quantity in ("position", "velocity"):

@@ -37,9 +37,9 @@ def flown(scenario, seed, on_step=None, parameters=()):
 
 
 def assert_equal(scenario, seed, least, *parameters):
-    """Compare a flight in batches with one flown tick by tick; return the recorded data of the first.
+    """Assert that a flight in batches equals one flown tick by tick; return the recorded data of the first.
 
-    Batches must fly at least the fraction ``least`` of the ticks; without numba they must fly none.
+    In batches at least the fraction ``least`` of the ticks is flown; without numba no tick is.
     """
     one, seen, in_batches = flown(scenario, seed, None, parameters)
     other, wanted, none = flown(scenario, seed, lambda tick, out: None, parameters)
@@ -66,7 +66,7 @@ def test_a_landing_in_batches_is_the_same_to_the_last_bit(name, seed, filter_nam
     [(10, "robust"), (15, "paper"), (37, "robust"), (144, "paper"), (500, "robust")],
 )
 def test_at_every_rate_a_landing_in_batches_is_the_same(rate_hz, filter_name):
-    """The loop rates are below and above the rates of the telemetry streams."""
+    """The loop rates include rates below and above those of the telemetry streams."""
     room = load("room")
     config = replace(room.onboard, loop=replace(room.onboard.loop, rate_hz=rate_hz))
     least = 0.3 if rate_hz > 20 else 0.0  # at low rates VFR_HUD, 10 Hz, is due in most ticks
@@ -107,7 +107,7 @@ def test_it_is_compiled_before_the_first_landing():
     assert (batches is None) == is_off()
     if batches is not None:
         batches.warm_up()
-        assert batches.fly(0) == 0  # no tick flies, because no message has been received
+        assert batches.fly(0) == 0  # no tick is flown, because the flight has not received any message
 
 
 class Slower(fs.Filter):
@@ -116,7 +116,7 @@ class Slower(fs.Filter):
 
 
 class Restless(fs.Filter):
-    """Filter that changes a field in flight; the copy of this field in compiled code must change, too."""
+    """Filter that changes one of its own fields in flight; compiled code must then use the new value."""
 
     def filter(self, nominal, at):
         if at.d_m < 0.3:
@@ -154,5 +154,5 @@ def test_which_filters_of_a_user_are_compiled_but_for_their_method():
     ("filter", "least"), [(Slower, 0.7), (Smooth, 0.7), (Restless, 0.05), (Failing, 0.0), (Curious, 0.0)]
 )
 def test_a_filter_of_ones_own_flies_the_same_in_batches_and_is_called_once_in_a_tick(filter, least):
-    """``Smooth`` stores the velocity of the last tick: a second call in one tick would change it."""
+    """``Smooth`` stores the velocity of its last call, so a second call in a tick would change the flight."""
     assert_equal(fs.scenario("lab", filter=filter), 4, least)

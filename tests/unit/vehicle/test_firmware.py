@@ -66,17 +66,17 @@ def test_poses_from_outside_whose_markers_are_tilted_make_it_drift(tilt_rad):
     for _ in range(500):
         truth = sim.truth()
         x, y, z, w = truth.orientation
-        half = 0.5 * tilt_rad  # half of a tilt about y
+        half = 0.5 * tilt_rad  # half of the angle of a rotation about y
         q = (w - half * y, x - half * z, y + half * w, z + half * x)
         take_pose(sim, truth.position_enu_m, q)
         sim.set_velocity((0.0, 0.0, 0.0), 0.0)
         sim.advance(10)
-    drift_m_s = 0.068 if tilt_rad else 0.0  # drift for a tilt of one degree, measured on firmware 2026.08
+    drift_m_s = 0.068 if tilt_rad else 0.0  # measured on firmware 2026.08 with a tilt of one degree
     assert -sim.truth().velocity_enu_m_s[0] == pytest.approx(drift_m_s, abs=0.01)
 
 
 def driven(error, seed=1):
-    """Return true position, velocity and heading of a robot on a circle, by tick, and its odometry."""
+    """Return position, velocity and heading of a robot on a circle at each tick, and its odometry samples."""
     spec = TargetSpec(PathKind.CIRCLE, 0.2, 0.5, wait_for_landing=False)
     robot = Robot(scenario(target=spec, odometry=TargetLink(error=error)), seed, TickGrid(100))
     first = robot.first_tick()

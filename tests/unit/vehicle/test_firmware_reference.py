@@ -74,11 +74,11 @@ def setpoint(velocity, yaw_deg):
 
 
 def mellinger_port(rows):
-    """Return moments and thrust counts of a sequence, thrust on the firmware's scale."""
+    """Return moments and thrust of the model for a sequence of inputs, in counts of the firmware."""
     r, out = new(PaperRecord), []
     set_up_paper(r, PARAMS)
     for q, gyro, force, yaw in ((row[:4], row[4:7], row[7:10], row[10]) for row in rows.astype(float)):
-        wanted = (np.array(force) - (0.0, 0.0, r.weight)) / K_V_N_S_M  # at rest, eq. 8 commands this force
+        wanted = (np.array(force) - (0.0, 0.0, r.weight)) / K_V_N_S_M  # m/s; eq. 8 gives this force for it
         state = sensed(rotation_axes(q), gyro)
         thrust, moments = paper_update(r, state, setpoint(wanted, yaw), False)
         out.append((*moments, thrust / r.counts_per_n * MASS_THRUST))
@@ -96,7 +96,7 @@ def test_mellinger_attitude_loop():
         assert got[on, 3] == pytest.approx(expected[on, 3], rel=2e-5, abs=1.0)
         assert not got[~on, 3].any()
     assert worst <= ONE_COUNT
-    assert off < 0.01 * d["out"][..., :3].size  # rounding changes a few counts
+    assert off < 0.01 * d["out"][..., :3].size  # less than 1 % of the moments differ
 
 
 def pid_port(rows):
@@ -136,7 +136,7 @@ def supervisor_port(rows, accelerations):
         now_ms = 1000 + PERIOD_MS * k
         if action == 1:
             assert arm(port, now_ms) is None
-        elif action in (2, 3):  # 2: disarm; 3: recovery from a crash, in the model a disarm
+        elif action in (2, 3):  # in the model, recovery from a crash (3) is a disarm (2)
             disarm(port, now_ms)
         supervise(port, now_ms, age_ms, bool(motors), *accelerations[accel].tolist())
         states.append(STATES[port.state])
@@ -157,7 +157,7 @@ def test_supervisor():
 
 
 def test_the_numbers_reach_every_clamp():
-    """The reference cases contain both saturated and unsaturated values of every clamp."""
+    """Of each clamp, the reference cases contain values that it limits and values that it does not."""
     mellinger, pid = data("mellinger")["out"], data("pid")["short_out"]
     for moments, clamp in ((mellinger[..., :2], 32000.0), (pid[..., :3], 32767.0)):
         share = (np.abs(moments) >= clamp).mean(axis=(0, 1))

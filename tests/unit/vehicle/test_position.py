@@ -45,9 +45,9 @@ class TestPidPosition:
         st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.floats(-3.0, 3.0)
     )
     def test_the_first_tick_by_hand(self, error, velocity, yaw):
-        """The tilt is (kp + ki dt) (2 e - v) in the yawed frame.
+        """The tilt is (kp + ki dt) (2 e - v) in the yawed frame; e is the position error, v the velocity.
 
-        The thrust follows the same law; there the integral of the height error is added to 2 e.
+        The thrust has the same form, with the integral of the height error added to 2 e.
         """
         loop = cascade()
         at = (1.0, -2.0, 0.5)
@@ -84,7 +84,7 @@ RAMP_M_S = 0.5
 
 
 def test_a_moving_set_point_is_followed_half_a_second_late():
-    """Without velocity set-points the lag is 1 / kp, plus the effect of drag."""
+    """With position set-points only, the vehicle is 1 / kp = 0.5 s late, plus a small effect of drag."""
     sim = vehicle(
         start=Start(StartKind.GROUND, ground_position_m=(3.0, 0.0)),
         vehicle=VehicleSpec("crazyflie21_room", VelocityLoop.PID),

@@ -1,4 +1,4 @@
-"""Tests the robot in lockstep (odometry, ticks ahead of its credit) and the buffer of the set-points."""
+"""Tests the robot in lockstep (odometry, ticks computed in advance) and the buffer of the set-points."""
 
 from types import SimpleNamespace
 
@@ -34,7 +34,7 @@ class Log(EventLog):
 
 @pytest.fixture
 def ends():
-    """Yield a Zenoh session for the robot, subscribers to its odometry and ticks, and a credit publisher."""
+    """Yield the robot's Zenoh session, subscribers to its odometry and ticks, and a credit publisher."""
     endpoint = free_endpoint()
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
     wait_for(lambda: zenoh_link.transports(ours) == 1)
@@ -69,7 +69,7 @@ def test_it_drives_ahead_of_the_credit_by_a_fixed_number_of_ticks_and_waits_for_
         robot.await_credit(tick)
         robot.take(tick)
         robot.run_ahead(tick)
-    _, ahead = received(ends.marker, 2)  # tick 0, and all ticks that the first credit allows
+    _, ahead = received(ends.marker, 2)  # one for tick 0, one for all ticks that the first credit allows
     first, counts = msgpack.decode(ahead.payload.to_bytes())
     assert (first, len(counts)) == (1, RUN_AHEAD_TICKS)
     monkeypatch.setattr(published_robot, "COMPANION_SILENT_S", 0.05)

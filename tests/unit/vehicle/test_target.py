@@ -73,7 +73,7 @@ def test_limits_are_never_passed(path, seed):
 
 
 def test_pose_follows_from_the_twist_given_before():
-    """A pad that moves on an arc with the twist of the interval's start reaches the true pose at its end."""
+    """The pad's next position follows from its pose, velocity and turn rate at the start of the interval."""
     spec = TargetSpec(
         path=PathKind.REVERSING, speed_m_s=0.5, turn_rate_rad_s=0.4, speed_max_m_s=0.5,
         pad_behind_axle_m=0.032, heave_amplitude_m=0.15, heave_rate_hz=0.25,

@@ -25,7 +25,7 @@ def test_takes_off_from_the_ground_and_lands_on_it(loop):
     assert sim.arm() is None
     assert sim.arm() is None
     sim.advance(100)
-    assert not sim.motors_running  # no set-point has arrived since arming
+    assert not sim.motors_running  # no set-point has arrived since the vehicle was armed
     truths = fly(sim, (0.0, 0.0, 0.3), 2.0)
     assert truths[-1].position_enu_m[2] > 0.2
     assert not sim.on_ground
@@ -36,7 +36,7 @@ def test_takes_off_from_the_ground_and_lands_on_it(loop):
     truths = fly(sim, (0.0, 0.0, -0.2), 4.0)
     assert sim.landed
     assert sim.on_ground
-    assert math.isnan(truths[-1].first_touch_time_s)  # contact with the floor is not contact with the pad
+    assert math.isnan(truths[-1].first_touch_time_s)  # contact with the floor is no contact with the pad
     assert sim.disarm(force=False) is None
     sim.advance(1000)
     assert not sim.armed

@@ -24,7 +24,7 @@ def vehicle(seed=1, **parts):
 
 
 def fly(sim, velocity, seconds, yaw=0.0):
-    """Fly with a set-point that is sent at 100 Hz; return the true states at 100 Hz."""
+    """Fly with one set-point, which is sent at 100 Hz; return the true states at 100 Hz."""
     out = []
     for _ in range(round(seconds * 100)):
         sim.set_velocity(velocity, yaw)

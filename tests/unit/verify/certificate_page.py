@@ -92,7 +92,7 @@ def verdicts():
 
 
 def fleet():
-    """Return the table with the checks of one member of fleet_3 and those of all members together."""
+    """Return the table with the checks of one member of `fleet_3` and with those of all members together."""
     found = scenario.load("fleet_3")
     results = [*fleet_checks(found.onboard), *crowd(found)]
     rows = [_row(check.name, [check.claim, _room(check), check.worst]) for check in results]
@@ -113,7 +113,7 @@ def tables():
 
 
 def split(text, name):
-    """Return the text up to a table's begin mark, the table, and the text from its end mark on."""
+    """Return the text up to and with the table's begin mark, the table, and the text from its end mark on."""
     before, rest = text.split(BEGIN.format(name) + "\n", 1)
     within, after = rest.split(END, 1)
     return before + BEGIN.format(name) + "\n", within.rstrip("\n"), "\n" + END + after

@@ -27,11 +27,11 @@ GAIN_1_S = config().robust.gain_over_pad_1_s
 
 
 def own(share):
-    """Return keys for a velocity error whose time is this fraction of the position loop's time constant."""
+    """Return keys for a velocity error whose time is ``share`` times that of the position loop."""
     return {"own": {"velocity_error_m_s": 0.05, "velocity_error_time_s": share / GAIN_1_S}}
 
 
-# name of a check, the last configuration that passes and the first that fails
+# name of a check; changes with which it just passes; changes with which it just fails
 LIMITS = [
     ("barrier", {"touchdown": {"target_speed_max_m_s": 1.0}}, None),
     *(
@@ -89,7 +89,7 @@ def test_barriers_peak_is_proven_if_the_boundary_rises_at_every_distance_over_th
 
 
 def states(seed, x, count):
-    """Yield random distance, direction, margin and target velocity of the envelope, often at its limits."""
+    """Yield random distance, direction, margin and target velocity in the envelope, often at its limits."""
     rng = random.Random(seed)
 
     def some(low, high):
@@ -136,12 +136,12 @@ def test_no_state_of_the_envelope_beats_the_feasibility_bound(number):
         if n % 10 == 0:
             status = program.solve((0.0, 0.0, -9.0), h, gradient, dh_dt, lower, box).status
             assert (status is FilterStatus.INFEASIBLE) == (rise < 0.0)
-    assert least <= bound + 0.3  # the bound is close to the true value
+    assert least <= bound + 0.3  # the bound is at most 0.3 m/s below the worst case
 
 
 @pytest.mark.parametrize("number", range(len(SETS)))
 def test_demand_and_its_growth_stay_below_their_bounds(number):
-    """Fly over the boundary within the envelope's speeds and accelerations; differentiate the command."""
+    """On the boundary, the required climb and its change are below their bounds for all allowed motions."""
     settled = config(**SETS[number])
     x = extremes(settled)
     w, step_s, ahead_s = x.shape.fade_radius_m, 1e-5, 1e-3
@@ -170,7 +170,7 @@ def test_demand_and_its_growth_stay_below_their_bounds(number):
         assert grown <= bound + 0.02
         assert -grown <= demand_change(settled, x, x.shape, Span(d - 0.01, d + 0.01), -1.0) + 0.02
         closest = min(closest, bound - x.heave_acceleration_m_s2 - grown)
-    assert closest < 0.3  # m/s^2: the bound is close to the worst observed value
+    assert closest < 0.3  # m/s^2: the bound is not much larger than the largest observed value
 
 
 TIGHTER = [
@@ -206,7 +206,7 @@ def test_the_voltage_that_the_reserve_check_names_is_the_lowest_that_it_proves()
     assert one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v}).proven
     assert not one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v - 0.02}).proven
     fresh = one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v})
-    # smallest value of the limit that passes the check
+    # the required vertical acceleration, m/s^2
     needed = config().robust.acceleration_max_m_s2[2] - rooms()["acceleration"]
     assert f"{needed:.3g} are needed" in fresh.worst
     assert "thrust reserve" not in rooms()

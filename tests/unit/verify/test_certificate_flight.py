@@ -28,7 +28,7 @@ DT_S = 0.01
 
 
 class Wanderer:
-    """Target with changing commands, whose speed and acceleration are bounded as declared."""
+    """Target with changing commands; its speed and acceleration are within the declared limits."""
 
     def __init__(self, rng, x):
         self.rng, self.x = rng, x
@@ -57,8 +57,8 @@ class Wanderer:
 def fly(settings, seed, seconds=8.0):
     """Fly one approach with the real control law and filter; return the lowest true h outside the pad, m.
 
-    Vertical velocity differs from its command by up to the declared tracking error, horizontal velocity lags,
-    and the relative position has a constant error of the declared size.
+    The vertical velocity differs from its command by at most the declared tracking error, the horizontal
+    velocity lags, and the relative position has a constant error of the declared size.
     """
     rng, x = random.Random(seed), extremes(settings)
     robust, most = settings.robust, settings.limits.velocity_max_m_s
@@ -121,12 +121,12 @@ def test_h_stays_above_what_is_promised_outside_the_pad(name):
     depth, _ = depth_m(settings, extremes(settings))
     lowest = min(fly(settings, seed) for seed in range(12))
     assert lowest >= -depth
-    assert lowest < extremes(settings).usual.margin_m.low  # a flight reached the boundary
+    assert lowest < extremes(settings).usual.margin_m.low  # one of the flights used part of the margin
 
 
 @pytest.mark.parametrize("acceleration", [0.0, 0.5, 1.5])
 def test_no_descent_drifts_farther_than_promised(acceleration):
-    """Simulate the motion above the pad with every error at its worst size and direction."""
+    """Simulate the motion above the pad with errors of the worst size in nearly the worst direction."""
     settings = config(envelope={"target_acceleration_max_m_s2": acceleration})
     x = extremes(settings)
     promised, _ = drift_m(settings, x)
@@ -141,7 +141,7 @@ def test_no_descent_drifts_farther_than_promised(acceleration):
         e = [start * math.cos(turn), start * math.sin(turn)]
         slip = settings.robust.commit_speed_m_s
         heading = turn if rng.random() < 0.7 else rng.uniform(0.0, math.tau)
-        w = [slip * math.cos(heading), slip * math.sin(heading)]  # velocity relative to the target
+        w = [slip * math.cos(heading), slip * math.sin(heading)]  # velocity relative to that of the target
         aside = rng.uniform(-0.5, 0.5) if seed % 3 else 0.0
         for _ in range(500):
             away = math.atan2(e[1], e[0]) + aside
@@ -157,7 +157,7 @@ def test_no_descent_drifts_farther_than_promised(acceleration):
                 e[i] += w[i] * dt
             farthest = max(farthest, math.hypot(*e))
     assert farthest <= promised
-    assert farthest > 0.65 * promised  # the claim is not overly conservative
+    assert farthest > 0.65 * promised  # the promised limit is not much too large
 
 
 @pytest.mark.parametrize("name", ["worked", "verdicts", "fleet"])

@@ -26,7 +26,7 @@ STORM = load("storm").onboard
 @given(st.floats(0.6, 1.0), st.floats(1.0, 1.6), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 @examples(40)
 def test_no_vehicle_within_decays_slower_than_proven(low, high, stiff, damped):
-    """The factors of rate and damping differ by little, as within the rectangles of the proof."""
+    """The loop decays at least as fast as proven, also if the factors of rate and damping differ slightly."""
     proven, _ = decay_1_s(STORM, low, high)
     factor = low + stiff * (high - low)
     assert proven <= max(0.0, -np.linalg.eigvals(linear(STORM, factor)).real.max())
@@ -65,9 +65,9 @@ def promise_m():
 
 
 def turned_against(settings_, factor):
-    """Return the target's accelerations and the errors, as velocities, with the largest final distance.
+    """Return the target accelerations and velocity errors that cause the largest distance at the end.
 
-    Both have one value for each tick of the flown loop.
+    Both have one value for each tick of the simulated loop.
     """
     x, gain, ticks = extremes(settings_), settings_.robust.gain_over_pad_1_s, round(LONG_S * 100)
     none, knock = np.zeros(ticks), np.zeros(ticks)
@@ -84,7 +84,7 @@ def farthest(*flight):
     return float(np.abs(flown_behind(*flight)).max())
 
 
-# a fast vehicle oscillates less than the matrix, whose delay acts equally on all frequencies
+# a fast vehicle oscillates less than the loop's matrix, whose delay is equal at all frequencies
 @pytest.mark.parametrize("factor", [SLOWEST, 0.9, 1.0, 1.15, 1.35])
 def test_the_worst_target_and_errors_reach_what_is_promised_and_no_more(factor):
     promised, _ = _piece_m(FED, extremes(FED), factor, factor)
@@ -118,7 +118,7 @@ INF = math.inf
 
 
 def test_a_spike_that_a_grid_misses_is_found():
-    at, wide = 0.123456789, 1e-4  # a grid of a thousand points finds this interval with a probability of 10 %
+    at, wide = 0.123456789, 1e-4  # a grid of 1000 points has a value above 0.5 with a probability of 10 %
 
     def spike(x):
         return max(0.0, 1.0 - abs(x - at) / wide)

@@ -50,7 +50,7 @@ WAIT_S = 13.1  # longest wait of the third vehicle, s
 @pytest.mark.parametrize(
     ("name", "passes", "fails", "more"),
     [
-        # limit: 0.25 / (1.3 * 0.27)
+        # the limit is 0.25 / (1.3 * 0.27 s)
         ("fleet.rate_1_s", {"rate_1_s": 0.71}, {"rate_1_s": 0.714}, {"filter": "paper"}),
         ("shares", {"latency_max_s": 0.041}, {"latency_max_s": 0.039}, {"loop": {"rate_hz": 50}}),
         ("fleet.speed_max_m_s", {"speed_max_m_s": 1.733}, {"speed_max_m_s": 1.731}, {}),
@@ -61,7 +61,7 @@ WAIT_S = 13.1  # longest wait of the third vehicle, s
         ("neighbours in reach", {"reach_m": 1.82, "speed_max_m_s": 0.5},
          {"reach_m": 1.81, "speed_max_m_s": 0.5}, {}),
         ("touchdowns", {"pad_distance_m": 0.511}, {"pad_distance_m": 0.509}, STILL),
-        ("fleet.margin_m", {"margin_m": 0.101}, {"margin_m": 0.099}, {}),  # limit: 2 * 0.04 / 0.8
+        ("fleet.margin_m", {"margin_m": 0.101}, {"margin_m": 0.099}, {}),  # the limit is 2 * 0.04 / 0.8
         ("waits", {"wait_max_s": WAIT_S}, {"wait_max_s": WAIT_S - 0.1}, {}),
     ],
 )  # fmt: skip
@@ -75,7 +75,7 @@ def test_each_limit_from_both_sides(name, passes, fails, more):
 def closest_m(rate_1_s, lag_s, seed, root_1_s):
     """Return the lowest h while two vehicles fly towards each other, m; inf: the start is not admissible.
 
-    Each vehicle takes half of the pair's constraint, and each velocity loop is of first order.
+    Each vehicle takes half of the pair's constraint; its velocity loop is of first order.
     """
     rng = np.random.default_rng(seed)
     p = [rng.uniform(-1.5, 1.5, 3) for _ in range(2)]
@@ -119,7 +119,7 @@ def landing_row(slope, bearing, pad):
 
 
 def neighbour_row(away, h_m, speed_m_s):
-    """Return the constraint of a neighbour that is at -``away`` from the vehicle and flies towards it."""
+    """Return the constraint of a neighbour at the offset -``away``, which flies towards this vehicle."""
     _, g = barrier(away, 0.25, 0.75)
     length = math.hypot(*g)
     return Row(g, speed_m_s * length + CONFIG.fleet.growth_m_s - CONFIG.fleet.rate_1_s * h_m)
@@ -158,7 +158,7 @@ def test_one_neighbour_leaves_a_common_point_from_where_it_is_said(slope, n, w, 
 
 def test_the_worst_neighbour_is_met_at_that_distance_and_not_nearer():
     slope, (short_m_s, elevation) = STEEPEST, SHORT
-    # direction error of g, from the error of a position difference
+    # the point of the ellipsoid with this parametric elevation
     away = (math.cos(elevation), 0.0, math.sin(elevation) / CONFIG.fleet.flat)
     landing = landing_row(slope, 0.0, (-CONFIG.touchdown.target_speed_max_m_s, 0.0))
     for nearer_m, found in ((0.01, False), (-0.01, True)):
@@ -193,7 +193,7 @@ def test_all_members_together():
     assert not unlike.proven
     assert "rate_1_s" in unlike.worst
     assert "members" in found(members[:2])["one table"].worst
-    # the lost h is 2 * 0.05 / 0.8 m minus the margin of 0.045 m
+    # the loss of h is 2 * 0.05 m / 0.8, minus the margin of 0.045 m
     assert found()["contact"].proven
     assert not found(touch=(0.206, 0.0, 0.0))["contact"].proven
     assert found(touch=(0.204, 0.0, 0.0))["contact"].proven

@@ -75,7 +75,7 @@ def test_a_feedback_with_a_value_that_made_landings_violate_is_not_proven(key, v
 
 
 def changed(scenario: Scenario, **parts: dict) -> list[str]:
-    """Return the names of the checks that a scenario with these changes fails."""
+    """Return the names of the checks that are not proven for a scenario with these changes."""
     for name, values_ in parts.items():
         scenario = replace(scenario, **{name: replace(getattr(scenario, name), **values_)})
     return [check.name for check in declared(scenario) if not check.proven]
@@ -129,7 +129,7 @@ def test_each_scenario_declares_what_it_flies():
 )
 def test_a_scenario_that_is_not_as_declared_is_not_proven(part, key, value, check):
     scenario = load("field")
-    if key.startswith("heave"):  # a changed heave needs a pad with a small declared heave
+    if key.startswith("heave"):  # before its change, this pad has a small declared heave
         heaves = replace(scenario.target, heave_amplitude_m=0.02, heave_rate_hz=0.1)
         envelope = replace(scenario.onboard.envelope, target_climb_max_m_s=0.02)
         scenario = replace(scenario, target=heaves, onboard=replace(scenario.onboard, envelope=envelope))
@@ -143,7 +143,7 @@ def test_a_scenario_that_is_not_as_declared_is_not_proven(part, key, value, chec
     assert key in outside([left]) or check in outside([left])
     (remedy,) = (each.remedy for each in declared(left) if each.name == f"declared, {check}")
     told = re.match(r"set onboard\.([^.]+)\.(\S+) to ([\d.]+)", remedy)
-    if told and key != "airframe":  # the large airframe needs further keys
+    if told and key != "airframe":  # a larger airframe needs changes of other keys, too
         section, name, number = told.groups()
         table = to_table(left)
         table["onboard"][section][name] = float(number)
@@ -155,7 +155,7 @@ def test_a_scenario_that_is_not_as_declared_is_not_proven(part, key, value, chec
 def test_a_pad_without_room_for_the_feet_is_not_proven(kind, pad_m, stands):
     table = to_table(load("lab").with_filter(kind))
     table["target"]["pad_radius_m"] = table["onboard"]["touchdown"]["pad_radius_m"] = pad_m
-    # with these values every other claim is proven, also for the small pads
+    # other values with which every other claim is proven, also for small pads
     table["onboard"]["limits"]["velocity_max_m_s"] = [0.35, 0.35, 0.5]
     table["onboard"]["robust"] |= {
         "fade_radius_m": 0.03, "corridor_m": 0.05, "commit_radius_m": 0.009, "commit_speed_m_s": 0.059,

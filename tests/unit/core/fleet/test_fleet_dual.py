@@ -47,7 +47,7 @@ def test_nearly_all_programs_are_confirmed():
     assert unsure == 0
 
 
-# a tick of `fleet_3`: the slew limit allows few velocities; the lowest vertical one is the nominal one
+# inputs of a tick of `fleet_3`: the slew limit leaves few velocities; the nominal one is the lowest in z
 IN_FLIGHT = (
     (0.23562030240347953, -1.0276756593002732, -0.14770333756579554),
     [
@@ -198,7 +198,7 @@ def way_of(own, members, heard, down=(), now_s=10.0):
         (1, (1, 2, 3), (2,), (), False),
         (3, (1, 2, 3), (), (), True),
         (1, (1, 2, 3), (), (), True),
-        (1, (1, 2), (), (), False),  # two parts of equal size: the part with the lowest id continues
+        (1, (1, 2), (), (), False),  # of two parts with equal size, the part with the lowest id continues
         (2, (1, 2), (), (), True),
         (2, (1, 2), (), (1,), False),  # vehicle 1 has landed and may stop sending
         (3, (1, 2, 3, 4), (4,), (), True),
@@ -225,7 +225,7 @@ def test_who_may_meet_a_silent_vehicle_holds_back_while_that_may_fly():
         (0.1, asked),
         (FLEET.age_max_s + 0.1, (0.0, HELD_BACK_M_S, -1.0)),
         (FLEET.silent_flight_s - 0.1, (0.0, HELD_BACK_M_S, -1.0)),
-        (FLEET.silent_flight_s + 0.1, asked),  # the silent vehicle must have landed
+        (FLEET.silent_flight_s + 0.1, asked),  # by this time the silent vehicle has landed
     ):
         nominal, rows = member.beside(Phase.APPROACH, own, ZERO, asked, (1.0, 1.0, 1.0), now_s)
         assert len(rows.rows) == 1

@@ -52,10 +52,10 @@ def claimed(**keys):
     ("told", "may_land", "yields"),
     [
         ({}, True, False),  # the other vehicle has no claim
-        ({"stamp_s": 1.14}, False, False),  # it may not have received this member's claim yet
+        ({"stamp_s": 1.14}, False, False),  # the other vehicle may not have received this member's claim yet
         ({"stamp_s": 1.17, "clock_bound_s": 0.03}, False, False),
         ({"claim_s": 1.1, "yields_to": (3,)}, True, False),
-        ({"claim_s": 1.1}, False, False),  # the younger claim has not yielded yet
+        ({"claim_s": 1.1}, False, False),  # the other vehicle has the younger claim, but has not yielded yet
         ({"claim_s": 0.9}, False, True),
         ({"claim_s": 1.0}, False, False),  # equal claims: the lower id has precedence
         ({"claim_s": 0.9, "yields_to": (3,)}, True, False),  # both yield: the lower id gets precedence
@@ -117,7 +117,7 @@ def test_pads_that_drive_towards_each_other_come_near_within_the_time():
     assert nearest_m(a, *b, 10.0) == pytest.approx(0.3)
     assert nearest_m(a, *b, 2.0) == pytest.approx(math.hypot(1.2, 0.3))
     assert nearest_m(b, *b, 10.0) == 0.0
-    assert nearest_m(a, (-1.0, 0.0, 0.0), ZERO, 10.0) == pytest.approx(1.0)  # the target drives away
+    assert nearest_m(a, (-1.0, 0.0, 0.0), ZERO, 10.0) == pytest.approx(1.0)  # the first pad drives away
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_no_two_land_on_one_pad_together_and_each_lands(seed, number, lost, boun
         assert all(each.memory.phase is Phase.LANDED for each in all_)
 
 
-# vehicle 9 never sends a message
+# vehicle 9 is a member that never sends a message
 SETTINGS = settings_of(3, (3, 7, 9), takeoff={"start_offset_m": [2.0, 0.0, 1.0]})
 EAST, UP, DOWN = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 CLEAR = {"abort_way": AbortWay.FLY_CLEAR}
@@ -235,7 +235,7 @@ def flown(phase, keys, place, words):
 
 
 def beside(place, way, h_m):
-    """Return a hovering vehicle in direction ``way`` from ``place``, at which the pair barrier is ``h_m``."""
+    """Return the message of a vehicle that hovers in direction ``way``; the pair barrier is ``h_m`` there."""
     far_m = (0.75 if way[2] else 0.25) + (3.0 if way[2] else 1.0) * h_m
     at = tuple(p + far_m * w for p, w in zip(place, way, strict=True))
     return MemberStatus(7, 2 * DT_S, 2 * DT_S, at, ZERO, ZERO, intent=Intent.WAITING)
@@ -255,7 +255,7 @@ def test_a_neighbour_in_the_way_stops_each_phase_but_the_touchdown(phase, keys, 
     if phase is Phase.TOUCHDOWN:
         assert there == alone
         return
-    # the approach is slower than half of the decay rate of h allows, since positions may be wrong
+    # the approach may be at most half as fast as the decay rate of h allows, because positions may be wrong
     assert sum(a * w for a, w in zip(there, way, strict=True)) <= 0.02
     assert flown(phase, keys, place, [beside(place, way, 2.9)]) == alone  # the other vehicle is out of reach
     assert math.dist(flown(phase, keys, place, [beside(place, way, 1.5)]), alone) < 1e-6  # in reach

@@ -57,12 +57,12 @@ def least_by_scipy(soft, firm, lower, upper):
 
 
 def met_nowhere(found, lower, upper):
-    """Whether no point within the velocity limits satisfies all constraints, within the solver's error."""
+    """Whether no point within the limits satisfies all constraints, made stricter by the solver's error."""
     more = [row._replace(bound_m_s=row.bound_m_s + AGREES_M_S) for row in found]
     return least_by_scipy(more, [], lower, upper) > 0.0
 
 
-# three constraints; a shift of one moves their common corner by ten million times the shift
+# three constraints; if one of them is shifted, their common corner moves ten million times as far
 FLAT = [
     Row((-0.9899924966004384, 0.14112000805986621, 1.192092896e-07), 0.0),
     Row((1.0, 0.0, 0.0), 0.0),
@@ -161,7 +161,7 @@ def test_without_a_place_for_all_the_neighbours_share_the_slack_evenly():
 def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
     firm, soft, box = Row((0.0, 0.0, 1.0), 2.0), Row((1.0, 0.0, 0.0), 2.0), ((-1.0,) * 3, (1.0,) * 3)
     assert least_slack([firm], [soft], *box)[0] == math.inf
-    # if a rounding error violates the firm constraint, the result is the corner that raises h fastest
+    # if rounding makes the firm constraint seem infeasible, the result is the corner that raises h fastest
     monkeypatch.setattr(program_module, "least_slack", lambda *_: (math.inf, (0.0, 0.0, 0.0)))
     found = PROGRAM.solve((0.0, 0.0, 0.0), [Row((0.0, 0.0, 1.0), 0.5)], [soft], *box)
     assert found.filter.velocity_enu_m_s[2] == 1.0
@@ -182,7 +182,7 @@ def test_nothing_sinks_faster_than_wanted_or_than_h_alone_allows(d_m, h_m, nomin
     allowed = target[2] - CONE.rate_1_s * max(0.0, h_m)
     assert lower[2] >= min(allowed, reached[1][2])
     assert lower[2] >= min(nominal[2], target[2], reached[1][2])
-    assert lower[2] <= max(target[2], reached[0][2])  # the current height above the pad is always enough
+    assert lower[2] <= max(target[2], reached[0][2])  # constant height above the pad is always allowed
     assert upper[2] == reached[1][2]
 
 
@@ -195,7 +195,7 @@ def test_velocity_out_of_the_cone_grows_by_half_of_what_the_rate_allows(d_m, azi
         return sum(g * (t - v) for g, t, v in zip(gradient[:2], target, velocity, strict=False))
 
     row = CONE.outward(h_m, gradient, before, target)
-    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # largest allowed decrease of h, m/s
+    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # largest allowed rate at which h decreases, m/s
     grows_m_s = OUTWARD_PART * CONE.period_s * CONE.rate_1_s * h_m / CONE.lag_s
     assert row.g == (*gradient[:2], 0.0)
     assert math.isclose(most_m_s, max(0.0, lowers_m_s(before)) + grows_m_s, abs_tol=1e-9)

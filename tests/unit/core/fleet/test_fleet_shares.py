@@ -20,7 +20,7 @@ from tests.examples import examples
 TICK_S = 0.02
 A, B = Fleet(3, (3, 7)), Fleet(7, (3, 7))
 FLYING = VehicleStatus(0.0, True, Mode.EXTERNAL, Landed.IN_AIR, True)
-# phases that may follow a phase; TOUCHDOWN follows LAND, which the neighbours have received by then
+# phases that may follow each phase; before TOUCHDOWN the neighbours have received messages with phase LAND
 AFTER = {
     Phase.APPROACH: (Phase.APPROACH, Phase.LAND, Phase.HOLD),
     Phase.LAND: (Phase.LAND, Phase.APPROACH, Phase.TOUCHDOWN),
@@ -31,7 +31,7 @@ AFTER = {
 
 
 class Side:
-    """One vehicle: sent and received messages, and its current share."""
+    """One vehicle: the messages that it will receive, and its current share."""
 
     def __init__(self, fleet, offset_s, rng):
         self.fleet, self.offset_s, self.rng = fleet, offset_s, rng
@@ -71,7 +71,7 @@ def test_the_shares_that_two_vehicles_fly_sum_to_one_or_more(seed, lost, slowest
         flown = [side.part for side in sides]
         down = [side.memory.phase in (Phase.TOUCHDOWN, Phase.LANDED) for side in sides]
         heard = all(side.member.memory.slots[0].message is not None for side in sides)
-        if heard and not all(down):  # the right of way prevents that both are down
+        if heard and not all(down):  # the right of way prevents that both vehicles are on the pad
             assert sum(flown) >= 1.0, (t_s, flown, [side.memory.phase for side in sides])
         for me, other, word in ((0, 1, words[1]), (1, 0, words[0])):
             if rng.random() < 0.1 * lost:
@@ -97,7 +97,8 @@ def test_the_barrier_is_convex_with_the_gradient_of_finite_differences(p, q):
     h_m, g = barrier(p, 0.25, 0.75)
     assert math.hypot(*g) <= 1.0 + 1e-12
     then_m, _ = barrier(tuple(a + b for a, b in zip(p, q, strict=True)), 0.25, 0.75)
-    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6  # gradient 0 at the centre
+    # within 1 um of the centre h is constant, which the tolerance covers
+    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6
     if h_m > -0.2:
         for axis in range(3):
             ahead, back = list(p), list(p)
@@ -137,7 +138,7 @@ def test_a_vehicle_within_its_limits_never_jumps_and_one_that_lies_always_does(s
         p = p + 0.01 * v
         if told is not None and rng.random() < lost:
             continue
-        error = sigma_m * _towards(rng)  # the message reports this standard deviation
+        error = sigma_m * _towards(rng)  # the message reports the length of this error as standard deviation
         says = MemberStatus(
             7, 0.01 * tick, 0.0, tuple((p + error).tolist()), tuple(v.tolist()), ZERO, sigma_m
         )
@@ -176,10 +177,10 @@ def test_a_place_that_jumps_makes_the_ellipsoid_larger_until_it_jumps_back():
         "position may be wrong"
     ]
     assert h_m == pytest.approx(1.0 - A.radius_xy_m - A.margin_m)  # the ellipsoid contains both positions
-    assert take(0.04, 0.5) == ([], pytest.approx(h_m))  # the ellipsoid remains larger ...
+    assert take(0.04, 0.5) == ([], pytest.approx(h_m))  # after the jump the ellipsoid remains larger
     texts, h_m = take(0.06, 0.0)
     assert [text[:35] for text in texts] == ["the position of vehicle 7 jumps by "]
-    assert h_m == pytest.approx(2.0 - A.radius_xy_m - A.margin_m)  # ... until the vehicle jumps back
+    assert h_m == pytest.approx(2.0 - A.radius_xy_m - A.margin_m)  # the position has jumped back
 
 
 PROGRAM = FleetProgram()
@@ -198,7 +199,7 @@ def test_two_points_that_follow_their_rows_never_come_too_near(seed, parts):
         if tick % 30 == 29:
             wanted = [rng.uniform(-1.5, 1.5, 3) for _ in range(2)]
         told = [tuple(v.tolist()) for v in u]
-        # the vehicle with the whole share flies last: it reacts to the velocity of the other vehicle
+        # the vehicle with the larger share flies last, because it reacts to the velocity of the other vehicle
         for me in sorted((0, 1), key=lambda k: parts[k]):
             if parts[me] == NONE:
                 u[me] = np.clip(wanted[me], -1.0, 1.0)

@@ -37,7 +37,7 @@ def member(fleet=FLEET, **told):
         (replace(FLEET, frees_pad=False), Phase.LANDED, WAITS, False),
         (FLEET, Phase.LEAVE, WAITS, False),
         (FLEET, Phase.TOUCHDOWN, WAITS, False),
-        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # no claim: it aborted or landed
+        (FLEET, Phase.LANDED, {**WAITS, "claim_s": math.nan}, False),  # no claim: aborted or landed
         (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": (0.3, 0.0, 0.0)}, False),  # another pad
         (FLEET, Phase.LANDED, {**WAITS, "pad_position_enu_m": None}, False),
         (FLEET, Phase.LANDED, {**WAITS, "stamp_s": 0.4}, False),  # the other vehicle is silent

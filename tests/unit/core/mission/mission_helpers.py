@@ -18,7 +18,7 @@ PAD = (3.0, -2.0, 0.2)
 
 
 def starting(filter="robust", **sections):
-    """Return a configuration with a start point of the landing."""
+    """Return a configuration that gives the start point of the landing."""
     return config(filter, takeoff={"start_offset_m": [-1.4, 0.5, 0.72]}, **sections)
 
 
@@ -40,7 +40,7 @@ def tick(
     landed=Landed.IN_AIR, ready=True, operator=Operator.NONE, failed=False, follows=True, trusted=True,
     without=(), permissions=ALONE, charge=Charge.FIT,
 ):  # fmt: skip
-    """Return the condition flags of one tick; the arguments replace single values of good inputs."""
+    """Return the condition flags of one tick; each argument replaces a value of inputs without faults."""
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
     own = OwnState(now_s - own_age_s, 0.0, position, velocity, 0.0)
     status = VehicleStatus(now_s - status_age_s, armed, mode, landed, ready)

@@ -14,7 +14,7 @@ CALM = config(touchdown={"calm_wait_s": 12.0, "calm_speed_m_s": 0.05, "calm_heig
 
 
 def touches_s(settings):
-    """Return the time from the landing's start to phase TOUCHDOWN, s, and the lowest height in LAND, m."""
+    """Return the time from the landing's start to TOUCHDOWN, s, and the lowest relative height in LAND, m."""
     world = World(settings)
     world.run(30.0, until=lambda w: w.phase is Phase.TOUCHDOWN)
     assert world.phase is Phase.TOUCHDOWN

@@ -36,7 +36,7 @@ def test_when_all_is_well():
         # PX4 remains in external mode when disarmed after a landing by set-points: WAS_EXTERNAL is clear
         ({"armed": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL"}),
         ({"armed": False, "ready": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL", "READY"}),
-        ({"ready": False}, set(), set()),  # "not ready to arm" has no effect on an armed vehicle
+        ({"ready": False}, set(), set()),  # "not ready to arm" changes no flag of an armed vehicle
         ({"mode": Mode.HOLD}, set(), {"EXTERNAL", "WAS_EXTERNAL"}),
     ],
 )
@@ -158,12 +158,12 @@ def touch(settings, e, **changes):
 def test_the_papers_touchdown_rule():
     assert touch(PAPER, (0.0, 0.0, 0.049))
     assert not touch(PAPER, (0.0, 0.0, 0.051))
-    assert not touch(PAPER, (0.03, 0.0, 0.9 * BARRIER.height(0.03)))  # the vehicle is outside the cone
+    assert not touch(PAPER, (0.03, 0.0, 0.9 * BARRIER.height(0.03)))  # h < 0: the vehicle is outside the cone
     assert touch(PAPER, (0.03, 0.0, 1.01 * BARRIER.height(0.03)))
     wide = starting("paper", touchdown={"height_m": 0.2, "pad_radius_m": 0.05})
     assert touch(wide, (0.049, 0.0, 0.15))
     assert not touch(wide, (0.051, 0.0, 0.15))
-    # the rule does not depend on velocity and uncertainty
+    # the rule depends neither on the velocity nor on the uncertainty
     assert touch(PAPER, (0.0, 0.0, 0.049), velocity=(0.4, 0.0, 0.0), sigma_m=1.0)
 
 
@@ -187,7 +187,7 @@ def test_it_goes_around_when_it_is_going_to_leave_the_corridor():
             assert not drifted(ROBUST, tuple(e), velocity=tuple(-x for x in moving))
     ask = {"velocity": (2.0 * edge, 0.0, 0.0)}
     assert drifted(ROBUST, (d, 0.0, high + 1e-6), **ask)
-    assert not drifted(ROBUST, (d, 0.0, high - 1e-6), **ask)  # the vehicle is too low to climb away
+    assert not drifted(ROBUST, (d, 0.0, high - 1e-6), **ask)  # the vehicle is too low for a go-around
     assert not drifted(ROBUST, (d, 0.0, high + 1e-6), contact=True, **ask)
     assert not drifted(ROBUST, (d, 0.0, high + 1e-6), phase=Phase.LAND, **ask)
     assert not drifted(PAPER, (d, 0.0, high + 1e-6), **ask)

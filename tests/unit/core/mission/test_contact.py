@@ -24,7 +24,7 @@ ON_PAD = (0.02, 0.0, 0.0144)
 
 
 def contact_after(settings, memory, seconds, **changes):
-    """Whether contact is detected within this time, s, with ticks every 10 ms."""
+    """Whether contact is detected within ``seconds``, with a tick every 10 ms."""
     for n in range(round(seconds / 0.01) + 1):
         tick(settings, memory=memory, now_s=NOW_S + 0.01 * n, **changes)
     return memory.contact
@@ -48,12 +48,12 @@ def test_contact_is_standing_there_for_a_while_or_saying_so(settings):
         settings, down(), 1.0, e=ON_PAD, target_velocity=(0.0, 0.0, 1.01 * contact.speed_m_s)
     )
     assert contact_after(settings, down(), 1.0, e=ON_PAD, velocity=tuple(0.9 * v for v in fast))
-    assert contact_after(settings, down(contact=True), 0.0, e=(2.0, 0.0, 2.0))  # contact remains set
+    assert contact_after(settings, down(contact=True), 0.0, e=(2.0, 0.0, 2.0))  # contact remains detected
 
 
 @pytest.mark.parametrize("settings", [PAPER, starting("paper", touchdown={"rule": "paper"})])
 def test_what_stands_on_the_pad_below_the_cone_has_landed(settings):
-    below = (0.06, 0.0, ON_PAD[2])  # h < 0, where the paper's touchdown rule is never fulfilled
+    below = (0.06, 0.0, ON_PAD[2])  # h < 0, so the paper's touchdown rule is never fulfilled
     memory = Memory(phase=Phase.LAND)
     assert "TOUCH" not in names(tick(settings, memory=memory, e=below))
     assert not contact_after(settings, memory, STANDING_S - 0.02, e=below, landed=Landed.ON_GROUND)
@@ -79,7 +79,7 @@ def test_a_descent_that_stopped_low_over_the_pad_is_contact():
     assert not found(1.0, velocity=tuple(1.02 * v for v in slow))
     assert not found(1.0, e=(*low[:2], 1.01 * r.touch_height_m))
     assert not found(1.0, e=(0.0, 1.01 * ROBUST.touchdown.pad_radius_m, low[2]))
-    # commanded and measured velocities are relative to the pad
+    # commanded and measured velocities count relative to the pad
     rising = (0.0, 0.0, 0.3)
     assert found(
         0.05, command=(0.0, 0.0, told[2] + 0.3), velocity=(0.0, 0.0, slow[2] + 0.3), target_velocity=rising

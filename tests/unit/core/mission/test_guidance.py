@@ -33,7 +33,7 @@ def asked(
     phase, settings=ROBUST, e=(0.5, -0.4, 1.0), memory=None, *, own=True, target=True, own_ok=True,
     target_ok=True, armed=True, landed=Landed.IN_AIR, status=True, velocity=ZERO, permissions=ALONE,
 ):  # fmt: skip
-    """Return the nominal command for these inputs."""
+    """Return the nominal command in this phase for these inputs; the command must not change the memory."""
     memory = memory if memory is not None else Memory()
     memory.phase = phase
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
@@ -72,7 +72,7 @@ def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered
 
 
 def test_waiting_is_doing_nothing_unless_it_is_found_in_the_air():
-    """The robust filter also keeps a waiting vehicle away from an approaching pad."""
+    """A waiting vehicle in the air hovers; with the robust filter it also avoids an approaching pad."""
     assert asked(Phase.WAIT, PAPER) == Command(Request.EXTERNAL, ZERO)
     assert asked(Phase.WAIT, ROBUST) == Command(Request.EXTERNAL, ZERO, filtered=True)
     for changes in ({"armed": False}, {"landed": Landed.ON_GROUND}, {"target_ok": False}, {"status": False}):
@@ -99,7 +99,7 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
         assert found.velocity[:2] == pytest.approx(
             [v - gain * x for v, x in zip(MOVING[:2], e[:2], strict=True)]
         )
-        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # there it flies higher by the barrier's peak
+        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # beyond the peak: higher by the peak's height
         above = e[2] - r.wait_height_m - (BARRIER.peak_height_m if far else 0.0)
         rising = found.velocity[2] - MOVING[2]
         if above > 0.0:
@@ -112,7 +112,7 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
 
 def test_holding_is_standing_still_or_following_what_was_followed_and_rising():
     assert asked(Phase.HOLD, PAPER, memory=Memory(started_s=1.0)) == Command(Request.EXTERNAL, ZERO)
-    assert asked(Phase.HOLD, ROBUST) == Command(Request.EXTERNAL, ZERO)  # no climb: no landing has started
+    assert asked(Phase.HOLD, ROBUST) == Command(Request.EXTERNAL, ZERO)  # no landing has started: no climb
     assert asked(Phase.HOLD, ROBUST, memory=Memory(started_s=1.0), target=False) == Command(
         Request.EXTERNAL, ZERO
     )
@@ -160,31 +160,31 @@ def test_flying_clear_is_up_then_away_then_down():
     assert clearing((0.3, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))
     away = clearing((-0.3, -0.4, top))[0].velocity
     assert away == pytest.approx((-0.6 * vx, -0.8 * vx, 0.0))
-    assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # any direction is valid
+    assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # all directions are equal
     far = ROBUST.checks.clearance_m
     there, memory = clearing((0.0, -far - 1e-6, 0.1))
     assert there == Command(Request.LAND)
     assert memory.clear
-    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # still lands
+    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # landing continues
     assert clearing((0.0, -far + 1e-6, top))[0].request is Request.EXTERNAL
 
 
 def test_it_does_not_land_while_it_closes_in():
-    """The distance to the target includes the motion of both until the vehicle has landed."""
+    """The vehicle lands only if its distance to the target remains above the clearance during its descent."""
     vx, vy, vz = ROBUST.limits.velocity_max_m_s
     far, lag_s = ROBUST.checks.clearance_m, ROBUST.velocity_loop.lag_xy_s
     z = 0.3 - PAD[2]  # 0.3 m above the origin
     sinks_s = 0.3 / ROBUST.retreat.landing_speed_m_s
     coming = {"velocity": (-0.4, 0.0, 0.0)}
     still = clearing((far + 0.4 * lag_s - 1e-6, 0.0, z), **coming)[0]
-    assert still == Command(Request.EXTERNAL, (vx, 0.0, vz))  # the vehicle still flies outwards
+    assert still == Command(Request.EXTERNAL, (vx, 0.0, vz))  # the vehicle still flies away from the target
     assert clearing((far + 0.4 * lag_s + 1e-6, 0.0, z), **coming)[0] == Command(Request.LAND)
     followed = (0.0, -0.2, 0.0)
     reach_m = far + 0.2 * sinks_s
     assert clearing((0.0, -reach_m + 1e-6, z), followed)[0] == Command(Request.EXTERNAL, (0.0, -vy, vz))
     assert clearing((0.0, -reach_m - 1e-6, z), followed)[0] == Command(Request.LAND)
     assert clearing((0.0, far + 1e-6, z), followed)[0] == Command(Request.LAND)  # the target drives away
-    # before the vehicle is down, the target passes at 0.9 times the clearance
+    # during the descent the target passes the vehicle at 0.9 times the clearance
     assert clearing((0.9 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0].request is Request.EXTERNAL
     assert clearing((1.1 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0] == Command(Request.LAND)
 

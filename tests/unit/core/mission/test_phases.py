@@ -17,8 +17,8 @@ STAY = (None, "")
 ALL = (1 << len(Condition)) - 1
 
 
-# The phase rules of docs/how_it_works/method.md: the first one whose condition holds counts. A name alone
-# means all rules of the block with this name; "while" adds a condition to each rule of the block.
+# The phase rules of docs/how_it_works/method.md: in each block, the first rule whose condition holds decides.
+# "= NAME" stands for all rules of the block NAME; "while" adds a condition to each of these rules.
 STATED = f"""
 OPERATOR
 emergency -> ABORT: emergency stop
@@ -139,7 +139,7 @@ def expected_rules(phase, word):
 def everything(phase):
     """Return all combinations of the flags that one of the two implementations reads.
 
-    All other flags are clear in one half of them and set in the other half: they must have no effect.
+    The other flags must have no effect: in half of the combinations they are clear, in the other half set.
     """
     word = Word(np.zeros(1, np.int64))
     expected_rules(phase, word)
@@ -154,7 +154,7 @@ def everything(phase):
 
 
 def expected(phase, words):
-    """Return the outcome number of each set of flags, and the outcomes ``(to, reason)``; 0: no change."""
+    """Return the outcome's number for each set of flags, and all outcomes ``(to, reason)``; 0: no change."""
     rules = expected_rules(phase, Word(words))
     outcomes = list(dict.fromkeys([STAY, *((to, why) for _, to, why in rules)]))
     numbers = [outcomes.index((to, why)) for _, to, why in rules]
@@ -163,7 +163,7 @@ def expected(phase, words):
 
 
 def leads_to(phase, asked=0, unless=0):
-    """Return the next phases of all sets that contain ``asked`` but not ``unless``; None: no change."""
+    """Return the next phases for all sets with all of ``asked`` and none of ``unless``; None: no change."""
     words = everything(phase)
     found, outcomes = expected(phase, words[(words & asked == asked) & (words & unless == 0)])
     return {outcomes[number][0] for number in np.unique(found)}
@@ -203,7 +203,7 @@ def test_nothing_leaves_the_end_but_for_another_vehicle():
 
 
 def reachable(start, unless=0):
-    """Return the phases that can follow ``start``, at once or later, while ``unless`` is clear."""
+    """Return all phases that can follow ``start``, directly or through others, while ``unless`` is clear."""
     found, new = set(), {start}
     while new:
         phase = new.pop()
@@ -222,7 +222,7 @@ def test_every_phase_is_reachable():
 
 
 def test_no_flight_lasts_for_ever():
-    """Each phase of flight has a time limit that ends it, independent of all other conditions."""
+    """When its time limit is reached, each phase of flight ends, independent of all other conditions."""
     for phase in GOING_ON:
         landing = phase in (Phase.APPROACH, Phase.LAND)
         limit = Condition.LANDING_TIME_OVER if landing else Condition.PHASE_TIME_OVER

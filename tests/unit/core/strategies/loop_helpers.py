@@ -35,7 +35,7 @@ class Plant:
 
 
 def flown(references, plant, tracking=None, most=WIDE):
-    """Fly velocity references tick by tick; return the tracker, set-points and flown velocities."""
+    """Fly a sequence of velocity references; return tracker, set-points and velocities of all ticks."""
     tracking = tracking or VelocityTracking(LOOP, T_S)
     before, setpoints, velocities = references[0], [], []
     for reference in references:
@@ -68,10 +68,10 @@ def fed_back(**sections):
 
 
 def flown_behind(settings, factor, accelerations, errors=None, start_m=0.0):
-    """Return positions relative to the target, m, tick by tick, from rest at ``start_m``.
+    """Return the position relative to the target after each tick, m; the start is at rest at ``start_m``.
 
-    ``factor``: rate of the vehicle's velocity loop divided by the declared rate; ``accelerations``: of the
-    target, m/s^2; ``errors``: of the wanted velocity, m/s.
+    ``factor``: rate of the vehicle's velocity loop divided by the declared rate; ``accelerations`` of the
+    target, m/s^2, and ``errors`` of the wanted velocity, m/s: one value for each tick.
     """
     errors = np.zeros(len(accelerations)) if errors is None else errors
     period_s, gain = 1.0 / settings.loop.rate_hz, settings.robust.gain_over_pad_1_s

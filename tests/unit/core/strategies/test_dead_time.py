@@ -33,7 +33,7 @@ def test_the_way_until_a_set_point_acts_is_the_way_that_the_modelled_vehicle_fli
         foretold.append(tracking.carried(flown[-1]))
         tracking.memory.setpoint_m_s = setpoint
         tracking.observe(flown[-1], commanding=True)
-        flown.append(tracking.memory.model_m_s)  # the vehicle moves as the model does
+        flown.append(tracking.memory.model_m_s)  # the vehicle moves exactly as the model does
     late = 25
     for k, (way_m, then_m_s) in enumerate(foretold[:-late]):
         assert then_m_s[:2] == pytest.approx(flown[k + late][:2], abs=1e-12)
@@ -91,7 +91,7 @@ def test_the_certificate_refuses_the_loop_that_swings_and_proves_the_configurati
 
 
 def test_a_simulated_step_is_the_matrix():
-    """The certificate's tick matrix gives a closed loop that comes to rest at the target."""
+    """From 1 m, the closed loop of the certificate's tick matrix comes to rest within 1 cm of the target."""
     settings = load_config("ardupilot47-1kg")
     matrix = tick_matrix(settings, 0.8, 1.0, 1.0)
     state = np.zeros(len(matrix))

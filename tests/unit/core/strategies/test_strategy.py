@@ -20,7 +20,7 @@ from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
 CONE = "examples.own_boundary:ConeFilter"
-# an external module that prints its import, and a filter without most of its methods
+# a module outside the package that prints when it is imported; its filter Bare lacks most methods
 OUTSIDE = """
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.strategies.strategy import PaperFilter
@@ -75,7 +75,7 @@ def test_what_is_no_name_is_refused_with_what_is_allowed(name):
     ],
 )
 def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
-    settings = config(name)  # the name is valid, and its module is not imported yet
+    settings = config(name)  # the form of the name is valid; its module is imported only later
     for use in (strategy_of, checks, problems):
         with pytest.raises(ConfigError, match=why):
             use(settings)
@@ -84,7 +84,7 @@ def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
 def test_reading_a_configuration_or_a_log_imports_nothing_from_outside(outside, capsys):
     settings = config("outside:Picky")
     assert packaged_strategy_of(settings) is None
-    with pytest.raises(ConfigError, match="cannot be imported"):  # as for a log whose filter is not installed
+    with pytest.raises(ConfigError, match="cannot be imported"):  # the same for a log without its filter
         strategy_of(settings)
     assert "outside" not in sys.modules
     assert capsys.readouterr().out == ""
@@ -108,7 +108,7 @@ def test_a_subclass_does_not_inherit_the_proof_of_the_class_that_it_extends(outs
     settings = config("outside:Slower")
     (found,) = checks(settings)
     assert (found.name, found.proven) == ("certificate", False)
-    assert problems(settings) == []  # the filter is allowed to fly
+    assert problems(settings) == []  # a filter without a proof may fly
     done = called("check", "paper_static_1", "--filter", "outside:Slower", "--json")
     assert done.code == 1
     assert "outside:Slower has none" in done.json["checks"][0]["worst"]

@@ -36,7 +36,7 @@ def fed_back(delay_s=0.0, loop=EAGER):
     [(lead, st.floats(0.7, 1.3), st.floats(0.7, 1.3)), (fed_back, st.floats(0.77, 1.42), st.just(1.0))],
 )
 def test_a_vehicle_that_answers_otherwise_than_modelled_still_flies_what_is_wanted(made, rates, dampings):
-    """With model errors and a constant push, no velocity error or oscillation remains."""
+    """Despite model errors and a constant push, the velocity converges to the reference."""
 
     @given(wanted, rates, dampings, pushes)
     @examples(40)
@@ -70,7 +70,7 @@ def test_the_limits_hold_whatever_is_measured(made, ticks, most):
 
 @pytest.mark.parametrize("made", [lead, fed_back])
 def test_all_of_its_state_is_its_memory(made):
-    """A copy with equal memory returns the same set-points as the original, bit for bit."""
+    """A tracker with a copy of the memory returns the same set-points as the original, bit for bit."""
     references = [tuple(0.2 * math.sin(0.02 * n + axis) for axis in AXES) for n in range(200)]
     plant = Plant(push=(0.1, 0.0, 0.0))
     tracking, _, _ = flown(references[:100], plant, made(delay_s=0.03))
@@ -89,7 +89,7 @@ def test_all_of_its_state_is_its_memory(made):
 @examples(20)
 def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period_s, damping, axis, start):
     def left(share):
-        """Return the model velocity, m/s, after 2000 ticks; ``share``: model rate over its limit."""
+        """Return the model velocity after 2000 ticks, m/s; ``share``: model rate divided by its limit."""
         rate = share * replace(LOOP, damping=damping).rate_max_1_s(period_s)
         loop = replace(LOOP, damping=damping, rate_xy_1_s=rate, rate_z_1_s=rate)
         tracking = VelocityTracking(loop, period_s)
@@ -106,7 +106,7 @@ def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_tilt_is_bounded_twice(sign):
-    """The tilt is limited by the acceleration, and by the difference of set-point and velocity."""
+    """Two limits bound the set-point: one of the acceleration, one of its difference from the velocity."""
     far = (3.0 * sign, 0.0, 0.0)
     wide = replace(EAGER, error_max_m_s=10.0)
     for loop, most in ((wide, 13.0 * 3.0 / LOOP.rate_xy_1_s**2), (replace(EAGER, error_max_m_s=0.3), 0.3)):

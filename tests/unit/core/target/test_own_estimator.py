@@ -29,7 +29,7 @@ MOST = (0.7, 0.7, 0.7)
 
 
 class Vehicle:
-    """Motion of a vehicle with the modelled velocity loop, whose state has a velocity error and a delay."""
+    """A vehicle with the modelled velocity loop; its reported state is late and has a velocity error."""
 
     def __init__(self, error_m_s=(0.0, 0.0, 0.0), delay_ticks=2, rate_1_s=LOOP.rate_xy_1_s):
         self.error_m_s, self.delay, self.rate_1_s = np.array(error_m_s), delay_ticks, rate_1_s
@@ -56,7 +56,7 @@ def wanted(t_s):
 
 
 def follow(vehicle, estimator, seconds, *, lost=()):
-    """Fly a changing velocity; return the last estimate. ``lost``: ticks without a state."""
+    """Fly a varying velocity; return the last estimate. ``lost``: numbers of ticks without a state."""
     found = None
     for k in range(round(seconds / PERIOD_S)):
         own = vehicle.state()

@@ -19,7 +19,7 @@ def turned(velocity, angle_rad):
     return c * x - s * y, s * x + c * y, z
 
 
-# reported velocity as a function of true velocity, heading and time
+# wrongly reported velocity as a function of true velocity, heading and time
 WRONG = {
     "world frame": lambda v, yaw, t: turned(v, yaw),
     "heading off by half a turn": lambda v, yaw, t: turned(v, math.pi),
@@ -33,7 +33,7 @@ WRONG = {
 
 
 def drive(checks, seconds, *, speed=0.2, yaw=2.5, turn_rate=0.0, says=lambda v, yaw, t: v, noise=(), lost=()):
-    """Track a driving robot; yield time, track and true velocity after each sample."""
+    """Track a robot that drives; yield time, track and true velocity after each sample."""
     track, chance, (x, y) = TargetTrack(checks), random.Random(1), (0.0, 0.0)
     track.memory.settled = True
     position_m, velocity_m_s = noise or (0.0, 0.0)
@@ -55,7 +55,7 @@ def test_a_velocity_that_the_positions_contradict_is_soon_noticed(fault, yaw):
     noticed_s = next(
         t for t, track, _ in drive(Checks(), 4.0, yaw=yaw, says=WRONG[fault]) if track.memory.distrusted
     )
-    # the limit is 0.1 m after a low-pass of 0.2 s; a drift of 0.1 m/s is forgotten within about 2 s
+    # a drift counts from 0.1 m on, after a low-pass of 0.2 s; the sum of the drift decays within about 2 s
     assert noticed_s < (2.0 if fault in ("half", "climbs", "flips every other second") else 1.3)
 
 
@@ -97,7 +97,7 @@ PERIOD_S = 0.02
 
 
 def believed_s(seconds, speed_m_s, *, flies, moves_m=0.0):
-    """Return the time until the state is rejected, s; its position moves by ``moves_m`` in each period."""
+    """Return how long the state is trusted, s; its position moves by ``moves_m`` in each period."""
     watched, age_s = Plausibility(CONFIG), CONFIG.checks.own_age_max_s
     for k in range(round(seconds / PERIOD_S)):
         at_s = PERIOD_S * k
@@ -109,7 +109,7 @@ def believed_s(seconds, speed_m_s, *, flies, moves_m=0.0):
 
 @pytest.mark.parametrize("speed_m_s", [0.0, 0.002, 0.02, 0.049])
 def test_a_vehicle_at_rest_repeats_its_numbers_for_as_long_as_it_likes(speed_m_s):
-    if speed_m_s < 0.03:  # a higher velocity contradicts the constant position in the long run
+    if speed_m_s < 0.03:  # after some seconds, a higher reported velocity contradicts the constant position
         assert believed_s(60.0, speed_m_s, flies=False) == 60.0
     assert believed_s(1.0, speed_m_s, flies=False) == 1.0
 

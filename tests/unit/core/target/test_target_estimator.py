@@ -33,7 +33,7 @@ links = st.builds(
 
 
 def assumed(link, axis):
-    """Return jerk noise, standard deviation of the initial acceleration, and its decay time, for an axis."""
+    """Return jerk noise, initial standard deviation of the acceleration, and its decay time, for an axis."""
     if axis == 2:
         return link.jerk_z_m_s3_sqrthz, link.acceleration_z_m_s2, math.inf
     return link.jerk_xy_m_s3_sqrthz, link.acceleration_xy_m_s2, link.acceleration_time_s
@@ -41,14 +41,14 @@ def assumed(link, axis):
 
 @functools.cache
 def carried(jerk, fade_s, dt_s):
-    """Return transition matrix and noise covariance over ``dt_s`` (Van Loan); the noise has no decay."""
+    """Return transition matrix and noise covariance over ``dt_s`` (Van Loan; noise without decay)."""
     drift, noise = np.diag([1.0, 1.0], 1), np.diag([0.0, 0.0, jerk**2])
     block = expm(np.block([[-drift, noise], [np.zeros((3, 3)), drift.T]]) * dt_s)
     return expm((drift - np.diag([0.0, 0.0, 1.0 / fade_s])) * dt_s), block[3:, 3:].T @ block[:3, 3:]
 
 
 class ByMatrices:
-    """Kalman filter of one axis in matrix form; an update uses both measurements at once."""
+    """Kalman filter of one axis in matrix form; each update uses position and velocity together."""
 
     def __init__(self, link, axis):
         self.jerk, self.prior, self.fade_s = assumed(link, axis)
@@ -152,7 +152,7 @@ def fed(link, said=(0.0, 0.0), count=60):
 
 @given(st.floats(0.0, 0.2), st.floats(0.0, 1.0))
 def test_a_sender_that_says_it_is_worse_is_believed_and_one_that_is_better_is_not(position_m, velocity_m_s):
-    """Only x and y use the reported deviations; robots on wheels may report any for z."""
+    """In x and y, a reported deviation above the configured one replaces it; in z no reported one is used."""
     found = fed(LINK, (position_m, velocity_m_s))
     noise = {
         "position_noise_m": max(position_m, LINK.position_noise_m),
