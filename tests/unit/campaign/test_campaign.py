@@ -60,7 +60,7 @@ def test_upper_bound_is_clopper_pearsons(events, runs):
 def test_every_row_is_counted_once():
     rows = numbered(GOOD, GOOD, CRASHED, ABORTED, TIMEOUT, error_row(5, "x"))
     counts = count(rows)
-    # a violation is possible in the row with outcome error
+    # the row with outcome error counts as a violation, because one may have occurred
     assert list(counts.items()) == [
         ("runs", 6),
         ("landed", 2),
@@ -160,7 +160,7 @@ def test_appended_rows_survive_and_a_cut_line_is_dropped(tmp_path):
 
 
 class Growing(io.StringIO):
-    """File to which a campaign appends: a read ends within a line; the next one returns the line's rest."""
+    """File to which a campaign appends: one read ends within a line, the next returns the line's rest."""
 
     def __init__(self, text, first):
         super().__init__(text[:first])

@@ -86,7 +86,7 @@ def test_wrong_configurations_are_refused_with_the_reason(sections, words):
 @pytest.mark.parametrize(
     ("sections", "word"),
     [
-        # slope 1.5, limits 0.2 and 0.5 m/s: 0.5 + 1.5 (0.2 - v) >= 0 needs a target speed v <= 0.533 m/s
+        # slope 1.5, limits 0.2 and 0.5 m/s: 0.5 + 1.5 (0.2 - v) >= 0 allows target speeds v <= 0.533 m/s
         ({"touchdown": {"target_speed_max_m_s": 0.54}}, "outruns the box"),
         (
             {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5, "omega_1_s": 20.0}, "loop": {"rate_hz": 20}},
@@ -201,7 +201,7 @@ def test_every_configuration_that_comes_with_the_package_is_found_by_name_and_ma
 
 
 def test_no_margin_is_blown_up_by_more_than_half():
-    """The filter divides the margin by the fraction of it that remains at the edge of the pad."""
+    """The filter divides the margin by its fraction at the edge of the pad, which is at least 1 - 1/e."""
     for pad_m in (0.05, 0.1, 0.5):
         widest = config(
             robust={"fade_radius_m": pad_m, "tracking_error_m_s": 0.1, "rate_1_s": 1.0, "sigma_factor": 0.0},

@@ -49,7 +49,7 @@ class Stack:
                 self.bench._send()
 
     def climb(self, flight) -> None:
-        """Take off and enter OFFBOARD; each flight begins with the same modes."""
+        """Wait for HOLD and disarmed motors, take off, and enter OFFBOARD."""
         self.bench.stream = None
         self.run(flight, Request.NONE, lambda s: s is not None and s.mode is Mode.HOLD and not s.armed)
         plant = self.bench.firmware.plant
@@ -160,5 +160,5 @@ def test_a_take_off_from_a_deck_that_drives_rises_above_its_place_on_the_deck_th
         x, y = x + period_s * vx, y + period_s * vy
         rise_m += period_s * vz if n * period_s >= 0.5 else 0.0
     assert rise_m == pytest.approx(0.5, abs=0.06)
-    beyond_m = math.hypot(x - left[0], y - left[1])  # the vehicle stops without flying back
+    beyond_m = math.hypot(x - left[0], y - left[1])  # the vehicle stops and does not fly back
     assert beyond_m == pytest.approx(min(speed_m_s, CARRIED_MAX_M_S) / GAIN_1_S, rel=0.3, abs=0.01)

@@ -204,7 +204,7 @@ def test_both_messages_carry_the_pose_into_the_ned_room(position, q, seed):
     vision = wire(vision_position_estimate(passed, 1_500_000))
     assert (vision.x, vision.y, vision.z) == pytest.approx(ENU_TO_NED @ position, rel=1e-5, abs=1e-5)
     back = Rotation.from_euler("ZYX", [vision.yaw, vision.pitch, vision.roll]).as_matrix()
-    assert back == pytest.approx(turned, abs=2e-3)  # in single precision, worst at a pitch of 90 degrees
+    assert back == pytest.approx(turned, abs=2e-3)  # single precision is worst at a pitch of 90 degrees
     assert vision.covariance == pytest.approx(expected, rel=1e-4, abs=1e-5)
     assert (vision.usec, vision.reset_counter) == (1_500_000, 3)
 

@@ -138,7 +138,7 @@ class Stage(Bench):
         return len(self.velocities()) - before == count
 
     def follows(self, gap_s):
-        """Whether positions have arrived with gaps below ``gap_s``, s, since ``mark_s``."""
+        """Whether all gaps between positions since ``mark_s`` are below ``gap_s``, s."""
         times_s = [t for t in self.times("LOCAL_POSITION_NED") if t > self.mark_s]
         return max(b - a for a, b in pairwise(times_s)) < float(gap_s)
 

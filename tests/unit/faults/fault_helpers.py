@@ -33,7 +33,7 @@ def aloft(*faults: Fault, loop=VelocityLoop.PID, seed=1) -> VehicleSim:
 
 
 def hold(sim: VehicleSim, seconds: float):
-    """Hold the position of its state estimate with a simple position loop; return true states at 100 Hz."""
+    """Hold a position by a simple loop on the state estimate; return the true states at 100 Hz."""
     home, truths = (2.0, 0.0, 1.7), []
     for _ in range(round(seconds * 100)):
         position = sim.estimate().position_enu_m
@@ -44,13 +44,13 @@ def hold(sim: VehicleSim, seconds: float):
 
 
 def off_home(truth) -> float:
-    """Return the distance from the hold position, m."""
+    """Return the true distance from the position to hold, m."""
     x, y, z = truth.position_enu_m
     return ((x - 2.0) ** 2 + y**2 + (z - 1.7) ** 2) ** 0.5
 
 
 def table_row(what: What, kind: Kind) -> str:
-    """Return the cell's row in docs/reference/faults.md."""
+    """Return the row of docs/reference/faults.md for this fault."""
     cell = TABLE[what][kind]
     columns = " | ".join(_shown(number) for number in (cell.value, cell.period))
     return f"| `{what.value}` | `{kind.value}` | {cell.effect} | {columns} |"

@@ -48,7 +48,7 @@ def heartbeat(base_mode=157):
 
 
 def out(*faults, make=position, seconds=10.0, end_s=None):
-    """Send a message every 10 ms, with faults from 1 s on; return (sent_ms, decoded) of those that arrive."""
+    """Send a message every 10 ms, with faults from 1 s on; return wire and arrivals (sent_ms, message)."""
     link, parser = LinkFaults(), mav.MAVLink(None)
     endpoint = FakeEndpoint()
     wire, got = Wire(endpoint, link), []

@@ -15,7 +15,7 @@ SHAPE = Shape(lambda s, o, turn: (s[0], s[1] + o[0], s[2] + turn), lambda first,
 
 
 def flow(*faults, seconds=5.0, end_s=None):
-    """Pass on samples at 100 Hz, with faults from 1 s on; return (arrived_ms, (sent_ms, x, yaw)).
+    """Send samples at 100 Hz, with faults from 1 s on; return (arrived_ms, (sent_ms, x, yaw)) of arrivals.
 
     The value x of a sample is the time at which it is sent, s.
     """

@@ -17,7 +17,7 @@ FOR_HALF_A_SECOND = [
     for what, kind in OF_THE_VEHICLE
     if TABLE[what][kind].healable and kind not in (Kind.WEAK, Kind.DEAD)
 ]
-# faults of links and of the clock, which do not act on the vehicle itself
+# faults of links and of the clock; they do not change the vehicle
 NEUTRAL = {What.LINK_IN, What.LINK_OUT, What.HEARTBEAT, What.SETPOINTS, What.CLOCK}
 
 

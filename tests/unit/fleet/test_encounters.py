@@ -18,7 +18,7 @@ BOTH = np.ones(2, dtype=np.int64)
 
 
 class Nearest(NamedTuple):
-    """Smallest distance and ellipsoid norm of two vehicles, and the time of their overlap (-1: none)."""
+    """Smallest distance and ellipsoid norm of two vehicles, and time of their overlap (-1: no overlap)."""
 
     distance_m: float
     ellipsoid: float
@@ -26,7 +26,7 @@ class Nearest(NamedTuple):
 
 
 def nearest(before, after, steps, one, other):
-    """Return the smallest distances of two vehicles; the states are relative to the first vehicle."""
+    """Return the smallest distances between two ticks; the states are relative to the first vehicle."""
     team = Team((one, other))
     team.follow(np.vstack((np.zeros(6), before)), np.vstack((np.zeros(6), after)), BOTH, steps)
     distance_m, flying_m, ellipsoid = team.least[0]
@@ -43,7 +43,7 @@ def states(position, velocity, acceleration, seconds):
 
 
 def test_a_straight_pass_is_judged_between_the_ticks():
-    """A pass at 10 m/s, 5 ms after the first tick, is between the ticks."""
+    """The smallest distance of a pass at 10 m/s is found, although the pass is 5 ms after a tick."""
     before, after = states((-0.05, 0.3, 0.0), (10.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.01)
     found = nearest(before, after, 10, SMALL, SMALL)
     assert found.distance_m == pytest.approx(0.3)
@@ -125,7 +125,7 @@ def test_the_axis_and_the_half_width_are_the_published_ones(lengths):
 
 
 def test_the_jet_carries_the_momentum_of_the_thrust():
-    """The constants belong to this unit of length l; with l / 4 the carried fraction would be 0.06."""
+    """The jet carries 90 to 100 % of the thrust's momentum; with a length of l / 4 it would carry 6 %."""
     for down in (0.3, 1.0, 2.0):
         r = np.linspace(0.0, 3.0, 6001)
         u = np.array([jet_speed(down, each, HOVER_M_S, SIZE_M) for each in r])

@@ -58,13 +58,13 @@ def test_vehicles_that_begin_inside_each_other_are_refused():
 
 
 def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():
-    """With the prediction that a sinking vehicle continues inwards, h of the fifth vehicle fell to -11 mm."""
+    """h remains above 30 mm; it fell to -11 mm when a sinking vehicle was predicted to continue inwards."""
     landings = land(load("fleet_8"), 20866).members
     assert min(each.verdict.h_min_outside_pad_m for each in landings) > 0.03
 
 
 ROOT = Path(__file__).parents[3]
-# if a member lies, the third vehicle waits for a minute, so only one of these moments is flown
+# with a wrong position of a member the third vehicle waits for a minute, so only one such moment is flown
 CELLS = [(way, m) for way in Way for m in MOMENTS_S if way is not Way.LIES or m == "touchdown"]
 PAGE = (ROOT / "docs" / "reference" / "fault_grid.md").read_text()
 
@@ -116,7 +116,7 @@ def test_three_take_off_again_and_the_last_one_stays(flown):
 
 @turns
 def test_the_next_one_lands_when_the_one_before_has_left(flown):
-    """No vehicle descends to the pad as long as another vehicle stands on it."""
+    """From a landing to the departure of this vehicle, no other vehicle starts to land."""
     stays, lands = [], []
     for landing in flown.members:
         found = phases(landing)

@@ -22,7 +22,7 @@ from tests.unit.fleet.fleet_helpers import FIELD, team_of
 
 
 def words(number=3, seed=5, **link):
-    """Return the message exchange of a team; here the messages are texts."""
+    """Return the message exchange of a team; in these tests the messages are texts."""
     return Words(replace(team_of(*[FIELD] * number), exchange=ExchangeLink(**link)), seed)
 
 
@@ -43,7 +43,7 @@ def test_words_are_late_by_whole_ticks(delay_s, ticks):
 
 
 def lost(exchange, number, hearer, ticks=2000):
-    """Return the ticks in which a receiver misses the first member's message."""
+    """Return the ticks in which receiver ``hearer`` misses the message of member 1."""
     words = [["a", *[None] * (number - 1)]] * ticks
     return [tick for tick, told in enumerate(words) if not exchange(tick, told)[hearer - 1]]
 
@@ -71,7 +71,7 @@ def word(id_, now_s, claim_s=float("nan")):
 
 @pytest.fixture
 def ends():
-    """Provide both ends of the message links of three members: vehicles and onboard processes."""
+    """Yield both ends of the message links of three members: vehicles and onboard processes."""
     endpoint = free_endpoint()
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
     wait_for(lambda: zenoh_link.transports(ours) == 1)

@@ -50,7 +50,7 @@ def test_deadlines_are_absolute():
         assert tick.number == number
         assert tick.now_s == pytest.approx(number * 0.01, abs=1e-9)
         assert tick.unix_ns == pytest.approx(5_000_000_000 + number * 10_000_000, abs=10)
-        clock.now += 0.003 + 0.001 * (number % 3)  # varying work does not shift the next deadline
+        clock.now += 0.003 + 0.001 * (number % 3)  # the work varies, but the next deadline does not shift
     assert pacer.overruns == 0
 
 
@@ -110,7 +110,7 @@ def test_the_simulator_stops_where_a_follower_waits(file, monkeypatch):
     simulator.join(0.2)
     assert simulator.is_alive()
     assert clock.unix_ns() - followed._cells[0] == 2 * STEP_NS
-    followed._cells[followed._place] = 20 * STEP_NS  # the follower has processed every due step
+    followed._cells[followed._place] = 20 * STEP_NS  # the follower has processed every step that was due
     simulator.join(PATIENCE_S)
     assert not simulator.is_alive()
     assert clock.unix_ns() - followed._cells[0] == 10 * STEP_NS
@@ -131,7 +131,7 @@ def test_time_goes_on_for_the_followers_of_a_simulator_that_was_killed(file, mon
     clock, followed = SimulationClock(file), FollowedClock(file, Follower.ONBOARD)
     clock.advance(STEP_NS, never)
     before_s = followed.monotonic()
-    followed.sleep(0.05)  # the wait ends without a step of the simulator
+    followed.sleep(0.05)  # the wait ends, although the simulator makes no step
     after_s = followed.monotonic()
     assert after_s >= before_s + 0.05
     clock.advance(2 * STEP_NS, never)  # the simulator was only slow; time never goes back

@@ -27,7 +27,7 @@ EXIT_S = 0.05  # time of the exit after the start of the flight, s
 
 
 class Breaks(Enum):
-    """A failure that starts in the tick of the exit and remains."""
+    """Part whose calls fail from the tick of the exit on."""
 
     CLOCK = "wait"
     TARGET = "samples"
@@ -146,7 +146,7 @@ EXITS = {
 
 
 def flown(exits, name="APPROACH", duration_s=None, **more):
-    """Fly one phase from its start until the exit; return the result of the flight."""
+    """Fly one phase from its start until the exit; return the fakes of vehicle and links, and the result."""
     phase, seen, remembered = PHASES[name]
     flight, controller = Flight(exits, **(seen | more)), Controller(CONFIG)
     memory = controller.memory

@@ -73,7 +73,7 @@ def onboard(feed, endpoint):
 
 @pytest.fixture
 def other(onboard, endpoint):
-    """Provide the fleet connection of another vehicle, with id 7."""
+    """Yield the fleet connection of another vehicle, with id 7."""
     session = open_session(connect=[endpoint])
     wait_for(lambda: zenoh_link.transports(session) == 1)
     wire = FleetWire(session, "cf7", Fleet(7, (3, 7)))
@@ -173,7 +173,7 @@ rounds = st.lists(st.tuples(delays, delays, st.integers(1, 2000 * MS)), min_size
 
 @given(st.integers(-(10**18), 10**18), st.floats(-0.9, 0.9), rounds)
 def test_the_bound_holds_for_all_delays_and_drifts(off_ns, drift, rounds):
-    """Exchange messages in both directions each round; ``off_ns``: initial offset of the clocks."""
+    """The computed offset of two clocks is within its bound; ``off_ns``: offset at the start."""
     here, there, now = OtherClock(), OtherClock(), 0
 
     def there_ns(t_ns):

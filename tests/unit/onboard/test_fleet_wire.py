@@ -68,7 +68,7 @@ def pass_time(*sides):
 
 
 def taken(side, count=1):
-    """Receive at least ``count`` messages, including rejected ones; return the accepted ones."""
+    """Receive at least ``count`` messages, including rejected ones; return those that were accepted."""
     read, words, drain = [], [], zenoh_link.drain
 
     def drained(subscriber):
@@ -163,7 +163,7 @@ def test_of_two_processes_of_another_vehicle_the_first_is_heard(sides, stranger)
     ("stamp_s", "clock_s", "lost"), [(3600.0, 0.0, 1), (0.0, 3600.0, 22), (0.0, -0.9, 22)]
 )
 def test_a_wrong_stamp_costs_one_word_and_a_clock_that_was_set_is_followed(sides, stamp_s, clock_s, lost):
-    """Send messages at 50 Hz; the twentieth changes a time stamp or a vehicle's clock."""
+    """After one wrong stamp one message is lost; after a step of the sender's clock, at most 22."""
     a, b = sides
     heard = []
     for n in range(60):
@@ -180,7 +180,7 @@ def test_a_wrong_stamp_costs_one_word_and_a_clock_that_was_set_is_followed(sides
 
 
 def test_a_word_counts_when_its_teller_hears_this_one(sides, stranger):
-    """Until the sender receives this vehicle's messages, the time of its message here is unknown."""
+    """A message is rejected until the sender has received this vehicle's messages, as its time is unknown."""
     a, _ = sides
     a.now_s += 10.0
     sent(stranger, 7, 11.0)

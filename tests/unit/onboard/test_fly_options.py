@@ -57,7 +57,7 @@ def test_every_option_of_the_onboard_process_is_handed_on_as_it_was_given(starte
 
 
 def others(cls, folder):
-    """Return a value that differs from the default for each option with a default."""
+    """Return a value for each option with a default; the value differs from the default."""
     file = folder / "file"
     file.write_text("{}")
     found = {

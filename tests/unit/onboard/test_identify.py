@@ -1,4 +1,4 @@
-"""Tests that ``identify`` finds the parameters of a synthetic vehicle, or rejects flights that show none."""
+"""Tests that ``identify`` finds the parameters of a synthetic vehicle, and rejects flights without them."""
 
 import math
 
@@ -13,9 +13,9 @@ DT_S = 0.01
 def made_up(
     seed, *, gain=1.0, rate=5.2, damping=0.68, dead_s=0.0, seconds=20.0, size=0.4, wind=0.0, noisy=0.005
 ):
-    """Return step commands and the response of a synthetic vehicle.
+    """Return velocity commands with steps, and the response of a synthetic vehicle.
 
-    The response is integrated here and not computed with the model that ``fit`` uses.
+    The response is integrated here; the model that ``fit`` uses is not called.
     """
     from scipy import signal  # a late import: it takes half a second
 
@@ -75,7 +75,7 @@ def test_a_flight_that_the_commands_do_not_explain_is_refused():
 
 
 def samples(seed, *, rate_hz=50.0, position=0.01, velocity=0.03, lost=0.05, delay=0.06, seconds=30.0):
-    """Return measurements of a target on a circle of 0.5 m radius at 0.4 m/s."""
+    """Return measurements of a target that drives on a circle of 0.5 m radius at 0.4 m/s and heaves."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 1.0 / rate_hz)
     t = t[rng.random(len(t)) >= lost]
@@ -102,7 +102,7 @@ def test_noise_rate_loss_and_delay_of_a_link_are_found():
 
 @pytest.mark.slow
 def test_its_standard_errors_are_true():
-    """In at least 19 of 24 windy flights the lag is within two standard errors, which match its spread."""
+    """In 19 or more of 24 windy flights the lag is within two standard errors, which match its spread."""
     lag = 2.0 * 0.68 / 5.2
     found = [identify([made_up(seed, wind=0.05)], DT_S, "x") for seed in range(24)]
     missed = [abs(one.lag_s - lag) / one.errors[4] for one in found]

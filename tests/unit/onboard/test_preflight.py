@@ -22,7 +22,7 @@ NEEDS = Needs(0.5 * math.sqrt(2.0), 0.5, 1.0, 1.5, 3.0)
 
 
 def asked(name):
-    """Return the parameters that the check requests, with their rules: newest release, but ArduCopter 4.6."""
+    """Return the requested parameters with their rules, for ArduCopter 4.6 or else the newest release."""
     return table(name).asked(name, "4.6" if name == "ardupilot" else table(name).releases[-1])
 
 
@@ -58,7 +58,7 @@ def test_what_a_person_accepted_does_not_keep_it_from_arming():
 
 @pytest.mark.parametrize("name", scenario.names())
 def test_the_simulators_own_parameters_are_safe_for_every_scenario(name):
-    """In lockstep the check is skipped, because the vehicle is always the simulator."""
+    """No default value of the simulator is unsafe, so runs in lockstep may skip the check."""
     shown = {parameter.name: parameter.default for parameter in px4_parameters(1)}
     assert {each.name.name for each in asked("sitl") if each.rule.missing is None} <= set(shown)
     assert unsafe("sitl", shown, needs_of(scenario.load(name).onboard)) == set()
@@ -114,7 +114,7 @@ def test_without_a_version_it_counts_as_the_real_one_whose_release_is_not_known(
     report = talk(Vehicle(mute=("AUTOPILOT_VERSION",)))
     assert (report.profile, report.version) == (PX4, None)
     assert "no AUTOPILOT_VERSION in reply to 2 requests within 1 s" in verdict(report)
-    assert "MAV_FWDEXTSP" in {f.name for f in report.blocking}  # the simulated vehicle lacks this parameter
+    assert "MAV_FWDEXTSP" in {f.name for f in report.blocking}  # only a real PX4 has this parameter
     assert "refused: DOES_NOT_EXIST" in next(f.why for f in report.findings if f.name == "MAV_FWDEXTSP")
 
 
@@ -135,7 +135,7 @@ def test_a_profile_that_is_given_needs_no_version(monkeypatch):
     ],
 )
 def test_a_battery_too_low_to_land_is_refused_with_what_it_needs(volts, armed, table, refused):
-    """The check applies at rest; in flight, the controller checks the voltage under load."""
+    """A battery is checked at rest; in flight, the controller checks the voltage under load."""
     reserve = {"hover_throttle": 0.78, "hover_voltage_v": 3.7, "lowest_voltage_v": 3.2, "sag_v": 0.4}
     section = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, **({"reserve": reserve} if table else {})}
     vehicle = Vehicle(fake=FakeVehicle(battery_v=volts, armed=armed))

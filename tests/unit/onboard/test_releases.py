@@ -51,7 +51,7 @@ def sides(rule):
 
 @RELEASES
 def test_each_side_of_every_rule_is_told_apart_in_every_release(autopilot, release):
-    """The limits of the rules are also in docs/reference/autopilots.md."""
+    """A value on a rule's unsafe side is reported with the rule's level; one on the safe side is not."""
     safe = SAFE[autopilot, release]
     asked = table(autopilot).asked(autopilot, release)
     assert len(asked) > 15
@@ -173,5 +173,5 @@ def test_a_broken_table_says_where(wrong, words):
 
 
 def test_every_profile_says_whether_its_vehicle_has_parameters():
-    """A profile without rules must not pass the check in silence."""
+    """Only the profile of the Crazyflie has no table of parameter rules."""
     assert {name for name in PROFILES if table(name) is None} == {"crazyflie"}

@@ -32,7 +32,7 @@ ANSWERS = {
 
 
 class Parts:
-    """Replaces controller and links of a runner, and records their calls; the landing starts at 0.02 s."""
+    """Stands in for controller and links of a runner, and records the calls; the landing starts at 0.02 s."""
 
     def __init__(self):
         self.calls, self.memory = [], Memory()

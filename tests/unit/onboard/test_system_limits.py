@@ -104,7 +104,7 @@ def test_a_pipe_where_a_file_is_needed_is_refused_and_not_waited_for(tmp_path, w
 
 
 def test_files_are_utf_8_whatever_the_locale_is(tmp_path):
-    """A page and its path are tested, too; a path may contain bytes of any encoding."""
+    """In the C locale, texts and pages are written as UTF-8; bytes that are not UTF-8 are shown escaped."""
     (tmp_path / "ä.toml").write_text("# größer\n", encoding="utf-8")
     locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PATH": os.environ["PATH"]}
     for verb in ("config", "scenarios"):

@@ -35,7 +35,7 @@ TARGET = TargetState(0.02, (1.0, 0.0, 0.2), (0.0, 0.0, 0.0), 0.0)
 
 
 def waiting(counts=(), battery=1, refused=0, told=(), keys=()):
-    """Return a reporter with these counters and texts of vehicle and target."""
+    """Return a wait report with these counters, and with these texts of vehicle and target."""
     state = SimpleNamespace(counters=Counter(dict.fromkeys(counts, 9)), battery=battery)
     endpoint = SimpleNamespace(counters=Counter())
     link = SimpleNamespace(state=state, endpoint=endpoint, foreign=Counter())

@@ -32,7 +32,7 @@ def test_every_file_loads_and_can_hover_with_room(airframe):
     assert 0.3 < hover_n / params.rotor.thrust_max_n < 0.7
     load_v = params.battery.resistance_ohm * (params.battery.idle_current_a + params.battery.hover_current_a)
     empty_n = params.rotor.thrust_n(params.battery.speed_rpm(params.battery.empty_v - load_v))
-    assert empty_n > hover_n  # thrust of a rotor with an empty battery
+    assert empty_n > hover_n  # thrust of one rotor with an empty battery
 
 
 def room(seed=0, loop=VelocityLoop.PID, **spec):
@@ -82,4 +82,4 @@ def test_the_large_configuration_is_proven_and_made_for_its_vehicle():
     assert config.touchdown.pad_radius_m == scenario.target.pad_radius_m
     feet_m = 2**0.5 * (params.geometry.foot_offset_m + params.geometry.foot_radius_m)
     assert config.robust.corridor_m + feet_m < config.touchdown.pad_radius_m  # all feet are on the pad
-    assert scenario.judge is None  # the verdict uses the flown barrier
+    assert scenario.judge is None  # the verdict uses the barrier that is flown

@@ -83,14 +83,14 @@ def test_angular_momentum_with_the_rotors_is_conserved_without_air():
     rng = np.random.default_rng(4)
     for _ in range(20):
         plant.run(50, rng.uniform(0.0, 24_000.0, 4))
-    # first-order error in the step, because the gyroscopic torque uses the rates before the step
+    # the error is of first order in the time step: the gyroscopic torque uses the rates before the step
     worst = np.abs(angular_momentum(plant) - before).max()
     assert worst < 2e-3 * np.linalg.norm(before)
     assert np.abs(plant.state[10:13] - (1.0, -0.7, 2.0)).max() > 1.0  # the body's rates changed
 
 
 def random_flight(seed, slow, spread_rpm):
-    """Return simulated and independent states under random rotor commands, 1.5 s."""
+    """Return states of the simulator and of the independent model during 1.5 s of random rotor commands."""
     rng = np.random.default_rng(seed)
     plant = FreePlant(slow)
     q = np.array([0.98, *rng.uniform(-0.15, 0.15, 3)])
@@ -119,9 +119,9 @@ def test_six_degrees_of_freedom_agree_with_the_independent_model(seed, slow):
     rates = reference[:, 10:13]
     turning = np.abs(rates).max()
     angular_acceleration = np.abs(np.diff(rates, axis=0)).max(axis=0) / 0.02
-    assert turning > 0.5  # the vehicle has turned enough to test the bounds
+    assert turning > 0.5  # the vehicle turns enough for a test of the bounds
     assert (error[:, 10:13].max(axis=0) < STEP_S * angular_acceleration + 1e-4).all()
     assert 2.0 * error[:, 6:10].max() < STEP_S * turning + 1e-4  # angle error, rad
     assert error[:, 3:6].max() < 0.5 * STEP_S * turning * G * 1.5  # thrust, about m g, turned by half a step
     assert error[:, :3].max() < 0.5 * STEP_S * turning * G * 1.5**2 / 2.0
-    assert error[:, 13:].max() < (0.01 if slow else 1e-6)  # rpm; slow: integrated with second order
+    assert error[:, 13:].max() < (0.01 if slow else 1e-6)  # rpm; the slow lag is integrated to second order

@@ -82,7 +82,7 @@ def test_moves_as_with_the_contact_of_mujoco(name):
     for (_, on_pad, v, q, rates, _), (_, on_pad_m, v_m, q_m, rates_m, _) in zip(resting, asked, strict=True):
         # MuJoCo's contact lets the vehicle creep by 0.1 to 0.3 mm a second
         assert on_pad == pytest.approx(on_pad_m, abs=1e-3)
-        assert v == pytest.approx(v_m, abs=0.012)  # MuJoCo follows a step of the velocity in two steps
+        assert v == pytest.approx(v_m, abs=0.012)  # MuJoCo needs two time steps to follow a sudden change
         assert abs(np.dot(q, q_m)) > 1.0 - 1e-6
         assert rates == pytest.approx(rates_m, abs=0.05)
     assert np.linalg.norm(w.body().quaternion) == pytest.approx(1.0, abs=1e-12)
@@ -93,7 +93,7 @@ def test_does_not_creep_under_a_steady_wind():
     _, resting = stand(Deck(still), force=wind)
     _, asked = stand(Deck(still), force=wind, wait_steps=NEVER)
     begin = next(n for n, row in enumerate(resting) if row[-1] == WAIT_STEPS)
-    # equal within rounding, after subtraction of the deck's position
+    # apart from rounding, the position relative to the deck is constant
     assert np.ptp([row[1] for row in resting[begin:]], axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
     assert asked[-1][1][0] - asked[begin][1][0] > 1e-4
 

@@ -45,7 +45,7 @@ def test_rows_do_not_depend_on_how_many_are_taken_at_once(parts, seed):
 
 
 def measured(row, truth, *, samples=60, rate_hz=RATE_HZ):
-    """Return position and velocity that are estimated at the last of many samples along a path."""
+    """Return position and velocity as estimated at the last of many samples along a path."""
     past = new(PastRecord)
     past.rate = rate_hz
     for k in range(samples):
@@ -74,7 +74,7 @@ def circle(t_s):
 @given(delay_s=st.floats(0.0, 0.2), velocity_delay_s=st.floats(0.0, 0.2))
 def test_a_late_state_is_that_of_the_path(delay_s, velocity_delay_s):
     position, velocity = measured(row_of(delay=delay_s, velocity_delay=velocity_delay_s), circle)
-    assert position == pytest.approx(circle(0.59 - delay_s)[0], abs=2e-5)  # tolerance: linear interpolation
+    assert position == pytest.approx(circle(0.59 - delay_s)[0], abs=2e-5)  # tolerance of linear interpolation
     assert velocity == pytest.approx(circle(0.59 - velocity_delay_s)[1], abs=2e-5)
 
 

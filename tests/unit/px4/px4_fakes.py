@@ -1,7 +1,7 @@
-"""Imitates PX4 on its simulator link with pymavlink and sockets, without project code.
+"""Imitates PX4 on its simulator link with pymavlink and sockets, without code of this project.
 
-It connects, sends HEARTBEAT and SET_MESSAGE_INTERVAL, answers each HIL_SENSOR with one HIL_ACTUATOR_CONTROLS,
-and its clock starts with the first one.
+It connects, sends HEARTBEAT and SET_MESSAGE_INTERVAL, and answers each HIL_SENSOR with one
+HIL_ACTUATOR_CONTROLS. Its clock starts with the first HIL_SENSOR.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from pymavlink.dialects.v20 import common as mav
 
 PATIENCE_S = 30.0
 
-# position x forward, y right, and sense of rotation (1: counter-clockwise) of the motors 1 to 4
+# motors 1 to 4: position x forward, y to the right, and sense of rotation (1: counter-clockwise)
 QUAD_X = np.array([[1, 1, 1], [-1, -1, 1], [1, -1, -1], [-1, 1, -1]], dtype=float)
 
 
 def controlled_axes(parameters):
-    """Return 1 for each of roll, pitch, yaw that PX4 controls: motor effectiveness above 0.05; else 0."""
+    """Return 1 for each of roll, pitch and yaw that PX4 controls (motor effectiveness above 0.05), else 0."""
     moments = np.array(
         [
             parameters.get(f"CA_ROTOR{i}_CT", 6.5) * parameters.get(f"CA_ROTOR{i}_{arm}", 1.0)

@@ -149,7 +149,7 @@ def posed(position=(1.0, 2.0, 3.0), q=(1.0, 0.0, 0.0, 0.0)):
 
 
 def poses(link, state, count=2500, seed=1):
-    """Return time in ms and pose of all samples that arrive within this many steps."""
+    """Return arrival time, ms, and pose of all samples that arrive within ``count`` steps."""
     mocap = Px4Mocap(link, seed)
     return [(4 * k, m) for k in range(count) for m in mocap.poll(state, k * STEP_NS, 1_000_000 + 4000 * k)]
 

@@ -31,7 +31,7 @@ def server():
 
 @pytest.fixture
 def short(monkeypatch):
-    """Shorten the time-outs of a session for a test."""
+    """Shorten the time-outs of a session."""
     monkeypatch.setattr(px4_session, "HELLO_MAX_S", SHORT_S)
     monkeypatch.setattr(px4_session, "BOOT_MAX_S", SHORT_S)
     monkeypatch.setattr(px4_session, "NUDGE_S", 0.1)
@@ -59,7 +59,7 @@ class Pair:
     def begin(self):
         self.fake.hello()
         self.session.greet()
-        self.session._start_s += 10.0  # a busy machine may answer the first step late
+        self.session._start_s += 10.0  # on a busy machine, the first answer may be late
         self.answering([(0.0,) * 4])
 
     def answering(self, outputs, **options):
@@ -223,7 +223,7 @@ def build(tmp_path):
 
 @pytest.mark.parametrize("speed", [1.0, 5.0])
 def test_what_the_release_has_is_set_and_what_it_has_not_is_named(build, speed):
-    """PX4 1.18 removed COM_OBC_LOSS_T and renamed others: neither change prevents a flight."""
+    """Parameters that the build has are set; a missing one is named and does not prevent the start."""
     wanted = {"COM_OBL_RC_ACT": 4, "COM_RC_IN_MODE": 0, "SYS_HAS_GPS": 0}
     px4 = Px4Program(
         build, build / "run", Px4Model.SIHSIM_QUADX, parameters=wanted, speed=speed, origin_wgs84=None

@@ -50,12 +50,12 @@ def answer(time_us, lockstep=True):
 def test_answers_are_told_apart_by_px4_s_clock_whether_it_counts_from_the_first_sensor_or_not(zero_us):
     lockstep = Lockstep()
     for k in range(5):
-        lockstep.sent(FIRST_US + k * 4000)  # PX4 is still starting and sends no answers
+        lockstep.sent(FIRST_US + k * 4000)  # PX4 is still starting and does not answer
     assert not lockstep.started
-    assert not lockstep.take(answer(FIRST_US + 3 * 4000 - zero_us))  # it answers an earlier message
+    assert not lockstep.take(answer(FIRST_US + 3 * 4000 - zero_us))  # an answer to an earlier message
     assert lockstep.started
     assert lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))
-    assert not lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))  # an answer is accepted only once
+    assert not lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))  # no answer is accepted twice
     lockstep.sent(FIRST_US + 5 * 4000)
     assert not lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))
     assert not lockstep.take(answer(0))

@@ -25,7 +25,7 @@ def test_files_and_folders_are_small():
 
 
 OURS = ("flightstack", "bridge", "sim", "logs")
-# packages with more dependencies than the onboard process, and the extras that they may use
+# packages that need more than the onboard process does, and the extras that each of them may use
 EXTRAS = {
     "bridge.crazyflie": {"crazyflie"},
     "flightstack.api": {"sim", "export", "report", "env"},

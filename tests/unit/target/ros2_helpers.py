@@ -81,7 +81,7 @@ def odometry(
 
 
 def on_free_ports(text):
-    """Return the commands with each named port, 7447 to 14580, replaced by a free one."""
+    """Return the commands with each port 74xx and 14xxx replaced by a free port."""
     found = set(re.findall(r":(74\d\d|14\d\d\d)\b", text))
     free = {port: free_port(udp=port.startswith("14")) for port in found}  # ports 74xx use TCP
     return re.sub(r":(74\d\d|14\d\d\d)\b", lambda match: f":{free[match[1]]}", text)
@@ -104,7 +104,7 @@ def rmw_session(endpoint):
 
 @contextmanager
 def network(nodes=1):
-    """A real Zenoh router, the session of this project's client, and sessions of ROS 2 nodes."""
+    """Yield the endpoint of a Zenoh router, this project's client session, and sessions of ROS 2 nodes."""
     endpoint = free_endpoint()
     sessions = [zenoh_link.open_session([endpoint], role=zenoh_link.Role.ROUTER)]
     try:

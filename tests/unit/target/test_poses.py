@@ -56,7 +56,7 @@ def test_the_velocity_of_a_clean_circle_is_right_and_turned_into_the_world():
     t_s, last = samples[-1]
     assert (last.frame_id, last.child_frame_id) == ("map", "base")
     assert last.source_time_s == pytest.approx(t_s)
-    assert last.position_enu_m == circle(t_s).position_m  # the position is not changed
+    assert last.position_enu_m == circle(t_s).position_m  # the measured position is not changed
     assert last.yaw_rate_rad_s == pytest.approx(TURN_RAD_S, rel=0.01)
 
 
@@ -125,7 +125,7 @@ def test_a_source_shifts_what_it_hears(kind):
                 put.put(ros.pose_stamped(truth.stamp_ns, "odom", truth.position_m, truth.orientation_wxyz))
         raw = listening.poll()[-1]
         last, wanted = sample_of(raw, 0.0), sample(at(99 / 50).shifted(OFFSET))
-        assert sample_of(RawSample(raw.payload), 0.0) == last  # the log's bytes reproduce the flown sample
+        assert sample_of(RawSample(raw.payload), 0.0) == last  # the logged bytes give the flown sample again
         assert last.position_enu_m == pytest.approx(wanted.position_enu_m)
         assert last.velocity_enu_m_s == pytest.approx(wanted.velocity_enu_m_s, abs=0.01)
         put.put(b"\x00\x01\x00\x00")
@@ -152,7 +152,7 @@ def test_one_stamp_from_the_future_does_not_silence_a_target(ahead_s):
     assert t_s < 3.0 + 0.3
     assert velocity_error_m_s(t_s, first) < 3.0 * SETTLED_M_S
     assert velocity_error_m_s(*last) < 0.02
-    # single poses out of order do not reset the estimate
+    # single poses that are out of order do not reset the estimate
     for k in range(20):
         assert list(drive(track, 5.0 + 0.1 * k, 5.1 + 0.1 * k))
         assert track.take(circle(5.0 + 0.1 * k)) is None

@@ -30,7 +30,7 @@ class Robot:
 
     def __init__(self, session, key):
         self.publisher = declare_advanced_publisher(session, key)
-        self._probe = zenoh_link.dropping_publisher(session, key)  # only shows whether there is a subscriber
+        self._probe = zenoh_link.dropping_publisher(session, key)  # shows only whether a subscriber exists
         self.sequence = 0
 
     def put(self, payload, with_attachment=True):
@@ -67,7 +67,7 @@ def collect(listening, count):
 
 
 def told(listening):
-    """Wait for a problem that the source reports, and return its text."""
+    """Wait for the next problem that the source reports; return its text."""
 
     def one():
         assert listening.poll() == []

@@ -68,7 +68,7 @@ def listening_addresses():
     """Return the local TCP addresses on which this process listens, in the kernel's format."""
     own = set()
     for link in Path("/proc/self/fd").iterdir():
-        with contextlib.suppress(OSError):  # the listing's own descriptor is closed by now
+        with contextlib.suppress(OSError):  # the descriptor of the listing itself is closed by now
             own.add(str(link.readlink()))
     rows = [
         row.split() for name in ("tcp", "tcp6") for row in Path("/proc/net", name).read_text().splitlines()

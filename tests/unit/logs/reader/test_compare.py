@@ -28,7 +28,7 @@ def timing(tick, exec_s):
 
 
 def steps(*replaced):
-    """Return ten steps; ``replaced``: other messages for the steps with their sequence numbers."""
+    """Return ten steps; ``replaced``: messages that replace the steps with the same sequence numbers."""
     rows = {i: (STEP_TOPIC, schemas.CONTROLLER_STEP, 10 * i, 10 * i, i, step(i)) for i in range(10)}
     rows.update({row[4]: row for row in replaced})
     return list(rows.values())
@@ -49,7 +49,7 @@ def write(path, messages, run=(("seed", "1"),), attachments=(("s.toml", b"x"),),
 
 @pytest.fixture
 def differ(tmp_path):
-    """Return a function that compares ten unchanged steps with other messages; it returns differences."""
+    """Return a function that compares ten steps with other messages and returns the differences as text."""
 
     def run(messages, **options):
         a = write(tmp_path / "a.mcap", steps())

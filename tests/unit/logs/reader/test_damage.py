@@ -115,7 +115,7 @@ def test_every_verb_ends_with_a_sentence_whatever_is_damaged(logs, kind, tmp_pat
 @pytest.mark.parametrize("place", ["data", "kind"])
 @pytest.mark.parametrize("number", [0, -2])
 def test_what_is_before_and_behind_a_damaged_chunk_is_read(logs, kind, place, number, tmp_path):
-    """The first chunk contains schemas and channels, but the summary repeats them."""
+    """Messages before and after any one damaged chunk are read, because the summary repeats all schemas."""
     data, spans = bytearray(logs[kind].read_bytes()), chunks(logs[kind])
     begin, end = spans[number]
     data[{"data": (begin + end) // 2, "kind": begin}[place]] ^= 0x40
@@ -222,7 +222,7 @@ def test_what_is_no_log_is_named(tmp_path, case):
 
 @pytest.mark.slow  # quick tests cover the main cases
 def test_every_byte_offset_of_a_small_log(tmp_path):
-    """After a power failure the file may end at any byte."""
+    """Of a log that ends at any byte, the messages of all complete chunks are read, and no others."""
     small, cut = (tmp_path / name for name in ("small.mcap", "cut.mcap"))
     file, timing = McapFile(small), LoopTimingRow(EPOCH_NS, 0, 0.01, 0.0, 0.0, 0.0, 0, 0)
     channel = file.channel("/t", schemas.LOOP_TIMING)

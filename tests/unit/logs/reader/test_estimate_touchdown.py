@@ -18,9 +18,9 @@ LARGE = FlightConfig(
     Barrier(alpha_1_m=0.4, beta_m=3.75),
     touchdown=Touchdown(pad_radius_m=PAD_M, feet_below_reference_m=FEET_M, height_m=0.25),
     contact=Contact(gap_m=0.03),
-    filter="paper",  # the robust filter's touchdown heights are those of a small vehicle
+    filter="paper",  # the touchdown heights of the robust filter suit a small vehicle
 )
-DT_S, CONTACT_S, DOWN_S, OFF_S = 0.01, 3.0, 2.0, 3.2  # tick and times since the start of the landing, s
+DT_S, CONTACT_S, DOWN_S, OFF_S = 0.01, 3.0, 2.0, 3.2  # tick; times of contact, touchdown phase, motors off, s
 SLIP_M_S = (0.10, -0.05)
 
 
@@ -35,7 +35,7 @@ def flight(tmp_path_factory):
 def descent(
     flight, *, sink_m_s=0.45, d_m=0.15, noise=0.0, stops=True, feet_m=FEET_M, phase_after=Phase.LANDED
 ):
-    """Return steps of a straight descent, with a horizontal slip, onto a pad that drives at 0.4 m/s."""
+    """Return the steps of a straight descent with horizontal slip onto a pad that drives at 0.4 m/s."""
     rng = np.random.default_rng(3)
     t_s = np.arange(0.0, OFF_S + 2.5, DT_S)
     left_s = CONTACT_S - t_s
@@ -124,7 +124,7 @@ def test_a_descent_that_nothing_stops_is_no_touchdown(flight):
 
 
 def test_motors_off_without_a_contact_that_shows_gives_no_speeds(flight):
-    steps = descent(flight, sink_m_s=0.03)  # a slow descent, whose end cannot be detected
+    steps = descent(flight, sink_m_s=0.03)  # so slow a descent that its end cannot be detected
     verdict = judged(flight, steps)
     assert verdict.outcome is Outcome.LANDED
     assert verdict.touchdown_error_m == pytest.approx(0.15, abs=1e-6)
@@ -135,7 +135,7 @@ def test_motors_off_without_a_contact_that_shows_gives_no_speeds(flight):
 @pytest.mark.parametrize(("rate_hz", "lag_s"), [(100, 0.06), (50, 0.03), (25, 0.05)])
 @pytest.mark.parametrize("sink_m_s", [0.25, 0.57])
 def test_contact_speed_of_a_state_that_lags_and_comes_seldom(flight, rate_hz, lag_s, sink_m_s):
-    """A lagging velocity decreases over several steps; the contact speed is the sink rate before them."""
+    """The contact speed is the sink rate before a lagging velocity decreases, which takes several steps."""
     steps = descent(flight, sink_m_s=sink_m_s)
     every, own = round(1.0 / (rate_hz * DT_S)), steps.own_velocity_enu_m_s.copy()
     for k in range(1, len(own)):
@@ -148,7 +148,7 @@ def test_contact_speed_of_a_state_that_lags_and_comes_seldom(flight, rate_hz, la
 
 @pytest.mark.parametrize(("pad_carries", "outcome"), [(True, Outcome.TIMEOUT), (False, Outcome.LANDED)])
 def test_on_a_floor_without_a_pad_the_vehicle_rests_in_the_world(flight, pad_carries, outcome):
-    """The vehicle rests on a floor at the pad's height while the target drives on, so h becomes negative."""
+    """If no pad carries it, a vehicle that rests on a floor at the pad's height has landed."""
     steps = descent(flight)
     down = steps.t_s >= CONTACT_S
     at_m = steps.own_position_enu_m[np.flatnonzero(down)[0]]
@@ -180,7 +180,7 @@ def test_on_a_floor_without_a_pad_the_vehicle_rests_in_the_world(flight, pad_car
     [(0.3, 0.0, Outcome.LANDED), (-0.3, 0.0, Outcome.LANDED), (0.0, -0.2, Outcome.TIMEOUT)],
 )
 def test_a_floor_without_a_pad_neither_heaves_with_the_target_nor_is_lower(flight, heave_m, floor_m, outcome):
-    """After the contact the target heaves, or the whole descent ends on a floor below the landing spot."""
+    """A vehicle on the floor has landed if only the target heaves, but not if the floor is too low."""
     steps = descent(flight)
     down = steps.t_s >= CONTACT_S
     at_m = steps.own_position_enu_m[np.flatnonzero(down)[0]]
@@ -210,7 +210,7 @@ def test_a_state_that_is_missing_for_a_moment_while_it_rests_is_looked_for_besid
 
 
 def test_after_an_abort_that_has_flown_clear_h_no_longer_counts(flight):
-    """Beside the robot h is negative by geometry; h counts until the vehicle has flown clear."""
+    """A negative h is a violation until the vehicle has flown clear after an abort, and none afterwards."""
     steps = descent(flight, d_m=0.6, stops=False, phase_after=Phase.ABORT)
     clear_m = LARGE.checks.clearance_m
     away = steps.t_s >= OFF_S + 1.0

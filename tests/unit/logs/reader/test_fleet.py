@@ -41,7 +41,7 @@ def test_a_member_is_read_as_a_single_flight(fleet):
 
 
 def test_the_members_together_are_the_fleet(fleet):
-    """Each message belongs to one member or is shared; members read together equal members read alone."""
+    """Each message is of one member or shared; members that are read together equal members read alone."""
     parts = {member: LogFile(fleet.log, member) for member in MEMBERS}
     counts = {member: sum(1 for _ in part.messages()) for member, part in parts.items()}
     shared = ("/tf", "/tf_static", "/fleet/pairs")

@@ -88,7 +88,7 @@ def same(a, b):
 
 
 def test_two_cdr_libraries_agree_on_every_message(recorded):
-    """The libraries are the reader and ROS 2 decoder of the MCAP project, and rosbags."""
+    """The ROS 2 decoder of the MCAP project and rosbags decode every message to equal fields."""
     with recorded.open("rb") as stream, AnyReader([recorded]) as bags:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         theirs: dict[str, list] = {}

@@ -35,7 +35,7 @@ def written(tmp_path):
 
 
 def test_the_margin_is_read_back_from_what_the_filter_left(written):
-    """The slack of the robust filter determines its margin: full outside the pad, smaller above it."""
+    """The margin computed from the logged slack equals the filter's margin, which fades above the pad."""
     config = dataclasses.replace(load(CONFIG), filter="robust")
     barrier = RobustBarrier(BARRIER, MARGIN_M, FADE_M)
     solver = SafetyFilter(config.robust.rate_1_s)
@@ -91,7 +91,7 @@ def test_faults_have_begin_and_end_and_count_once(written):
     at = [row.stamp_ns for row in rows.steps]
     rows.events = [
         (at[100], 30, "Fault: motor 2 weak"),
-        (at[101], 30, "vehicle: Fault: motor 2 weak"),  # the onboard process also logs texts of the vehicle
+        (at[101], 30, "vehicle: Fault: motor 2 weak"),  # the onboard process also logs the vehicle's texts
         (at[200], 20, "Fault over: motor 2 weak"),
         (at[201], 20, "vehicle: Fault over: motor 2 weak"),
         (at[300], 30, "Fault: target odometry off"),
@@ -116,7 +116,7 @@ def test_the_command_repeats_the_run(written, tmp_path):
     assert "not the log of a simulated run" in repeat_section(dataclasses.replace(fleet, attachments={}))
 
 
-# options that do not change the flight, or whose values are in the scenario of the log
+# options that do not change the flight, or whose values are in the scenario that the log contains
 NOT_TOLD = {"scenario", "seed", "filter", "lockstep", "out", "listen", "zenoh_config", "ros2_where", "view"}
 NOT_TOLD |= {"ros_domain", "instance", "members", "runs", "as_json", "with_report", "px4_sih", "ardupilot"}
 

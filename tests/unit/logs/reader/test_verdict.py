@@ -191,7 +191,7 @@ NAN, STILL = math.nan, (0.0, 0.0, 0.0)
 @pytest.mark.parametrize(
     ("changes", "outcome", "violation", "word"),
     [
-        # the contact is farther from the centre than this radius
+        # with this pad radius, the contact is outside the pad
         ([lambda rows: rows.run.update(pad_radius_m="0.01")], Outcome.CRASHED, ANY, ""),
         (
             # the vehicle stands still while the pad continues at 0.1 m/s
@@ -243,7 +243,7 @@ def test_a_declared_abort_carries_what_the_autopilot_said_of_it(verdict_of):
 
 
 def test_landed_by_estimate(verdict_of):
-    """The log has no true states, like that of a real vehicle."""
+    """Without true states, as in the log of a real vehicle, the estimate determines the verdict."""
     rows = landing()
     rows.truth = []
     verdict = verdict_of(rows)
@@ -261,7 +261,7 @@ def test_landed_by_estimate(verdict_of):
         (steps(since_begin(5, 5), h_m=-0.006), ANY, True),
         (steps(since_begin(5, 5), target_valid=False), ANY, None),  # the target state is invalid
         (
-            steps(lambda rows, tick: tick > rows.steps[-1].tick - 150, own_valid=False),  # lost at rest
+            steps(lambda rows, tick: tick > rows.steps[-1].tick - 150, own_valid=False),  # lost while at rest
             Outcome.TIMEOUT, ANY,
         ),
         (lambda rows: rows.cut(10.5), Outcome.TIMEOUT, ANY),

@@ -59,7 +59,7 @@ ROS_TYPE = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 
 def framed(number, payload, sequence=0, system=1, component=1):
-    """Return one frame with this payload and a valid checksum."""
+    """Return a frame with this payload and a valid checksum; zeros at the payload's end are omitted."""
     payload = payload.rstrip(b"\x00") or payload[:1]
     head = bytes([len(payload), 0, 0, sequence, system, component]) + number.to_bytes(3, "little")
     crc = mav.x25crc(head + payload)
@@ -68,7 +68,7 @@ def framed(number, payload, sequence=0, system=1, component=1):
 
 
 def decoded(frame, peer="p00"):
-    """Return (topic, schema, message) of the decoded message that the frame gives."""
+    """Decode a frame as the recorder does; return (topic, schema, message)."""
     decoder = frame_decoder("/cf1/mavlink_source")
     ((topic, schema, data),) = decoder(0, pack_mavlink(STAMP_NS, frame, peer))
     store = schemas.store_for(schema)
@@ -89,7 +89,7 @@ def test_every_message_of_the_dialect():
         for _ in range(3):
             payload = bytes(
                 rng.integers(1, 127, cls.unpacker.size, dtype=np.uint8)
-            )  # no zeros: text has full length
+            )  # without zeros, texts have their full length
             frame = framed(number, payload)
             theirs = PARSER.decode(bytearray(frame)) if number in everything.mavlink_map else decode(frame)
             topic, schema, ours = decoded(frame)

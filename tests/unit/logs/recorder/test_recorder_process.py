@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 LIMITS = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"  # maximum file size, bytes
 RECORD = (
     "import sys; from pathlib import Path; from logs.recorder import recorder;"
-    "recorder.GRACE_S = 600.0;"  # longer than the test waits: only a second signal ends it immediately
+    "recorder.GRACE_S = 600.0;"  # longer than the test: only a second signal ends the recorder at once
     "sys.exit(recorder.record_main(Path(sys.argv[1]), Path(sys.argv[2]), None))"
 )
 

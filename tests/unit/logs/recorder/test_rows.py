@@ -169,7 +169,7 @@ def test_a_number_that_is_no_mode_is_refused():
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        # micro_ros_arduino odometry__struct.h and the design document of rmw_zenoh
+        # sources: odometry__struct.h of micro_ros_arduino, and the design document of rmw_zenoh
         (schemas.ODOMETRY, "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
         ("std_msgs/msg/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
     ],

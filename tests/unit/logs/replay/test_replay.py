@@ -42,7 +42,7 @@ def rewritten(recorded, target, *, when=None, change=None):
 
 
 def at(topic, change, tick=TICK):
-    """Return a function that applies ``change`` to one message of a topic."""
+    """Return a function that applies ``change`` to the message of one tick on one topic."""
     return lambda m: change(m.data) if (m.topic, m.sequence) == (topic, tick) else m.data
 
 
@@ -139,7 +139,7 @@ def test_a_log_cut_at_any_byte_is_equal_up_to_there_or_refused(recorded, tmp_pat
         assert result.equal, result.outputs.first
         assert any("breaks off" in note for note in result.notes)
         compared.add(result.compared)
-    assert max(refused) < 10  # only logs without a decision are refused
+    assert max(refused) < 10  # only logs that end before the first decision are refused
     assert len(compared) > 5  # logs of many lengths were compared
     assert max(compared) <= replay(recorded).compared
 

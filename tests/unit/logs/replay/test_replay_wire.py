@@ -108,7 +108,7 @@ def test_a_changed_bit_of_the_targets_odometry_means_other_inputs(tmp_path):
 
 
 def test_frames_after_the_last_tick_belong_to_none(tmp_path):
-    """An onboard process that ends may still send frames, without decisions of the controller."""
+    """Frames that were sent after the last tick, as by a process that ends, belong to no tick."""
     frame = packed(dialect.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 0, 1, 191)
     path = record(tmp_path / "flight.mcap", World(CONFIG, position=(-0.6, 0.2, 0.95)), 0.3, after=(frame,))
     *ticks, rest = FlightInputs(path).ticks()

@@ -94,7 +94,7 @@ def test_a_vehicle_behind_a_new_port_is_followed_once_the_old_one_is_silent():
     wire = Wire()
     assert wire.beats(armed=True)
     assert not wire.beats(peer=THERE, now_s=SILENT_S, armed=True)
-    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # first a heartbeat is needed
+    assert not wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)  # a heartbeat must come first
     assert wire.beats(peer=THERE, now_s=SILENT_S + 0.1, armed=True)
     assert wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)
     assert not wire.admits(position(), HERE, SILENT_S + 0.2, armed=True)
@@ -139,7 +139,7 @@ def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
         assert not wire.admits(message, now_s=second + 0.5, armed=True, stream="script")
     assert not wire.admits(message, now_s=2.9, armed=True, stream="script")
     assert wire.beats(now_s=3.0, armed=True, mode=OFFBOARD)
-    wire.numbers[HERE] += 100  # 100 lost frames: the claim needs a repetition
+    wire.numbers[HERE] += 100  # 100 lost frames: one heartbeat is not enough
     assert not wire.admits(message, now_s=4.0, armed=True)
     assert wire.admits(message, now_s=5.0, armed=True)
 

@@ -19,7 +19,7 @@ NONE, TAKEOFF, EXTERNAL, DOWN, KILL = (
 READY, ARMED, FLIES = {}, {"armed": True}, {"armed": True, "landed": Landed.IN_AIR}
 OURS, LANDS, OTHER, RISES = ({"mode": m} for m in (Mode.EXTERNAL, Mode.LAND, Mode.OTHER, Mode.TAKEOFF))
 STREAM = "set-points at 100 Hz until then"
-# profile, request, rows: time in s, vehicle status (None: no heartbeat), numbers of the sent commands
+# profile, request, rows: time in s, vehicle status (None: no heartbeat), numbers of the commands sent then
 STORIES = {
     "nothing for no request": (PX4, NONE, [(0.0, READY, [])]),
     "nothing to a vehicle that is not heard": (PX4, TAKEOFF, [(1.0, None, [])]),
@@ -91,7 +91,7 @@ def sent(s, request, ticks, *, note=lambda tick: None, period_s=0.01, **shown):
         (PX4, KILL, None, [0.0, 21196.0]),
         (PX4, NONE, OURS, [1.0, 4.0, 3.0]),
         (CRAZYFLIE, TAKEOFF, READY, [1.0, 0.0]),
-        (CRAZYFLIE, TAKEOFF, ARMED, [math.nan] * 6 + [488.0 + HEIGHT]),  # altitude above sea level
+        (CRAZYFLIE, TAKEOFF, ARMED, [math.nan] * 6 + [488.0 + HEIGHT]),  # m above sea level
         (ARDUPILOT, TAKEOFF, READY, [1.0, 4.0]),
     ],
 )
@@ -106,7 +106,7 @@ def test_parameters_of_the_commands(profile, request_, shown, expected):
 
 @pytest.mark.parametrize("stands_m", [0.0, 0.4, -2.5, 31.0])
 def test_ardupilot_climbs_from_where_it_stands_wherever_home_is(stands_m):
-    """ArduPilot moves its home to the vehicle when it arms, unless the home is locked."""
+    """The commanded altitude is that of the vehicle above its home plus the take-off height."""
     s = sequencer(ARDUPILOT)
     s.above_home = (-1.0, 99.0)  # this height was measured before the arming
     assert commands(s.step(TAKEOFF, status(0.0, **OURS), 0.0)) == [ARM]

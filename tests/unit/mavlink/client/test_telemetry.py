@@ -63,7 +63,7 @@ def test_repeated_and_late_positions_do_not_refresh_the_state(state, late_ms):
 
 
 def fly(state, since_s, until_s, ahead_s=0.0):
-    """Feed positions at 50 Hz, with a boot clock offset of 60 s; return the times of the accepted ones, s."""
+    """Feed positions at 50 Hz from a clock that is 60 s ahead; return the times of the accepted ones, s."""
     taken = []
     for k in range(round((until_s - since_s) / 0.02)):
         at_s = since_s + 0.02 * k

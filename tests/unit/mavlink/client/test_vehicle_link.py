@@ -187,7 +187,7 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
     shows(1.0, 1)
     assert auto.state.status.mode is Mode.TAKEOFF
     auto.command(Request.EXTERNAL, 1.0)
-    assert not auto.send_setpoint(still, 1.0)  # it would prevent the take-off
+    assert not auto.send_setpoint(still, 1.0)  # a set-point would prevent the take-off
     auto.command(Request.TAKEOFF, 1.1)
     assert not auto.send_setpoint(still, 1.1)
     shows(4.0, 3)
@@ -195,7 +195,7 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
     auto.command(Request.EXTERNAL, 4.0)
     assert auto.send_setpoint(still, 4.0)
     assert auto.state.status.mode is Mode.EXTERNAL  # ArduPilot's heartbeat does not show it
-    shows(5.0, 1)  # on the pad; set-points still press it down
+    shows(5.0, 1)  # on the pad, set-points still press the vehicle down
     assert auto.send_setpoint(still, 5.0)
     assert auto.state.status.mode is Mode.EXTERNAL
 

@@ -1,4 +1,4 @@
-"""Tests endpoints on serial lines and TCP connections: buffers are full, or a line is in use or missing."""
+"""Tests endpoints on serial lines and TCP, with full buffers, and with a line that is in use or missing."""
 
 import time
 from collections import Counter
@@ -51,7 +51,7 @@ def test_full_line_drops_whole_messages_and_never_blocks(wire):
         longest_s = max(longest_s, time.monotonic() - before_s)
         sent += 1
         assert sent < 200_000, "the buffers have no end"
-    assert longest_s < AT_ONCE_S  # a limit for a busy machine: a blocking write would never end
+    assert longest_s < AT_ONCE_S  # generous, since a blocking write would never end
     assert endpoint.counters["sent"] - began == sent
     data, whole = bytearray(), sent - endpoint.counters["outgoing_full"]
 

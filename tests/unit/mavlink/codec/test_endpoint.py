@@ -78,7 +78,7 @@ def test_too_much_for_one_datagram_is_split_in_order(pair):
 
 
 def test_full_datagrams_do_not_keep_the_loop(pair):
-    """A call reads only a part of 50 datagrams with 90 frames each; no frame is lost."""
+    """One call reads only a part of 50 datagrams with 90 frames each; later calls read all other frames."""
     server, _ = pair
     frames = [position().pack(dialect.MAVLink(None, 1, 191))] * 90
     datagram = b"".join(frames)
@@ -137,11 +137,11 @@ def test_the_table_is_bounded_and_peers_expire(server, call, monkeypatch):
     assert server.peers == (callers[0].address, callers[1].address)
     assert server.counters["peers_refused"] == 1
     callers[3].send(position())
-    server.send([position()], callers[3].address)  # it sent no heartbeat: replies only, no telemetry
+    server.send([position()], callers[3].address)  # without heartbeat: replies, no telemetry
     assert callers[3].socket.recv(2048)
     now = 111.0  # all peers have been silent for more than 10 s
     assert server.peers == ()
-    server.send([position()], callers[0].address)  # still sent, since it has an address
+    server.send([position()], callers[0].address)  # a given address still receives
     assert callers[0].socket.recv(2048)
     callers[2].send(heartbeat())
     assert server.peers == (callers[2].address,)

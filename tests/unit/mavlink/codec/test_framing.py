@@ -65,7 +65,7 @@ def test_signed_frame_is_kept_whole_and_unknown_flags_are_refused():
 
 
 def test_fuzz_never_raises_and_never_loses_a_good_frame():
-    """The input is 5000 datagrams with random bytes, changed, truncated and good frames in any order."""
+    """Of 5000 datagrams with random bytes and changed, truncated and good frames, no good one is lost."""
     rng = random.Random(1)
     pool = frames_of(200, seed=2)
     for _ in range(5_000):
@@ -111,7 +111,7 @@ def push_all(counters, pieces):
 
 
 def test_hundred_thousand_bytes_of_noise_lose_no_frame():
-    """About half of the noise between the frames are start bytes; every frame is found, in order."""
+    """Every frame is found, in order, between noise of which about half consists of start bytes."""
     rng, counters = random.Random(2), Counter()
     frames, stream, noise = frames_of(2000, seed=3), bytearray(), 0
     for frame in frames:
@@ -119,7 +119,7 @@ def test_hundred_thousand_bytes_of_noise_lose_no_frame():
         noise += len(stray)
         stream += stray + frame
     assert noise > 100_000 - 5_000
-    stream += b"".join(frames_of(12, seed=4))  # a false header at the end waits for more bytes
+    stream += b"".join(frames_of(12, seed=4))  # after a false header the search waits for more bytes
     found = push_all(counters, pieces_of(bytes(stream), rng))
     assert found == frames + frames_of(12, seed=4)
     assert counters["garbage_bytes"] == noise

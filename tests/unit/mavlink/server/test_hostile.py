@@ -30,7 +30,7 @@ def frame_of(cls, id_: int, payload: bytes):
 
 
 def hostile(rng: random.Random, id_: int, commands: list[int]):
-    """Return a random message with this id, usually addressed to the vehicle and with its parameter names."""
+    """Return a random message with this id, often addressed to the vehicle and with its parameter names."""
     cls = mav.mavlink_map[id_]
     size = cls.unpacker.size
     pattern = rng.choice([None, *EXTREMES])
@@ -134,7 +134,7 @@ def test_a_stranger_can_neither_fly_it_nor_change_what_its_owner_has_set(flown, 
     now_mode, now_armed, now_us, *now_rest = flown.state()
     assert (now_mode, now_armed, now_rest) == (mode, armed, rest)
     assert flown.server.parameters._values == parameters._values
-    rarer = zip(now_us, intervals_us, strict=True)  # us; -1: stream off; strangers may only shorten them
+    rarer = zip(now_us, intervals_us, strict=True)  # us; -1: stream off; strangers may only shorten intervals
     assert all(0 < now <= before or before < 0 for now, before in rarer)
 
 

@@ -67,7 +67,7 @@ def test_one_forged_frame_locks_nobody_out_before_or_after_the_peer_has_appeared
     for _ in range(2):
         assert signer.refusal(forged()) is Refusal.BAD_SIGNATURE
         assert signer.refusal(heartbeat().pack(peer)) is None
-    # The same frame locks a peer out that uses the check of pymavlink.
+    # With the check of pymavlink, the same forged frame makes the victim reject all later frames of the peer.
     victim = theirs((1, 1), stamp=clock.ticks)
     with pytest.raises(dialect.MAVError):
         victim.decode(bytearray(forged()))
