@@ -18,7 +18,7 @@ from tests.examples import QUICK
 from tests.real_time import in_real_time, repeated_after_a_pause
 from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 
-# number of workers that fly in real time; two cores suffice for three, as other workers have lower priority
+# number of workers that fly in real time; three run on two cores, because other workers have lower priority
 STREAMS = int(os.environ.get("FLIGHTSTACK_TEST_STREAMS", "3"))
 STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # "stream 0" flies the real PX4
 
@@ -39,7 +39,7 @@ STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 @pytest.fixture(autouse=True)
 def process_as_before() -> Iterator[None]:
-    """Undo what a test changes in the worker's process, because later tests run in it in any order."""
+    """Undo a test's changes to the worker's process, because later tests run in this process in any order."""
     variables, folder, path = dict(os.environ), Path.cwd(), list(sys.path)
     handlers = [(number, signal.getsignal(number)) for number in STOPS]
     yield
@@ -91,7 +91,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Use one worker per core; with ``-n auto`` add four for three streams of flights, which mostly wait."""
+    """Use one worker per core; ``-n auto`` adds four, because the streams of flights mostly wait."""
     more = 0 if config.option.numprocesses == "logical" else STREAMS + 1
     return more + (os.cpu_count() or 1)
 

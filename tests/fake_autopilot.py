@@ -18,7 +18,7 @@ PERIOD_S = 0.01
 
 
 class FakeAutopilot:
-    """Computes replies from messages and times; ``says_unknown``: unknown parameter names get PARAM_ERROR."""
+    """Computes replies from messages and times; ``says_unknown``: unknown parameters get PARAM_ERROR."""
 
     def __init__(self, autopilot, version, parameters, *, says_unknown=True):
         self._px4 = autopilot == "px4"
@@ -100,7 +100,7 @@ class FakeAutopilot:
             answer = (0, self._version, 0, 0, 0, zeros, zeros, zeros, 0, 0, 0)
             return [dialect.MAVLink_autopilot_version_message(*answer)] if known else []
         if self._px4:
-            return []  # the imitation of PX4 takes no other command and does not fly
+            return []  # the imitation of PX4 accepts no other command, and it does not fly
         if number == dialect.MAV_CMD_REQUEST_MESSAGE:
             return self._telemetry(round(one))
         done = True
@@ -129,7 +129,7 @@ class FakeAutopilot:
 
 
 class Served:
-    """A thread that serves an autopilot (``step``, ``handle``) on a socket until it is closed."""
+    """Serves an autopilot (``step``, ``handle``) on a socket in a thread, until it is closed."""
 
     def __init__(self, *given, **options):
         super().__init__(*given, **options)
@@ -140,7 +140,7 @@ class Served:
         self._thread.start()
 
     def _run(self):
-        begin_s = None  # time of the first message; before it, no heartbeat is sent
+        begin_s = None  # time of the first message; no heartbeat is sent before
         while not self._over.is_set():
             if begin_s is not None:
                 self.endpoint.send(self.step(time.monotonic() - begin_s))

@@ -14,7 +14,7 @@ SEED = 1
 
 
 def near() -> Scenario:
-    """Return a team of three whose pads are so close that one vehicle lands at a time; messages are lost."""
+    """Return a team of three whose close pads let one vehicle land at a time; 10 % of messages are lost."""
     team = load("fleet_3")
     near = {"pad_distance_m": 1.5, "wait_distance_m": 1.6}
     members = (

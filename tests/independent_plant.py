@@ -31,8 +31,8 @@ RAD_S = 2.0 * np.pi / 60.0
 
 @dataclass(frozen=True)
 class Lag:
-    """Lag of the motors: first order with ``time_s``, or different rates for a rise (times the difference of
-    the speeds) and a fall (times the difference of their squares)."""
+    """Lag of the motors: of first order with ``time_s``, or with ``rise_1_s`` times the difference of the
+    speeds for a rise and ``fall_1_rpm_s`` times the difference of their squares for a fall."""
 
     time_s: float = 0.07
     rise_1_s: float | None = None
@@ -57,7 +57,7 @@ def rotation(q):
 
 
 def derivative(state, command, lag, drag, wind):
-    """Return the time derivative of position, velocity, quaternion, body rates, rotor speeds (17 numbers)."""
+    """Return the derivative of the 17 states: position, velocity, quaternion, body rates, rotor speeds."""
     v, q, w, rpm = state[3:6], state[6:10], state[10:13], state[13:]
     r = rotation(q / np.linalg.norm(q))
     thrusts, speed_rate = np.polyval(THRUST, rpm), lag.rate(rpm, command)

@@ -24,7 +24,7 @@ STREAM_LOSS_S = 0.5  # time without set-points after which the vehicle lands by 
 
 @dataclass
 class World:
-    """Simulated world; ``fault``: a function ``(world, inputs) -> inputs`` that is active for
+    """Simulated world; ``fault``: function ``(world, inputs) -> inputs``, which is applied if
     ``fault_from_s <= t < fault_to_s``."""
 
     config: FlightConfig
@@ -116,7 +116,7 @@ class World:
                 self.armed = False
 
     def run(self, seconds: float, until=None):
-        """Simulate until the time is over, the controller has finished, or ``until(self)`` holds."""
+        """Simulate until the time is over, the controller has finished, or ``until(self)`` is true."""
         end = self.t_s + seconds
         while self.t_s < end:
             out = self.step()
@@ -125,7 +125,7 @@ class World:
         return self
 
     def fault_in(self, phase: Phase, fault, seconds: float = math.inf):
-        """Run until the phase starts, then apply the fault."""
+        """Run until the start of the phase, then apply the fault."""
         self.run(60.0, until=lambda w: w.phase is phase)
         assert self.phase is phase
         self.fault, self.fault_from_s, self.fault_to_s = fault, self.t_s, self.t_s + seconds

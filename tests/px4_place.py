@@ -14,9 +14,9 @@ ROOT = Path(__file__).parents[1]
 
 
 def px4_place() -> Path | None:
-    """Return PX4's program or its folder; None if no place is named and none is found.
+    """Return the path of PX4's program or its folder; None: no place is named, and none is found.
 
-    A named place without PX4 causes an error at its use, so that no test is skipped by mistake.
+    A named place without PX4 causes an error when it is used, so that no test is skipped by mistake.
     """
     named = os.environ.get(PX4_PLACE)
     if named:

@@ -1,8 +1,8 @@
-"""Repeats a failed test in real time if the machine paused during the test.
+"""Repeats a test in real time that failed while the machine paused.
 
-A virtual machine stops for tenths of a second if its host uses the processors for other machines; then states
-are too old, and the stack rightly aborts. A thread on each processor measures how late it wakes. A failure
-without such a pause is not repeated. Tests that do not run in real time have a lower priority.
+A virtual machine stops for tenths of a second if its host gives the processors to other machines. Then states
+become too old, and the stack aborts, as it should. A thread on each processor measures how late it wakes. A
+failure without such a pause is not repeated. Other tests have a lower priority.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from flightstack.common.processes import hand_on_niceness
 REPEATS = 4
 PAUSE_S = 0.1  # a longer delay is a pause, s: half of the age limit of a vehicle state (checks.own_age_max_s)
 CALM_S = 2.0  # time between two attempts of a test, s
-GIVES_WAY = 15  # niceness of a worker and its children from its first test without real time
+GIVES_WAY = 15  # niceness of a worker and its children from the first test on that is not in real time
 _SLEEP_S = 0.01
 
 
 class Pauses:
-    """Measures ``worst_s``: the longest delay with which a thread on any processor woke since ``begin``."""
+    """Measures ``worst_s``: longest delay, since ``begin``, with which a thread of any processor woke."""
 
     def __init__(self) -> None:
         self.worst_s = 0.0
@@ -56,7 +56,7 @@ def in_real_time(item: pytest.Item) -> bool:
 
 
 def repeated_after_a_pause() -> pytest.MarkDecorator:
-    """Return pytest-rerunfailures' mark, which repeats a failure only if the machine paused during
+    """Return the mark of pytest-rerunfailures that repeats a failed test only if the machine paused during
     the test."""
 
     def paused(_: BaseException | None) -> bool:
@@ -67,12 +67,12 @@ def repeated_after_a_pause() -> pytest.MarkDecorator:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Measure pauses during a test in real time; lower the priority of other tests."""
+    """Start to measure pauses before a test in real time; lower the priority before other tests."""
     if in_real_time(item):
         keep_memory()  # serial relays run in this process and must not wait for evicted memory pages
         PAUSES.begin()
     elif "PYTEST_XDIST_WORKER" in os.environ and os.getpriority(os.PRIO_PROCESS, 0) < GIVES_WAY:
-        # a new session, because Linux compares the niceness of sessions first (sched(7), autogroup)
+        # in a new session, because Linux compares the niceness of sessions first (sched(7), autogroup)
         os.setpriority(os.PRIO_PROCESS, 0, GIVES_WAY)
         with contextlib.suppress(OSError):  # the process may already lead a session
             os.setsid()

@@ -1,6 +1,6 @@
 """Connects a UDP vehicle to a pseudo-terminal or TCP client, with the speed and errors of a serial line.
 
-A thread passes bytes both ways. Each direction has its own bit rate, a small buffer before it, noise between
+A thread passes bytes both ways. Each direction has its own bit rate, a small buffer, random bytes between
 frames, and times in which the cable is disconnected.
 """
 
@@ -54,7 +54,7 @@ class PtyEnd:
         self._master = -1
 
     def read(self) -> bytes:
-        with contextlib.suppress(OSError):  # an empty read would wait for a kernel worker
+        with contextlib.suppress(OSError):  # because an empty read would wait for a kernel worker
             empty = self._master < 0 or fcntl.ioctl(self._master, termios.FIONREAD, _NONE) == _NONE
             return b"" if empty else os.read(self._master, _PIECE)
         return b""
@@ -121,7 +121,7 @@ class TcpEnd:
         self.pull()
 
 
-# messages that an autopilot sends if its buffer has room; it reduces the rate of others (PX4: MAV_x_RATE)
+# messages with precedence; an autopilot sends the others only if its buffer is nearly empty (PX4: MAV_x_RATE)
 _FIRST = frozenset({
     mav.MAVLINK_MSG_ID_HEARTBEAT, mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mav.MAVLINK_MSG_ID_ATTITUDE,
     mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, mav.MAVLINK_MSG_ID_SYS_STATUS, mav.MAVLINK_MSG_ID_COMMAND_ACK,
@@ -140,7 +140,7 @@ class Line:
         self._credit = 0.0
 
     def put_frames(self, datagram: bytes) -> None:
-        """Write whole frames as an autopilot does; less important ones only into a nearly empty buffer."""
+        """Write whole frames as an autopilot does: less important ones only into a nearly empty buffer."""
         while datagram:
             end = 12 + datagram[1]
             frame, datagram = datagram[:end], datagram[end:]
@@ -154,7 +154,7 @@ class Line:
         self._buffer += data[:room]
 
     def carry(self, pieces: list[bytes], put: Callable[[bytes], None], elapsed_s: float) -> bytes:
-        """Write the bytes received within a time, spread over it, as if the thread were never late."""
+        """Take pieces that arrived in this time, evenly spread; return the bytes that leave meanwhile."""
         share_s = elapsed_s / (len(pieces) + 1)
         out = b""
         for piece in pieces:
@@ -170,7 +170,7 @@ class Line:
             count = min(int(self._credit), len(self._buffer))
             self._credit -= count
             if count == len(self._buffer):
-                # unused bit rate of an idle line is lost, except for 20 ms
+                # an idle line keeps at most 20 ms of unused bit rate
                 self._credit = min(self._credit, self._rate * 0.02)
         out = bytes(self._buffer[:count])
         del self._buffer[:count]
@@ -180,8 +180,8 @@ class Line:
 class Relay:
     """Thread that passes bytes both ways until it is closed.
 
-    ``near``: the onboard process's end; ``vehicle``: UDP port on loopback of the simulated vehicle; ``baud``:
-    None without a limit; ``noise_bytes_s``: random bytes a second, inserted into the vehicle's bytes.
+    ``near``: end at the onboard process; ``vehicle``: UDP port of the simulated vehicle on loopback;
+    ``baud``: bit rate, None: no limit; ``noise_bytes_s``: random bytes a second among the vehicle's bytes.
     """
 
     def __init__(

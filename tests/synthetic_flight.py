@@ -1,6 +1,6 @@
 """Makes the log rows of a synthetic landing: a point mass with lag, a turning pad, the exact projection.
 
-Tests change the rows and write them as a real log; this module does not judge the flight.
+Tests change the rows and write them as a real log. This module has no judgement of the flight.
 """
 
 import functools
@@ -38,7 +38,7 @@ PAD, GROUND, ROBOT, EDGE, TUMBLED = 1, 2, 4, 8, 16
 
 @dataclass
 class Rows:
-    """Rows to write; the lists may be changed freely."""
+    """Rows of a log; a test may change the lists."""
 
     steps: list[ControllerStepRow]
     truth: list[TrueStateRow]
@@ -61,7 +61,7 @@ class Rows:
         )  # fmt: skip
 
     def cut(self, after_s):
-        """Remove all rows that are later than this time, counted from the start of the log."""
+        """Remove all rows that are more than ``after_s`` later than the start of the log."""
         limit = EPOCH_NS + round(after_s * 1e9)
         self.steps = [r for r in self.steps if r.stamp_ns <= limit]
         self.truth = [r for r in self.truth if r.stamp_ns <= limit]
@@ -87,7 +87,7 @@ def _landing() -> Rows:
     pad, heading = (0.0, 0.0, PAD_Z_M), 0.3
     p, v, command, phase = (-0.5, -0.6, FEET_M), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), Phase.WAIT
     touch = (NAN3, NAN3, math.nan)
-    stand = None  # offset of the vehicle on the pad after the landing
+    stand = None  # offset of the resting vehicle from the pad's centre
     off_s = math.inf
     tick = 0
     while tick * DT_S < min(MAX_S, off_s + AFTER_S):

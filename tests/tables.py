@@ -29,7 +29,7 @@ _ATTRIBUTES = ("id", "msgname", "crc_extra", "fieldnames", "fieldtypes", "ordere
 
 
 def messages_table() -> str:
-    """Return the text of the file: messages of pymavlink are generated again, others are unchanged."""
+    """Return the table of messages as text; those of pymavlink are generated again, all others unchanged."""
     table = {row["id"]: row for row in wide_rows()}  # the bridge also adds these to ardupilotmega.mavlink_map
     made = {id_: row for id_, row in table.items() if id_ not in everything.mavlink_map}
     for id_ in everything.mavlink_map.keys() - (ardupilotmega.mavlink_map.keys() - table.keys()):
@@ -44,10 +44,10 @@ _SOURCE = "PX4 Autopilot v1.16.0, all_events.json; BSD 3-Clause, see px4_events.
 
 
 def events_table(metadata: Path, source: str = _SOURCE) -> str:
-    """Return the text of the file: message and argument types of each event, and texts of each enumeration.
+    """Return the table of events as text: message and argument types of events, texts of enumerations.
 
-    ``metadata``: all_events.json, or the same file compressed by xz; ``source``: release and licence of that
-    file, which the result contains.
+    ``metadata``: all_events.json, or the same file compressed by xz; ``source``: release and licence of this
+    file, which are written to the table.
     """
     raw = metadata.read_bytes()
     read: dict[str, Any] = json.loads(lzma.decompress(raw) if metadata.suffix == ".xz" else raw)

@@ -41,7 +41,7 @@ PATHS = (PathKind.STRAIGHT, PathKind.CIRCLE, PathKind.STOP_AND_GO, PathKind.REVE
 
 @dataclass(frozen=True)
 class Landing:
-    """Result of one flight, from true states."""
+    """Result of one flight, computed from true states."""
 
     error_m: float  # horizontal distance from the pad's centre at rest on the pad; NaN if not on it
     place: str  # where the vehicle ended: "pad", "floor" or "air"
@@ -58,7 +58,7 @@ class Landing:
 def scenario(seed: int) -> Scenario:
     """Return a scenario with the sensors, parameter spreads and gusts of ``lab``.
 
-    The robot starts to drive at time zero.
+    The robot drives from time zero on.
     """
     lab, chance = load("lab"), stream(seed, "crazyflie_landings")
     target = replace(
@@ -79,7 +79,7 @@ def scenario(seed: int) -> Scenario:
 
 
 def fly(one: Scenario, seed: int, *options: str, flights: int = 1) -> list[Landing]:
-    """Fly ``flights`` times with the same firmware and bridge; ``options``: those of ``bridge crazyflie``."""
+    """Fly ``flights`` times with one firmware and bridge; ``options``: options of ``bridge crazyflie``."""
     here, there = free_endpoint(), free_endpoint()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.toml"
@@ -151,7 +151,7 @@ def line(seed: int, name: str, landing: Landing) -> str:
 
 
 def main() -> None:
-    """Print a line for each landing, then the totals."""
+    """Print one line for each landing, and then the totals."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("seeds", nargs="*", type=int, help="none: 1 to 100")
     parser.add_argument("--in-a-row", type=int, default=1, help="landings of each seed, from pad to pad")

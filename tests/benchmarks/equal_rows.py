@@ -23,7 +23,7 @@ NAMES = [
 
 @cache
 def scenario(name: str) -> Scenario:
-    """Return the scenario of a tier and a filter, after all its code has been compiled."""
+    """Return the scenario ``TIER_FILTER``; its code is compiled before the function returns."""
     tier, _, kind = name.rpartition("_")
     found = load(tier).with_filter(kind)
     warm_up(found)
@@ -31,7 +31,7 @@ def scenario(name: str) -> Scenario:
 
 
 def both(name: str, seed: int) -> tuple[Row, Row]:
-    """Return the two rows of one landing, flown in batches and tick by tick, without wall times."""
+    """Return the rows of one landing, flown in batches and flown tick by tick, both without wall time."""
     flown = (land(scenario(name), seed), land(scenario(name), seed, on_step=lambda _tick, _out: None))
     one, other = (replace(row_of(each), wall_s=0.0) for each in flown)
     return one, other
@@ -49,7 +49,7 @@ def main() -> None:
     seeds = range(asked.seed, asked.seed + asked.runs)
     with multiprocessing.get_context("spawn").Pool(asked.workers) as pool:
         for name in asked.names or NAMES:
-            scenario(name)  # the workers load the code that is compiled here
+            scenario(name)  # compiled here first; the workers load the stored code
             pairs = pool.map(partial(both, name), seeds, chunksize=10)
             others = [one.seed for one, other in pairs if repr(one) != repr(other)]
             differ |= bool(others)

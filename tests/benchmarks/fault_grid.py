@@ -12,7 +12,7 @@ from tests.fault_grid.run import Result, fly, scenario
 from tests.fault_grid.table import GRID, H_MIN_M, WITHIN_S, End, Moment, Need, Part, Way
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "fault_grid.md"
-# headings before and after the generated tables; the other text of the page is hand-written
+# headings before and after the generated tables; all other text of the page is written by hand
 _FIRST, _LAST = "\n## Vehicle state\n", "\n## What the companion can detect\n"
 
 
@@ -28,7 +28,7 @@ def ends(need: Need) -> str:
 
 
 def demand(need: Need) -> str:
-    """Return the reason and the limits of a requirement as text."""
+    """Return the reason and those limits of a requirement that differ from the defaults, as text."""
     parts = [need.why]
     if need.undetectable:
         parts.append("not detectable on board")
@@ -42,7 +42,7 @@ def demand(need: Need) -> str:
 
 
 def complaints(need: Need, result: Result) -> list[str]:
-    """Return the requirements that the flight of a cell does not meet."""
+    """Return one text for each requirement that the flight of a cell does not meet."""
     found = []
     if result.end not in need.ends | need.short_ends:
         found.append(f"ended {result.end}, allowed: {', '.join(sorted(need.ends))}")

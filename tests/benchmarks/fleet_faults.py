@@ -33,7 +33,7 @@ COLUMNS = (
 
 
 def failing(whole: Scenario, kind: str, seed: int) -> tuple[Scenario, Exchange | None, int]:
-    """Return team, exchange of its messages, and number of the failing member (0: none) for a seed."""
+    """Return the team, the exchange of its messages, and the number of the member that fails (0: none)."""
     way = KINDS[kind]
     if way is None:
         return replace(whole, exchange=LATE), None, 0
@@ -44,7 +44,7 @@ def failing(whole: Scenario, kind: str, seed: int) -> tuple[Scenario, Exchange |
 
 
 def line(kind: str, found: list[tuple[FleetVerdict, int]]) -> str:
-    """Return the table row of a kind of fault; ``found``: (verdict, number of failing member) by team."""
+    """Return the table row of a kind of fault; ``found``: verdict and failed member's number of each team."""
     ends = [(n == who, each) for verdict, who in found for n, each in enumerate(verdict.members.values(), 1)]
     own, others = ([each for failed, each in ends if failed is wanted] for wanted in (True, False))
     own_ends, ended = Counter(each.outcome for each in own), Counter(each.outcome for each in others)

@@ -35,14 +35,14 @@ DURATION_MAX_S = 60.0
 
 
 def base(name: str, kind: str) -> Scenario:
-    """Return a scenario with a filter; NAME+VARIANT adds velocity feedback or another touchdown rule."""
+    """Return a scenario with a filter; a variant adds velocity feedback or selects another touchdown rule."""
     name, _, variant = name.partition("+")
     scenario = load(name).with_filter(kind)
     if not variant:
         return scenario
     table = to_table(scenario)
     if variant == "feedback":
-        # the default rates of the feedback, or the highest ones that the certificate allows
+        # the default rates of the feedback; if these are too high, the highest that the certificate allows
         rate_1_s = scenario.onboard.velocity_loop.rate_xy_1_s
         rates = {"error_rate_1_s": min(5.0, rate_1_s), "tilt_rate_1_s": min(13.0, BANDWIDTH * rate_1_s)}
         rates |= {f"far_{key}": value for key, value in rates.items()} | {"far_m": 1.0, "horizontal": True}
@@ -61,7 +61,7 @@ class Parameter(NamedTuple):
 
 
 def parameters(cls: type = FlightConfig, path: tuple[str, ...] = ()) -> Iterator[Parameter]:
-    """Yield every number whose metadata contain a range, from a dataclass and its nested dataclasses."""
+    """Yield every number that has a range in its metadata, in a dataclass and its nested dataclasses."""
     hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
         kind, below = hints[field.name], (*path, field.name)
@@ -118,7 +118,7 @@ class Result(NamedTuple):
 
 
 def fly(case: Case, first_seed: int, runs: int, stop: int = 3) -> Result:
-    """Check one changed configuration; if it is proven, fly it ``runs`` times or until ``stop`` failures."""
+    """Check one changed configuration; if it is proven, fly ``runs`` seeds or until ``stop`` failures."""
     name, kind, path, value = case
     key = ".".join(path)
     try:
@@ -142,7 +142,7 @@ def fly(case: Case, first_seed: int, runs: int, stop: int = 3) -> Result:
 
 
 def cases(keys: list[str], names: list[str], kinds: list[str], count: int) -> Iterator[Case]:
-    """Yield every requested change; for a vector first all components together, then only the last one."""
+    """Yield every requested change; in a vector, first all components change, then only the last one."""
     for parameter in parameters():
         if keys and not any(".".join(parameter.path).startswith(key) for key in keys):
             continue

@@ -33,7 +33,7 @@ LOOK_S = 0.02
 
 
 class Flying(NamedTuple):
-    """Parts of a running flight that a fault can change."""
+    """Parts of a running flight that the functions of the faults can change."""
 
     room: Room
     onboard: Companion
@@ -127,7 +127,7 @@ def fly(place: Path, phase: str, act: Act, folder: Path) -> str:
 
 
 def _place(room: Room, said: list[str]) -> str:
-    """Return where the vehicle is (air, floor or robot), by PX4's estimate and the simulator's contacts."""
+    """Return the vehicle's place (air, floor or pad), from PX4's estimate and the simulator's contacts."""
     listed = room.px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
     found = {words[0]: words[1] for words in map(str.split, listed) if len(words) > 1}
     if abs(float(found["vz:"])) > REST_M_S:

@@ -46,7 +46,7 @@ APPROACHES, STEPS_MAX, WARM_STEPS = 8, 3000, 50
 
 
 def inputs(tick: int, position_enu_m: Vec3 = (1.1, 0.0, 0.76), velocity_enu_m_s: Vec3 = ZERO) -> Inputs:
-    """Return the states of a vehicle, and of a robot that drives away from the origin."""
+    """Return inputs with the state of a vehicle and of a robot that drives away from the origin."""
     t = tick * 0.01
     own = OwnState(t, t, position_enu_m, velocity_enu_m_s, 0.1)
     sample = TargetSample(t, t, "map", "target", (0.1 * t, 0.02 * t, 0.2), (0.1, 0.02, 0.0), 0.0, 0.1)
@@ -75,7 +75,7 @@ def approach(controller: Controller, azimuth_rad: float) -> list[float]:
 
 
 def one_round(make: Callable[[FlightConfig], Controller]) -> list[float]:
-    """Return the durations of all steps of ``APPROACHES`` approaches from all sides, us."""
+    """Return the durations of the steps of approaches from ``APPROACHES`` directions, us."""
     config = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}})
     took: list[float] = []
     gc.collect()
@@ -87,7 +87,7 @@ def one_round(make: Callable[[FlightConfig], Controller]) -> list[float]:
 
 
 def control_step() -> None:
-    """Measure the time from inputs to set-point, us: interpreted and compiled."""
+    """Print the time from inputs to set-point, us, of interpreted and of compiled code."""
     for name, make, asked in (("plain", Controller, (68, 144)), ("compiled", compiled, (20, 60))):
         one_round(make)
         medians, tails = [], []
@@ -100,7 +100,7 @@ def control_step() -> None:
 
 
 def sitl(folder: str | Path, scenario: str, seed: int = 0, *more: str) -> dict:
-    """Run ``flightstack sitl`` once; return its result."""
+    """Run ``flightstack sitl`` once; return its JSON result."""
     words = ["sitl", "--json", "--no-report", "--out", folder, "--scenario", scenario, "--seed", seed, *more]
     done = flightstack(*words)
     return done.json

@@ -61,7 +61,7 @@ def known(folder: Path) -> list[Row]:
 
 
 def asked_row(tier: str, out: Path) -> str:
-    """Return the table row with the limits of a tier and those that its campaign does not meet."""
+    """Return the table row with a tier's limits, and with the limits that its campaign does not meet."""
     limits = LIMITS[Tier(tier)]
     robust, paper = (known(out / f"{tier}_{kind}") for kind in FILTERS)
     found = misses(Tier(tier), robust, paper or None)
@@ -87,9 +87,9 @@ def team_row(name: str, s: dict) -> str:
 
 
 def filled(page: str, name: str, lines: list[str]) -> str:
-    """Return the page with these rows in one of its tables, each instead of the row with the same first cell.
+    """Return the page with these rows in one of its tables; each replaces the row with the same first cell.
 
-    Raises ValueError: the page has no such table, or no such row.
+    Raises ValueError: the page has no such table, or the table has no such row.
     """
     found = re.search(rf"<!-- table: {name} -->\n(.*?)<!-- end -->", page, re.DOTALL)
     if found is None:
@@ -105,7 +105,7 @@ def filled(page: str, name: str, lines: list[str]) -> str:
 
 
 def chosen(names: list[str]) -> list[str]:
-    """Return the campaigns with these names; without names all. Raises ValueError: an unknown name."""
+    """Return the campaigns with these names, or all without names. Raises ValueError: a name is unknown."""
     found = [each for each in RUNS if not names or {each, each.rpartition("_")[0]} & set(names)]
     unknown = set(names) - {word for each in RUNS for word in (each, each.rpartition("_")[0])}
     if unknown:

@@ -11,7 +11,7 @@ from sim.campaign.summary import count, quantile
 
 
 class Tier(Enum):
-    """Scenarios that have limits, by name."""
+    """The scenarios that have limits; the value is the name of the scenario."""
 
     LAB = "lab"
     ROOM = "room"

@@ -28,9 +28,9 @@ class Block:
 
 
 class Firmware:
-    """Model of the firmware of one Crazyflie: receives and returns CRTP packets.
+    """Model of the firmware of one Crazyflie: receives CRTP packets and returns the answers.
 
-    ``protocol``: CRTP protocol version; below 12: CrazySim's firmware of 2024, without the supervisor port;
+    ``protocol``: version of CRTP; below 12, it is CrazySim's firmware of 2024, without supervisor port;
     ``tables``: numbers of log variables and of parameters; the real firmware has 567 and 334.
     """
 
@@ -78,7 +78,7 @@ class Firmware:
         self.plant.restart()
 
     def stall(self, seconds: float) -> None:
-        """Freeze vehicle and clock for this time, like a simulator that gets no processor time."""
+        """Freeze vehicle and clock for this time, as a simulator without processor time does."""
         self._stalled_until_s = self._host_s + seconds
 
     def _clock(self, host_s: float) -> float:
@@ -89,7 +89,7 @@ class Firmware:
         return self._now_s
 
     def packet(self, raw: bytes, now_s: float) -> list[bytes]:
-        """Return the answers to one packet; ``now_s``: time of the host's clock, as in all public methods."""
+        """Return the answers to one packet; ``now_s`` is on the host's clock, as in all public methods."""
         stalls, now_s = now_s < self._stalled_until_s, self._clock(now_s)
         if stalls or now_s < self._started_s:
             return []
@@ -124,7 +124,7 @@ class Firmware:
         stalls, now_s = now_s < self._stalled_until_s, self._clock(now_s)
         dt_s, self._stepped_s = now_s - self._stepped_s, now_s
         while now_s - self._supervised_s >= PERIOD_S:
-            self._supervised_s += PERIOD_S  # fixed period of the supervisor, also if the host is late
+            self._supervised_s += PERIOD_S  # the supervisor's period is fixed, also if the host is late
             # with priority 0 the firmware's planner makes the set-points, so the watchdog does not act
             age_s = self._supervised_s - self._setpoint_s if self._priority else 0.0
             self.supervisor.setpoints_rule = self._priority > 0
@@ -251,7 +251,7 @@ class Firmware:
         return []
 
     def _thrust(self, data: bytes, now_s: float) -> list[bytes]:
-        """Handle roll, pitch, yaw rate and thrust; only cflib's final zero thrust has an effect."""
+        """Handle roll, pitch, yaw rate and thrust; cflib sends only a final thrust of zero."""
         assert struct.unpack("<fffH", data)[3] == 0
         self._setpoint_s, self._priority, self._setpoint = now_s, 2, None
         return []

@@ -52,13 +52,13 @@ class Point:
         self._pose_age_s = 0.0
 
     def know_drag(self, drag_1_s: tuple[float, float, float]) -> None:
-        """Ignore ``kalman.dragB_*``: the filter here has no drag model."""
+        """Ignore ``kalman.dragB_*``, because this filter has no drag model."""
 
     def reset(self, x: float, y: float, z: float, yaw: float) -> None:
-        """Ignore ``kalman.resetEstimation``: the filter here has no lasting error."""
+        """Ignore ``kalman.resetEstimation``, because this filter has no lasting error."""
 
     def restart(self) -> None:
-        """Forget the last pose; the filter here has no other state."""
+        """Forget the last pose, which is the only state of this filter."""
         self._pose_age_s = math.inf
 
     @property
@@ -66,10 +66,10 @@ class Point:
         return self.position[2] <= self.surface_m(*self.position[:2]) + 1e-6
 
     def setpoint(self, velocity: tuple[float, float, float], yaw_rate: float) -> None:
-        """Ignore a new set-point, because ``command`` gets the set-point at every step."""
+        """Ignore a new set-point, because ``command`` receives the set-point in every step."""
 
     def command(self, velocity: tuple[float, float, float], yaw_rate: float, level: bool) -> None:
-        """Set the commanded velocity; ``level``: keep zero tilt, follow only the vertical velocity."""
+        """Set the commanded velocity; ``level``: zero tilt, only the vertical velocity is followed."""
         self._wanted, self._level, self.motors = list(velocity), level, True
         self.yaw_rate = 0.0 if level else yaw_rate
 

@@ -56,7 +56,7 @@ class Server:
             raise self.error
 
     def _run(self) -> None:
-        ask_for_priority()  # a real vehicle also runs in real time
+        ask_for_priority()  # the model runs in real time, as a vehicle does
         try:
             while not self._stop.is_set():
                 select.select((self._socket,), (), (), TICK_S)

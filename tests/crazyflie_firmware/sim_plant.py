@@ -1,7 +1,7 @@
 """Connects the simulated vehicle (MuJoCo, rotors, battery, attitude and velocity loop) to the firmware model.
 
-All scenarios use the filter of the firmware (``sim.firmware.estimator``), with drag only along body z and by
-``kalman.dragB_*``, and the PID velocity loop of the firmware.
+Every scenario is flown with the firmware's filter (``sim.firmware.estimator``) and its PID velocity loop; the
+filter knows drag along body z and by ``kalman.dragB_*`` only.
 """
 
 import math
@@ -18,7 +18,7 @@ from sim.scenarios.tables import VelocityLoop
 from sim.vehicle.vehicle import VehicleSim, warm_up
 from tests.crazyflie_firmware.plant import variance_m2
 
-MS_MAX = 50  # longest step, ms; during a longer pause of the machine simulated time also pauses
+MS_MAX = 50  # longest step, ms; simulated time stops for the rest of a longer pause
 
 
 def take_pose(vehicle, position, quaternion):
@@ -31,7 +31,7 @@ def take_pose(vehicle, position, quaternion):
 class SimPlant:
     """A ``VehicleSim`` with the interface of ``plant.Point``; its deck follows the robot's true pose.
 
-    Its simulated firmware has its own set-point watchdog, so only new set-points are passed to it.
+    Only new set-points are passed to it, because its simulated firmware has its own set-point watchdog.
 
     ``session``: Zenoh session that receives the robot's pose in ``namespace``; None: the deck does not move;
     ``by_poses``: the vehicle receives external poses instead of the scenario's motion capture.
@@ -78,7 +78,7 @@ class SimPlant:
     def pose(self, x: float, y: float, z: float, quaternion_xyzw) -> None:
         """Apply an external pose to the filter.
 
-        It is ignored without a quaternion, or if the vehicle uses the scenario's motion capture.
+        A pose is ignored if it has no quaternion, or if the vehicle uses the scenario's motion capture.
         """
         if self._by_poses and quaternion_xyzw is not None:
             self._posed_s = self._now_s

@@ -19,7 +19,7 @@ MOMENTS_S = {"crossing": 1.5, "approach to land": 3.6, "touchdown": 4.3}
 
 
 class Way(StrEnum):
-    """Faults that the second of three members can have."""
+    """Faults that one of the three members can have; in the grid it is the second."""
 
     KILLED = "process killed"
     SILENT = "radio silent"
@@ -35,10 +35,10 @@ def fly(way: Way, at_s: float, seed: int) -> FleetVerdict:
 
 
 def broken(team: Scenario, seed: int, way: Way, who: int, at_s: float) -> tuple[Scenario, Exchange]:
-    """Return the team with a permanent fault of one member, and the function that exchanges its messages."""
+    """Return the team with a fault of member ``who`` from ``at_s`` on, and the exchange of its messages."""
     if way is Way.STOPS:
         team = _with_fault(team, who, Fault(What.ROBOT, Kind.STUCK, start_s=at_s))
-    if way is Way.KILLED:  # the member's autopilot ends the flight by its fail-safe
+    if way is Way.KILLED:  # its autopilot ends the flight by a fail-safe
         team = _with_fault(team, who, Fault(What.LINK_IN, Kind.OFF, start_s=at_s))
     words, from_tick = Words(team, seed), round(at_s * team.rate_hz)
 

@@ -38,7 +38,7 @@ WATCH_MAX_S = 30.0  # longest flight after the disturbance, s
 CLIMB_M = 0.2  # height above the ground at which the vehicle counts as climbing
 
 TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
-Mangle = Callable[[list[bytes], float], list[bytes]]  # (payloads, time in s) -> payloads that arrive
+Mangle = Callable[[list[bytes], float], list[bytes]]  # (sent payloads, time in s) -> payloads that arrive
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Flown:
     """Result of the flight; simulated times in s, NaN for events that did not occur."""
 
     seen: Seen  # the flight's data, as in a log
-    disturbed_at_s: float  # start of the disturbance; the times below count from it
+    disturbed_at_s: float  # start of the disturbance; all later times are relative to it
     noticed_s: float  # first of: start of HOLD, CLIMB or ABORT; start of a fail-safe
     down_s: float  # time at which the motors stopped for the last time
     failsafe_s: float  # start of the autopilot's first fail-safe
@@ -69,7 +69,7 @@ class Flown:
 class _Target(DirectTarget):
     """Robot that serialises its samples as for Zenoh, and that is simulated only up to the current tick.
 
-    Therefore a fault starts immediately, not after ticks that are already simulated.
+    So a fault starts at once; no later tick is simulated in advance.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
@@ -189,7 +189,7 @@ class Flight(Companion):
         return self.asked
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """Return the companion's end when it has finished or, like a kill, at the time limit; else None."""
+        """Return the companion's end once it has finished or reached its time limit (a kill), else None."""
         return Ended(out.phase, memory.reason, 1) if out.finished or now_s >= self._duration_s else None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
@@ -204,7 +204,7 @@ class Flight(Companion):
             self._noticed_s = tick.now_s
 
     def _watched(self) -> bool:
-        """Whether the simulation has reached the end of the flight."""
+        """Whether the simulation may end, because the vehicle rests or the longest time is over."""
         if not self._disturbed:
             return self._over
         down_s = self.vehicle.time_s - self.node.log.down_s
@@ -212,7 +212,7 @@ class Flight(Companion):
         return rests or self.vehicle.time_s - self._disturbed_s > WATCH_MAX_S
 
     def _answer_only(self) -> None:
-        """Simulate a tick in which the companion has ended and sends nothing."""
+        """Simulate a tick after the companion's end: only the requests of the clock are answered."""
         endpoint = self._link.endpoint
         for received in endpoint.receive():
             if _is_request(received):

@@ -57,7 +57,7 @@ def disturb(part: Part, way: Way, seed: int) -> Callable[[Flight], None]:
 
 
 def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
-    """Return the function that applies this kind of failure to payloads sent over Zenoh."""
+    """Return the function that changes payloads sent over Zenoh as this kind of failure does."""
     first: list[bytes] = []
     held: list[tuple[float, bytes]] = []
     number = itertools.count(1)
@@ -166,8 +166,8 @@ def impact(truth: Truth) -> float:
 
 
 def h_min(flown: Flown) -> float:
-    """Return the lowest true h outside the pad until the vehicle is clear after an abort, or until the
-    autopilot takes over from the companion."""
+    """Return the lowest true h outside the pad until a fail-safe of the autopilot, until an abort that lands
+    at once, or until the vehicle has flown clear after another abort; NaN: no landing started."""
     truth, start_s = flown.truth, flown.seen.landing_start_s
     if start_s is None:
         return math.nan

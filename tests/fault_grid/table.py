@@ -156,7 +156,7 @@ _NOT_FLOWN_YET = _need(
 )
 _STAMPS = _need(LANDED, why="ages count from the arrival; stamps only give the order", within_s=None)
 
-# columns in the order of Moment
+# one need for each Moment, in order
 _Row = tuple[Need, Need, Need, Need]
 _ALWAYS_HARMLESS: _Row = (_HARMLESS, _HARMLESS, _HARMLESS, _HARMLESS)
 _OWN: _Row = (_NO_OWN, _NO_OWN, _NO_OWN_OVER, _ON_THE_PAD)

@@ -23,9 +23,9 @@ RADIO_POLL_S = 0.05
 
 
 class Radio:
-    """A relay between companion and vehicle that can drop all datagrams; a context manager.
+    """Context manager of a relay between companion and vehicle that can drop all datagrams.
 
-    ``url``: ``udpout:HOST:PORT`` of the vehicle; ``local_port``: loopback UDP port to which the vehicle
+    ``url``: ``udpout:HOST:PORT`` of the vehicle; ``local_port``: UDP port on loopback to which the vehicle
     sends; 0: the vehicle replies to the sender.
     """
 
@@ -77,7 +77,7 @@ ABORT_MAX_S = 40.0  # time-out from an abort to its end, s
 
 
 class Companion:
-    """One flight of ``flightstack onboard``. ``watch``: subscriber to the state of the process."""
+    """One flight of ``flightstack onboard``; ``watch`` receives the state that the process publishes."""
 
     def __init__(self, room: Room, child: Child, watch: Watch) -> None:
         self._room, self.child, self.watch = room, child, watch
@@ -136,7 +136,7 @@ class Companion:
         self.child.process.send_signal(number)
 
     def kill(self) -> None:
-        """Kill the process, and wait until its sockets are closed, because the next step opens them."""
+        """Kill the process and wait for its end, because the next step opens the same sockets."""
         self.signal(signal.SIGKILL)
         self.child.process.wait(END_TIME_MAX_S)
 
@@ -157,8 +157,8 @@ class Companion:
         return None
 
     def _call_off(self) -> None:
-        """Request an abort; if the process does not end, kill it: then the vehicle lands by its own
-        fail-safe."""
+        """Request an abort; if the process does not end, kill it, so that the vehicle's own fail-safe lands
+        the vehicle."""
         self.signal(signal.SIGINT)
         until_s = time.monotonic() + ABORT_MAX_S
         while self.child.alive() and time.monotonic() < until_s:
@@ -176,7 +176,7 @@ def onboard_words(room: Room) -> list[str]:
     words += [word for endpoint in room.connect for word in ("--connect", endpoint)]
     if room.recorder is not None:
         words += ["--recorder", str(room.recorder)]
-    elif room.target is not None:  # flights of a real vehicle are recorded
+    elif room.target is not None:  # a real vehicle's flights are recorded
         words += ["--no-record"]
     return words + (["--signing-key", str(room.signing_key)] if room.signing_key else [])
 

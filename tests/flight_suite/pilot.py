@@ -19,11 +19,11 @@ from tests.flight_suite.room import LIMITS, Limits, Room
 
 RATE_HZ = 50
 STATE_AGE_MAX_S = 2.0  # maximum state age, s; large, because the vehicle holds position by its own estimate
-WALL_FACTOR = 5.0  # factor from a time-out to wall time; a simulated vehicle's clock pauses with its machine
+WALL_FACTOR = 5.0  # ratio of wall time to time-out; a simulated vehicle's clock stops if the machine pauses
 HEARTBEAT_AGE_MAX_S = 3.5
 CONNECT_MAX_S = 60.0  # time-out from the start to a valid position estimate, s
 DOWN_MAX_S = 30.0  # time-out from the end of a step to motors off, s
-KILL_AFTER_S = 20.0  # time from which a landing below LOW_M ends by stopping the motors, s
+KILL_AFTER_S = 20.0  # time of a landing after which the motors are stopped below LOW_M, s
 LOW_M = 0.1
 CLIMB_M_S = 0.5
 
@@ -35,7 +35,7 @@ class Setpoint:
 
 
 class Pilot:
-    """Context manager of a pilot; at the end of the context, an armed vehicle is landed in every case."""
+    """Context manager of a test pilot; at its end, an armed vehicle is landed in every case."""
 
     def __init__(self, room: Room) -> None:
         self._room = room
@@ -104,11 +104,11 @@ class Pilot:
         return status is not None and self.link.state.own is not None and status.landed is not Landed.UNKNOWN
 
     def watch(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
-        """Send no request and no set-point until the condition holds; return the duration, s."""
+        """Send neither request nor set-point until the condition holds; return the duration, s."""
         return self.ask(step, Request.NONE, done, limit_s)
 
     def ask(self, step: str, request: Request, done: Callable[[], bool], limit_s: float) -> float:
-        """Send the MAVLink commands of this request until the condition holds; return the duration, s."""
+        """Send the MAVLink commands of a request until the condition holds; return the duration, s."""
         return self._run(step, lambda: self.link.command(request, self.now_s), done, limit_s)
 
     def fly(self, step: str, velocity_enu_m_s: Vec3, done: Callable[[], bool], limit_s: float) -> float:
@@ -127,11 +127,11 @@ class Pilot:
         self.fly(step, velocity_enu_m_s, lambda: self.vehicle_s >= until_s, time_s + 1.0)
 
     def listen(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
-        """Send nothing, like a lost companion, until the condition holds."""
+        """Send nothing, as after the loss of the companion, until the condition holds."""
         return self._run(step, lambda: None, done, limit_s, silent=True)
 
     def rise(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
-        """Request the take-off until the condition holds, with set-points if the autopilot needs them."""
+        """Request the take-off until the condition holds; send set-points if the autopilot needs them."""
         yaw_rad = self.own.yaw_rad
 
         def work() -> None:
@@ -149,7 +149,7 @@ class Pilot:
         self.fly("hand over", ZERO, lambda: self.status.mode is Mode.EXTERNAL, 10.0)
 
     def bring_down(self) -> None:
-        """Land at the current position; if this does not end, stop the motors close to the ground."""
+        """Land at the current position; if the landing does not end, stop the motors close to the ground."""
         began_s = self.now_s
 
         def work() -> None:

@@ -41,7 +41,7 @@ class Limits:
 
 _OWN = Limits(
     settle_s=3.0, still_m_s=0.15, drift_m=0.3,
-    # a velocity lag T gives the fraction 1 - 1.5 T / step_s; 0.4 allows lags below 0.8 s
+    # a velocity lag T gives the fraction 1 - 1.5 T / step_s, so 0.4 allows lags of up to 0.8 s
     step_m_s=0.3, step_s=2.0, moved_share=(0.4, 1.2),
     lost=Lost.LANDS, lost_s=2.0,  # COM_OF_LOSS_T = 0.5 s plus the period of the heartbeat, 1 s
 )  # fmt: skip
@@ -104,7 +104,7 @@ class Room:
 
 
 def configured(scenario: Scenario, folder: Path) -> Path:
-    """Write a scenario's onboard configuration with a short CLIMB: a lost target never returns here."""
+    """Write a scenario's onboard configuration with a short CLIMB: a lost target does not return here."""
     checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # wait for a lost target, s
     side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     file = folder / "onboard.toml"
@@ -190,7 +190,7 @@ def on_px4(
         recorder: socket of a recorder for the true states.
     """
     scenario = load(scenario_name)
-    # the robot waits for the first approach, else it would be far away before everything has started
+    # without this wait, the robot would be far away before all processes have started
     scenario = replace(scenario, target=replace(scenario.target, wait_for_landing=True))
     file = folder / "scenario.toml"
     file.write_text(text(scenario))

@@ -17,7 +17,7 @@ def phases(result: Result) -> set[str]:
 
 
 def report(name: str) -> bool:
-    """Print how a golden log differs from the decisions of the current code; return whether it is equal."""
+    """Print how a golden log differs from the current code's decisions; return whether it is equal."""
     path = path_of(name)
     if not path.exists():
         print(f"{name}: not there yet")
@@ -43,7 +43,7 @@ def report(name: str) -> bool:
 
 
 def update(name: str) -> None:
-    """Fly a golden log again; it replaces the old one if it replays equally, has all phases and is small."""
+    """Fly a golden log again; replace the old one if the new one replays equally, is complete and small."""
     flight = FLIGHTS[name]
     with tempfile.TemporaryDirectory(dir=path_of(name).parent) as folder:
         fresh = Path(folder) / "fresh.mcap"

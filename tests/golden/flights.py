@@ -51,7 +51,7 @@ def write_kept(
         for name in METADATA:
             values = dict(log.metadata().get(name, {}))
             if name == "onboard" and not wire:
-                values.pop("lockstep", None)  # no frames: MAVLink cannot be replayed
+                values.pop("lockstep", None)  # without frames, the MAVLink data cannot be replayed
             writer.add_metadata(names.record(name), values)
         channels: dict[str, int] = {}
         for message in log.messages(topics):
@@ -81,7 +81,7 @@ class Flight:
 
     scenario: str  # name of the flown scenario
     phases: tuple[str, ...]  # phases that the flight must contain
-    # changed scenario keys with their values; a slower loop makes a smaller log
+    # changed scenario keys with their values, for example a slower loop for a smaller log
     changes: dict[str, object] = field(default_factory=dict)
     lockstep: bool = True  # whether the flight runs in lockstep; False: in real time, with varying times
     wire: bool = True  # whether MAVLink frames and odometry are stored, which doubles the size

@@ -70,7 +70,7 @@ def faulty(what: What, kind: Kind) -> Scenario:
 
 
 def of_one(landing: Landing) -> dict[str, Any]:
-    """Return campaign row, means of the absolute true states, and event texts of a landing."""
+    """Return campaign row, mean absolute values of the true states, and event texts of a landing."""
     row, truth = row_of(landing), landing.seen.truth
     means = {name: rounded(np.abs(np.asarray(getattr(truth, name), float)).mean(axis=0)) for name in COLUMNS}
     found = {name: getattr(row, name) for name in row.__slots__ if name not in OMITTED}
@@ -114,7 +114,7 @@ CASES = _cases()
 
 
 def differences(stored: Any, found: Any, place: str = "") -> list[str]:
-    """Return the differences of two results; the tolerance of numbers covers rounding on other processors."""
+    """Return the differences of two results; the tolerance covers the rounding of other processors."""
     if isinstance(stored, dict) and isinstance(found, dict):
         keys = sorted(stored.keys() | found.keys())
         return [

@@ -1,4 +1,4 @@
-"""Lockstep flights that several tests only read: each is flown once, by the first worker that needs it."""
+"""Provides lockstep flights that several tests only read; the first worker that needs one flies it."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ Flights = Callable[..., Flown]
 
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory) -> Flights:
-    """Return a function ``flown(scenario, seed, *options)``, which flies each set of arguments only once."""
+    """Return a function ``flown(scenario, seed, *options)``, which flies only if no worker has flown this."""
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
-        base = base.parent  # folder that all workers of this session share
+        base = base.parent  # folder that is common to all workers of this session
     base = base / "flown"
     base.mkdir(exist_ok=True)
 

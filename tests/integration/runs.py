@@ -62,7 +62,7 @@ def flightstack(*arguments, cwd=None, apart=False) -> Result:
 
 
 def called(*arguments, cwd=None) -> Result:
-    """Run a subcommand in this process; it must start no process, or reject its arguments."""
+    """Run a subcommand in this process; it must start no process, or its arguments must be rejected."""
     with contextlib.chdir(cwd or Path.cwd()):
         done = CliRunner().invoke(main, [str(one) for one in arguments])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
@@ -76,9 +76,9 @@ def fly(out: Path, scenario: str, seed: int = 0, *more) -> Result:
 
 
 def replayed(log: Path, *, apart: bool = False) -> dict:
-    """Replay a log, including the recorded MAVLink and Zenoh data; return the result.
+    """Replay a log with its recorded MAVLink and Zenoh data; return the result.
 
-    All decisions must be equal.
+    The replayed decisions and inputs must be equal to the recorded ones.
     """
     done = flightstack("replay", log, "--check", "--json", apart=apart)
     assert done.code == 0, done.out + done.err
@@ -110,9 +110,9 @@ class Background:
         return any(words in line for line in list(self.lines))
 
     def until(self, *words: str, each: Callable[[], object] = lambda: None) -> str:
-        """Return the next printed line that contains all texts; kill the process if there is none.
+        """Return the next printed line with all words; if there is none, kill the process and fail.
 
-        Call ``each`` between the checks.
+        ``each``: function that is called before each check.
         """
         until_s, more = time.monotonic() + WALL_MAX_S, True
         while more and time.monotonic() < until_s:
@@ -127,9 +127,9 @@ class Background:
         raise AssertionError(f"no line with {words}: {self.lines}")
 
     def end(self, number: int | None = None) -> int:
-        """Wait for the end of process and output, with a time-out; return the exit status.
+        """Wait, with a time-out, until process and output have ended; return the exit status.
 
-        ``number``: signal that is sent first, unless the process has ended.
+        ``number``: signal to send first.
         """
         if number is not None:
             self.process.send_signal(number)

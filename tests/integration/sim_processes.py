@@ -32,9 +32,9 @@ NAN = float("nan")
 def running(
     child: Started, *, ready: bool = True, within_s: float = PATIENCE_S
 ) -> Iterator[tuple[Started, str]]:
-    """Run a process, and kill it at the end of the context; yield the process and its ready line.
+    """Run a process within the context, and kill it at the end; yield the process and its ready line.
 
-    ``ready``: whether the process prints a ready line; if not, the yielded line is empty.
+    ``ready``: whether the process prints a ready line; without it, the yielded line is empty.
     """
     try:
         yield child, line_of(child.stdout, within_s).strip() if ready else ""
@@ -62,20 +62,20 @@ def _simulate(name: str, options: dict[str, object]) -> None:
 
 
 def terminate(child: Started, number: signal.Signals = signal.SIGTERM) -> None:
-    """Send SIGTERM; the process must end immediately and with status 0."""
+    """Send a signal; the process must then end at once with status 0."""
     child.send_signal(number)
     assert child.wait(AT_ONCE_S) == 0
 
 
 def priority_or_skip() -> None:
-    """Skip the test if the system refuses a higher priority."""
+    """Skip the test if the system does not grant a higher priority."""
     if not ask_for_priority():
         pytest.skip("this system gives no priority: its tests run without it")
     give_up_priority()
 
 
 def prompt_threads(pid: int) -> set[int]:
-    """Return the threads of a process with a priority above ordinary programs."""
+    """Return the threads of a process whose priority is above that of ordinary programs."""
     found = set()
     for each in Path(f"/proc/{pid}/task").iterdir():
         with suppress(ProcessLookupError):  # the thread may have ended

@@ -1,4 +1,4 @@
-"""Bounded waits for processes that a test started: for a line, for all lines, for the end."""
+"""Waits with time-outs for processes that a test started: for a line, for all lines, for the end."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 def wait_for(done: Callable[[], T], what: str = "it", within_s: float = PATIENCE_S) -> T:
-    """Poll until ``done()`` is true because of another thread or process; return its value."""
+    """Poll until another thread or process makes ``done()`` return a true value; return this value."""
     until_s = time.monotonic() + within_s
     while not (found := done()):
         assert time.monotonic() < until_s, f"{what} did not come"
@@ -35,7 +35,7 @@ def line_of(stream: IO[Any], within_s: float = PATIENCE_S) -> str:
 
     The bytes are read one by one without the stream's buffer, so that ``communicate`` gets all later bytes.
 
-    Raises AssertionError: no whole line came in time.
+    Raises AssertionError: no complete line arrived in time.
     """
     until_s, text = time.monotonic() + within_s, b""
     while not text.endswith(b"\n"):
@@ -49,9 +49,9 @@ def line_of(stream: IO[Any], within_s: float = PATIENCE_S) -> str:
 
 
 def lines_of(stream: IO[Any], within_s: float) -> Iterator[str]:
-    """Yield the lines that a process writes, until its end.
+    """Yield the lines that a process writes, up to its end.
 
-    Raises AssertionError: the process has not ended within this time after the call.
+    Raises AssertionError: the process has not ended ``within_s`` after the call.
     """
     until_s = time.monotonic() + within_s
     while line := line_of(stream, until_s - time.monotonic()):
@@ -59,7 +59,7 @@ def lines_of(stream: IO[Any], within_s: float) -> Iterator[str]:
 
 
 def killed(child: subprocess.Popen[Any] | Started, within_s: float = PATIENCE_S) -> str:
-    """Kill a process unless it has ended; return its unread output.
+    """Kill a process if it has not ended; return its unread output.
 
     If a child of the process keeps the pipes open, the reading ends by a time-out and the pipes are closed.
     """
@@ -75,7 +75,7 @@ def killed(child: subprocess.Popen[Any] | Started, within_s: float = PATIENCE_S)
 
 
 def gone(pid: int, within_s: float = PATIENCE_S) -> bool:
-    """Wait at most this time for the end of a process; return whether it has ended."""
+    """Wait for the end of a process with a time-out; return whether the process has ended."""
 
     def ended() -> bool:
         try:

@@ -1,4 +1,4 @@
-"""Imports all modules of flying subcommands, in the process from which the tests' processes are forked."""
+"""Imports all modules of subcommands that fly; the processes of the tests are forked from this process."""
 
 import os
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""Loopback ports for servers that start later; until the start no other process can take them."""
+"""Reserves loopback ports for servers that start later; until then no other process can use these ports."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import socket
 
 from flightstack.common.processes import Port
 
-_KEPT: list[Port | socket.socket] = []  # reserved until this worker ends, because a server may restart
+_KEPT: list[Port | socket.socket] = []  # reserved until this worker ends; a server may restart
 
 
 def free_port(*, udp: bool = False) -> int:

@@ -1,4 +1,4 @@
-"""Starts processes of tests by forks of a process that has loaded all modules, which saves their start time.
+"""Starts processes of tests as forks of a process in which all modules are loaded, which saves time.
 
 ``Flying``, the commands of the docs and ``subprocess`` start new programs, as users do.
 """
@@ -105,7 +105,7 @@ class Started:
 
 
 class StartedChild(Child):
-    """A ``Child`` that is started as ``Started``, because test workers have threads and must not fork."""
+    """A ``Child`` that is forked by ``Started``, because a test worker has threads and must not fork."""
 
     def _program(self, arguments, program, works_in, errors):
         if program is not None:
@@ -121,7 +121,7 @@ def _begin(
     run: Callable[..., object], given: Sequence[Any], about: tuple[Path, dict[str, str], int],
     output: Connection, errors: Connection,
 ) -> None:  # fmt: skip
-    """Turn the forked child into an independent process, and run the function."""
+    """Make the forked child independent of its parent, and run the function."""
     folder, environment, nice = about
     os.setpriority(os.PRIO_PROCESS, 0, nice)
     leave_parent(output.fileno(), errors.fileno())

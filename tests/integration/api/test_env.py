@@ -12,7 +12,7 @@ NAME = "flightstack.api.env:flightstack/Landing-v0"
 
 
 def flown(env, seed, action=None):
-    """Fly one seed with an agent; return the rewards of all steps, and the last info."""
+    """Fly one seed with an agent; return the rewards of all steps and the last info dictionary."""
     env.reset(seed=seed)
     rewards, over = [], False
     while not over:
@@ -37,7 +37,7 @@ def test_the_built_in_policy_flies_as_land_does_bit_by_bit(name):
 
 @pytest.mark.parametrize("name", [None, "paper", "robust"])
 def test_an_agent_sees_and_flies_the_same_without_compiled_ticks(name, monkeypatch):
-    """The agent acts once per tick, also if Python has to repeat the tick after the action."""
+    """States and rewards are equal with compiled ticks, also if Python repeats a tick after the action."""
 
     def seen():
         env, rng = fs.make_env("storm", filter=name), np.random.default_rng(4)
@@ -81,8 +81,8 @@ def test_an_agent_without_a_filter_violates_and_with_one_does_not():
     rewards, bare = flown(fs.make_env("lab"), 1, down)
     _, safe = flown(fs.make_env("lab", filter="robust"), 1, down)
     assert bare["violation"]
-    assert min(rewards[:-1]) < -0.09  # ticks below the barrier give a negative reward
-    assert rewards[-1] <= -10.0  # the last reward shows the crash
+    assert min(rewards[:-1]) < -0.09  # a tick below the barrier has a negative reward
+    assert rewards[-1] <= -10.0  # -10 is the reward of a crash
     assert safe["violation"] is False
 
 

@@ -1,4 +1,4 @@
-"""Tests filters of a user: one method is enough, they fly and replay, and must return a velocity."""
+"""Tests users' filters: one method is enough, they fly and replay, and their result must be a velocity."""
 
 import re
 from copy import deepcopy
@@ -72,7 +72,7 @@ def test_at_has_barrier_limits_and_states():
         assert (safe >= at.lower_m_s).all()
         assert (safe <= at.upper_m_s).all()
         assert at.gradient.shape == at.velocity_enu_m_s.shape == at.target_velocity_enu_m_s.shape == (3,)
-    paper = fs.land("lab", 3, filter="paper")  # the paper's filter equals the base class, except for rounding
+    paper = fs.land("lab", 3, filter="paper")  # but for rounding, the base class flies as the paper's
     both = slice(0, 200)
     assert np.allclose(landing.log.h_m[both], paper.log.h_m[both], atol=1e-4, equal_nan=True)
 
@@ -160,7 +160,7 @@ def test_a_wrong_class_or_state_is_one_clear_line(tmp_path):
         def filter(self, nominal, at):
             return nominal
 
-    assert fs.land("lab", filter=Untyped).verdict is not None  # without a log, its source text is not needed
+    assert fs.land("lab", filter=Untyped).verdict is not None  # no log, so its source text is not needed
 
 
 @pytest.mark.parametrize("verb", ["onboard", "fly"])
@@ -173,6 +173,6 @@ def test_a_real_vehicle_flies_it_only_if_told_that_nothing_is_proven(tmp_path, v
     refused = f"filter {SMOOTH} has no certificate of its own; --unproven flies it"
     assert refused in " ".join(done.err.split())
     flown = flightstack(*words, "--unproven")
-    assert flown.code == 1  # no vehicle answers before the time limit
+    assert flown.code == 1  # within the time limit no vehicle answers
     assert "no heartbeat" in flown.out
     assert verb == "onboard" or f"config mine, filter {SMOOTH}" in flown.out

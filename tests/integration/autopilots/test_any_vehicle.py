@@ -19,7 +19,7 @@ from tests.flight_suite.room import Fence, Lost, given, on_px4, simulated
 from tests.integration.runs import flightstack
 
 pytestmark = pytest.mark.vehicle
-STANDING_M_S = 0.15  # largest estimated speed of a vehicle that stands on the ground, m/s
+STANDING_M_S = 0.15  # largest estimated speed with which a vehicle counts as standing, m/s
 STOPPED_S = 2.0  # time-out from the emergency stop to motors off, s
 AWAY_M_S = 0.3  # speed at which the pilot flies away from the start, m/s
 FLIGHT_MAX_S = 90.0
@@ -90,7 +90,7 @@ def test_takes_off_holds_follows_set_points_and_lands(pilot, room):
     turned = pilot.own.position_enu_m
     pilot.fly_for("south", (0.0, -limits.step_m_s, 0.0), limits.step_s)
     back = pilot.own.position_enu_m
-    moved_m = (2.0 * turned[1] - held[1] - back[1]) / 2.0  # this combination removes a constant drift
+    moved_m = (2.0 * turned[1] - held[1] - back[1]) / 2.0  # without the effect of a constant drift
     least, most = limits.moved_share
     assert least < moved_m / (limits.step_m_s * limits.step_s) < most, f"moved {moved_m:.2f} m"
     pilot.fly_for("stop", ZERO, 2.0)
@@ -139,7 +139,7 @@ def test_follows_and_lands_on_the_target(room):
     assert down(room)
 
 
-# the fault grid and test_stops.py cover the other phases with the simulated vehicle
+# with the simulated vehicle, the fault grid and test_stops.py cover the other phases
 @pytest.mark.arms
 @pytest.mark.parametrize(
     "phase", ["TAKEOFF", *(pytest.param(p, marks=pytest.mark.given) for p in ("APPROACH", "LAND"))]
@@ -166,7 +166,7 @@ def test_a_killed_companion_leaves_a_safe_vehicle(room, phase):
 
 
 def left_alone(room) -> None:
-    """Observe a vehicle that gets no set-points until it has reached a safe state."""
+    """Observe a vehicle that gets no set-points, until it is in a safe state."""
     with Pilot(room) as pilot:
         pilot.connect()
         pilot.watch("safe state", lambda: safe(pilot), pilot.limits.lost_s)

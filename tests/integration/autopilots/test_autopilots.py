@@ -25,7 +25,7 @@ from tests.px4_place import px4_or_skip
 
 @contextmanager
 def vehicle_process(*arguments):
-    """Run ``flightstack vehicle``, disarmed on the ground; yield the process and the URL to connect to."""
+    """Run ``flightstack vehicle``, disarmed on the ground; yield the process and its URL for a client."""
     words = ("vehicle", "--scenario", "paper_moving_1", "--url", "udpin:127.0.0.1:0", *arguments)
     with verb(*words, within_s=WALL_MAX_S) as (child, ready):
         yield child, ready.split()[1].replace("udpin", "udpout")
@@ -104,7 +104,7 @@ def test_arducopters_program_is_started_and_flown_over_tcp(tmp_path):
     scenario = load("grid")
     there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     config, still = tmp_path / "config.toml", tmp_path / "still.toml"
-    checks = replace(scenario.onboard.checks, wait_time_max_s=150.0)  # a busy machine starts slowly
+    checks = replace(scenario.onboard.checks, wait_time_max_s=150.0)  # a busy machine is slow to start
     config.write_text(dumps(replace(scenario.onboard, vehicle=there, checks=checks)))
     target = replace(scenario.target, path=PathKind.STILL, speed_m_s=0.0)
     still.write_text(text(replace(scenario, name="still", target=target)))
@@ -161,7 +161,7 @@ def test_what_does_not_go_together_is_refused(tmp_path, words, said):
     assert said in done.err
     files = []
     for each in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):  # the other end may have closed the connection
+        with suppress(OSError):  # the descriptor may be closed by now
             files.append(str(each.readlink()))
     assert files
     assert not [name for name in files if "flightstack-px4-" in name]  # all instance numbers are released

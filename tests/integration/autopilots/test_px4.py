@@ -1,8 +1,8 @@
 """Tests the real PX4 program, if it is found, as a child process, and its flights to a driving robot.
 
 One PX4 flies all of them, because its start takes as long as a flight; after a landing the vehicle takes off
-from the robot's pad. The position comes from motion capture: with satellites PX4 does
-not arm on a driving robot ("GPS Horizontal Pos Drift too high").
+from the robot's pad. The position comes from motion capture, because with satellites PX4 does not arm on a
+driving robot ("GPS Horizontal Pos Drift too high").
 """
 
 import contextlib
@@ -30,7 +30,7 @@ from tests.processes.bounded import AT_ONCE_S, wait_for
 from tests.processes.started import StartedChild
 from tests.px4_place import px4_or_skip
 
-# the worker of "stream 0" is the only one that flies the real PX4
+# only the worker of "stream 0" flies the real PX4
 pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("stream 0")]
 
 
@@ -40,7 +40,7 @@ def instance():
 
 
 def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_room(tmp_path):
-    """PX4 gets its position from motion capture here, and from satellites in test_autopilots.py."""
+    """PX4 gets positions from motion capture; a test in test_autopilots.py uses satellites instead."""
     scenario = load("grid")
     wanted = parameters(params.load(scenario.vehicle.airframe), scenario.vehicle.mocap)
     with on_px4(tmp_path, px4_or_skip(), "grid", 0, mocap=True) as room:
@@ -105,7 +105,7 @@ CARRIED_S = 2.0  # time after motors off for which the vehicle must remain on th
 
 
 def scenario_file(folder):
-    """Write scenario ``large`` with short distances, for flights below twenty seconds; return its path."""
+    """Write scenario ``large`` with short distances, so that flights last below 20 s; return its path."""
     large = load("large")
     start = replace(large.start, offset_m=(-1.0, 0.5, 1.1))
     short = replace(

@@ -1,6 +1,6 @@
 """Tests MAVProxy (typed lines) and MAVSDK (the program of docs/how_to/clients.md) with the vehicle process.
 
-An independent client observes the vehicle. Every wait has a time-out and ends on printed output or telemetry.
+An independent client observes the vehicle. Each wait ends with printed output or telemetry, or by a time-out.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000  
 LEG_M, SPEED_M_S = 0.5, 0.3
 WEST, NORTH = (lambda m: -m.y), (lambda m: m.x)  # the nose points east: west is back, north is left
 OFFBOARD_LINE = "long DO_SET_MODE 157 6 0"
-# typed line; awaited output, or coordinate that must grow by LEG_M; line typed repeatedly meanwhile
+# typed line; expected output, or coordinate that must grow by LEG_M; line that is repeated until then
 STEPS = (
     ("param set COM_OF_LOSS_T 2", r"COM_OF_LOSS_T = 2\.0", "param fetch COM_OF_LOSS_T"),
     ("param set MPC_XY_P 55", "AP: MPC_XY_P: 55, allowed 0.1 to 2", None),
@@ -72,7 +72,7 @@ class Observer(Client):
         return [m for m in self.log if m.get_type() == name]
 
     def changes(self, value) -> list:
-        """Return the successive values of a heartbeat field, without repetitions."""
+        """Return the values of a heartbeat field in order, without those equal to the one before."""
         values = [value(m) for m in self.all("HEARTBEAT")]
         return [v for n, v in enumerate(values) if n == 0 or v != values[n - 1]]
 
@@ -131,7 +131,7 @@ class Program:
 
 
 def shape(line: str) -> str:
-    """Return a line with # for each number."""
+    """Return a line with each number replaced by #."""
     return re.sub(r"-?\b[\d.]+", "#", line)
 
 

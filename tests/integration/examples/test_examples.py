@@ -46,7 +46,7 @@ def run(name, *words, cwd=ROOT):
 
 @contextmanager
 def running(name, *words):
-    """Run an example, and end it by Ctrl-C at the end of the context; it must print no error."""
+    """Run an example and end it by Ctrl-C; its exit status must be 0, and it must print no error."""
     child = subprocess.Popen([sys.executable, EXAMPLES / name, *words], cwd=ROOT, stderr=subprocess.PIPE)
     try:
         yield child
@@ -144,7 +144,7 @@ def test_the_target_drives_a_circle_and_says_so():
             wait_for(enough, "60 samples")
         finally:
             session.close()
-    messages = [decode(ODOMETRY, sample.payload) for sample in samples]  # an independent codec
+    messages = [decode(ODOMETRY, sample.payload) for sample in samples]  # codec of another project
     assert {b.sequence - a.sequence for a, b in pairwise(samples)} == {1}
     times_s = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages]
     places = [(m.pose.pose.position.x, m.pose.pose.position.y) for m in messages]
@@ -153,7 +153,7 @@ def test_the_target_drives_a_circle_and_says_so():
         assert math.hypot(x, y - 1.0) == pytest.approx(1.0)
     way_m = sum(math.dist(a, b) for a, b in pairwise(places))
     assert way_m / (times_s[-1] - times_s[0]) == pytest.approx(0.5, rel=0.02)
-    # the simulated pad follows the same circle; the first or last message may be lost
+    # the deck follows the same circle; its first or last message may be lost
     assert len({pad.position_enu_m[:2] for pad in pads} & set(places)) >= 50
     last = messages[-1]
     heading_rad = 2.0 * math.atan2(last.pose.pose.orientation.z, last.pose.pose.orientation.w)
@@ -186,7 +186,7 @@ def blocks(language):
         yield from ((f"{page.relative_to(ROOT)}-{n}", text) for n, text in enumerate(found))
 
 
-# other blocks need a vehicle; MAVSDK's program and the subscriber of a flight have their own tests
+# other blocks need a vehicle; the programs for MAVSDK and for subscribers have their own tests
 LIBRARY = {name: text for name, text in blocks("python") if "import flightstack as fs" in text}
 TABLES = dict(blocks("toml"))
 

@@ -36,7 +36,7 @@ def untimed(folder):
     return [row.untimed() for row in read_rows(folder / "rows.csv")]
 
 
-shared = pytest.mark.xdist_group("campaign")  # one test worker runs this group, so the campaign flies once
+shared = pytest.mark.xdist_group("campaign")  # one test worker runs this group, so the campaign is flown once
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_the_command_of_a_seed_repeats_it(whole, tmp_path):
 
 
 def begun(folder, *arguments):
-    """Return a campaign that runs in the background and has flown two landings."""
+    """Start a campaign in the background; return it after its second landing."""
     running, path = Background("campaign", *arguments, "--out", folder), folder / "rows.csv"
 
     def some():
@@ -102,7 +102,7 @@ def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
     longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # more landings than can end before the signal
     running = begun(tmp_path, *longer, "--workers", 2)
     workers = running.pids()
-    # otherwise the campaign could end before the second campaign starts
+    # otherwise the first campaign could end before the second one starts
     running.process.send_signal(signal.SIGSTOP)
     second = called("campaign", *longer, "--out", tmp_path)
     running.process.send_signal(number)
@@ -197,7 +197,7 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.fixture
 def elsewhere(tmp_path):
-    """Return a working folder with a copy of the example's filter under another module name."""
+    """Return a working folder that contains the filter of the examples under another module name."""
     shutil.copy(ROOT / "examples" / "own_boundary.py", tmp_path / "mine.py")
     return tmp_path
 
@@ -231,7 +231,7 @@ PAPER_RUNS = 10  # landings with the paper's filter; enough for a median
 
 
 def rows_of(tier, runs, filter_name):
-    """Fly the campaign's scenario with the seeds 0 to ``runs`` - 1 in this process; return the rows."""
+    """Fly a tier's campaign with the seeds 0 to ``runs`` - 1 in this process; return its rows."""
     scenario = plan(tier.value, runs, 0, filter_name).scenario
     return [row_of(land(scenario, seed)) for seed in range(runs)]
 

@@ -82,7 +82,7 @@ def test_help_lists_every_verb_with_a_line_in_its_group():
         elif title in GROUPS and line.strip():
             name, *words = line.split()
             assert words, name
-            assert words[-1].endswith("."), name  # a complete sentence on one line
+            assert words[-1].endswith("."), name  # one line with a full sentence
             found.setdefault(title, []).append(name)
     assert found == {title: list(verbs) for title, verbs in GROUPS.items()}
 
@@ -155,7 +155,7 @@ def test_the_papers_scenarios_pass_the_papers_checks(name):
 def test_a_package_of_another_project_with_the_same_name_is_named(name, tmp_path):
     (tmp_path / name).mkdir()
     (tmp_path / name / "__init__.py").touch()
-    program = (  # imports as after an installation from a wheel, without the editable hook
+    program = (  # the imports are those of an installed wheel, not of the editable hook
         "import sys; sys.meta_path[:] = [f for f in sys.meta_path if '__editable__' not in f.__module__]\n"
         f"sys.path[:0] = [{str(tmp_path)!r}]; sys.path.append({str(ROOT)!r})\n"
         "from flightstack.cli.main import main\n"
@@ -204,7 +204,7 @@ def test_the_simulated_crazyflie_is_identified_from_its_flights(flights):
     assert table["envelope"]["target_rate_hz"] == odometry.rate_hz
     loop = table["velocity_loop"]
     for key, axis in (("lag_xy_s", 0), ("lag_z_s", 2)):
-        # short flights with gusts over MAVLink; the motor lags of the vehicles differ by 20 %
+        # the flights are short, with gusts and over MAVLink; the motor lags of the vehicles differ by 20 %
         assert loop[key] == pytest.approx(step_lag_s(axis), rel=0.3)
     whole = {name: {**values} for name, values in to_table(config()).items() if isinstance(values, dict)}
     for section, values in table.items():

@@ -1,4 +1,4 @@
-"""Tests the log after the kill of any process, and with a full disk: it is readable, with bounded losses."""
+"""Tests logs after the kill of a process, and on a full disk: readable, with few lost messages."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from tests.integration.runs import Flying, flightstack, kill
 from tests.processes.bounded import gone, wait_for
 
 NS = 1e9
-# ``WHEN_S``: range of the wall time from log size PAST_APPROACH_BYTES to the kill, s; key: lockstep. The kill
-# is late enough for a replay, and before the end of the flight.
+# ``WHEN_S``: range of the wall time from log size PAST_APPROACH_BYTES to the kill, s, by lockstep. The log is
+# then long enough for a replay, and the flight has not ended.
 PAST_APPROACH_BYTES = 1_200_000  # smallest log size at the kill; the approach starts at 980,000 bytes
 WHEN_S = {False: (0.7, 8.0), True: (0.3, 0.8)}
-# Topic that a victim logs. None: any topic, because the end of recorder or launcher ends all logging.
+# Topic whose last message shows a victim's loss. None: any topic, because all logging ends with the victim.
 OWN_TOPIC = {
     "world": "/cf1/sim/truth", "onboard-cf1": "/cf1/controller/step", "record": None, "launcher": None,
 }  # fmt: skip
@@ -41,7 +41,7 @@ class Crash:
 
 
 def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float = 1.0) -> Crash:
-    """Fly, kill the victim after a random wait times ``sooner``, and read the log."""
+    """Fly, kill the victim after a random time multiplied by ``sooner``, and read the log."""
     wires = ["--lockstep"] if lockstep else []
     run = Flying(folder, "--scenario", "paper_moving_1", "--seed", seed, *wires)
     try:
@@ -50,7 +50,7 @@ def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float
         wait_for(lambda: log.stat().st_size > PAST_APPROACH_BYTES, "a log that grows")
         children = run.children()
         assert set(children) == {"record", "world", "onboard-cf1"}
-        # the moment is random on purpose; this sleep waits for no event
+        # the moment of the kill is random on purpose; no event is awaited here
         time.sleep(sooner * random.Random(f"{victim} {seed} {lockstep}").uniform(*WHEN_S[lockstep]))
         pid = run.process.pid if victim == "launcher" else children[victim]
         killed_s = time.time()

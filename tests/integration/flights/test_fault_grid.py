@@ -1,6 +1,6 @@
 """Tests that cells of the fault grid meet its requirements and equal docs/reference/fault_grid.md.
 
-For each part and kind of failure one cell is flown, and the moments take turns; ``python -m tests.benchmarks
+One cell is flown for each part and kind of failure, with the moments in turn; ``python -m tests.benchmarks
 fault_grid`` flies all cells.
 """
 
@@ -24,7 +24,7 @@ CELLS = {
     (part, way, MOMENTS[(i + j) % len(MOMENTS)]) for i, part in enumerate(Part) for j, way in enumerate(Way)
 }
 GROUPS = sorted({(part, moment) for part, _, moment in CELLS}, key=str)
-# tolerances of the columns in s, s and m, because other processors round differently
+# tolerances of the three columns (s, s, m), because other processors round differently
 TOLERANCES = (0.1, 0.5, 0.01)
 _FIRST_NUMBER = 5  # number of the first column with numbers in the page's tables
 
@@ -33,7 +33,7 @@ _FIRST_NUMBER = 5  # number of the first column with numbers in the page's table
 def compiled():
     warm_up(scenario())
     gc.collect()
-    gc.freeze()  # garbage collections after each cell skip the loaded modules
+    gc.freeze()  # later garbage collections skip all modules that are loaded
     yield
     gc.unfreeze()
 
@@ -50,7 +50,7 @@ def test_the_grid_is_whole():
 
 
 def written(part: Part) -> dict[tuple[str, str], list[str]]:
-    """Return the table rows of a section, split into cells; key: kind of failure and moment."""
+    """Return the rows of a part's table as cells, by kind of failure and moment."""
     text = PAGE.read_text().partition(f"\n## {part[0].upper()}{part[1:]}\n")[2].partition("\n## ")[0]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if "|" in line]
     return {(cells[0], cells[1]): cells for cells in rows[2:]}
@@ -81,7 +81,7 @@ def test_ways_to_fail_end_as_demanded_and_as_the_page_says(part, moment):
 
 
 def same(old: list[str], fresh: list[str]) -> bool:
-    """Whether two rows are equal; numbers are compared with the tolerance."""
+    """Whether two rows have equal texts, and numbers that are equal within the tolerances."""
     numbers = range(_FIRST_NUMBER - 1, _FIRST_NUMBER + 2)
     words = [i for i in range(len(fresh)) if i not in numbers]
     if [old[i] for i in words] != [fresh[i] for i in words]:

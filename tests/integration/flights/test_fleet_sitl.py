@@ -22,7 +22,7 @@ NAMES = ["cf1", "cf2", "cf3"]
 
 @pytest.fixture(scope="module")
 def wired(flown):
-    """Fly a team as separate processes in lockstep; return the finished run."""
+    """Fly a team in lockstep, each member in its own process; return the finished run."""
     done = flown(TEAM, SEED)
     assert done.code == 0, done.out + done.err
     return done
@@ -35,7 +35,7 @@ def fleet(wired):
 
 @pytest.fixture(scope="module")
 def direct():
-    """Fly this team in one process; return its result, and the commands of all members, tick by tick."""
+    """Fly the same team in one process; return its result, and the commands of all members at each tick."""
     commands = []
 
     def keep(_, out):
@@ -114,11 +114,11 @@ def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path):
     fleet = load_fleet(tmp_path / "out" / "flight.mcap")
     verdict = judge_fleet(fleet)
     assert verdict.collisions == verdict.ellipsoid_violations == 0
-    # a vehicle lands next to its pad if the silent vehicle may be too close to the pad
+    # a vehicle may land beside its pad, if the silent vehicle may be too close to this pad
     for name in ("cf1", "cf3"):
         assert verdict.members[name].outcome in (Outcome.LANDED, Outcome.ABORTED), verdict.members[name]
         assert fleet.flights[name].phase_spans()[-1][0] in (Phase.LANDED, Phase.ABORT)
-    assert not fleet.flights["cf2"].truth.motors_running[-1]  # the autopilot of cf2 has landed the vehicle
+    assert not fleet.flights["cf2"].truth.motors_running[-1]  # its autopilot landed the vehicle
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.xdist_group("real-time")
 
 @contextmanager
 def theirs(folder):
-    """Run vehicle and robot as separate processes; yield the options that connect to them."""
+    """Run vehicle and robot as separate processes; yield the options of ``fly`` for both."""
     with simulated(folder) as room:
         yield [
             "--vehicle", room.url, "--target", room.target_key, "--connect", *room.connect,
@@ -38,7 +38,7 @@ def test_lands_records_judges_and_reports(tmp_path):
     assert done.code == 0, done.err
     found = done.json
     assert LogFile(found["log"]).single().metadata()["onboard"]["core"] == "compiled"
-    assert replayed(found["log"])["compared"] > 500  # ticks, replayed by interpreted Python
+    assert replayed(found["log"])["compared"] > 500  # ticks, which interpreted Python repeats
     assert found["outcome"] == "landed"
     assert found["judged_from"] == "estimate"
     assert found["touchdown_error_m"] <= 0.10
@@ -116,7 +116,7 @@ STAMP_NS = 1_700_000_000_000_000_000
 
 
 def config(folder, wait_s):
-    """Write the package's Crazyflie configuration with this ``wait_time_max_s``; return its path."""
+    """Write the package's configuration ``crazyflie`` with this ``wait_time_max_s``; return its path."""
     text, n = re.subn(
         r"^wait_time_max_s = .*$", f"wait_time_max_s = {wait_s:.1f}",
         (ROOT / "flightstack" / "config" / "crazyflie.toml").read_text(), flags=re.MULTILINE,

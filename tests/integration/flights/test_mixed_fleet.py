@@ -57,7 +57,7 @@ def places(log):
 
 
 def least_rho(one, other, fleet):
-    """Return the smallest ellipsoid norm between two members, from the reported positions."""
+    """Return the smallest ellipsoid norm between two members, computed from the reported positions."""
     t = np.arange(max(one[0, 0], other[0, 0]), min(one[-1, 0], other[-1, 0]), 0.02)
     x, y, z = (np.interp(t, one[:, 0], one[:, k]) - np.interp(t, other[:, 0], other[:, k]) for k in (1, 2, 3))
     return float(np.sqrt((x * x + y * y) / fleet.radius_xy_m**2 + z * z / fleet.radius_z_m**2).min())

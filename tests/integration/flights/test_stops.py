@@ -32,10 +32,10 @@ from tests.integration.wires.bridge_processes import KEY, Mocap, fly, plain_vehi
 from tests.processes.bounded import PATIENCE_S, wait_for
 
 STOPPED_S = 0.3  # time-out from the emergency stop to motors off, s
-# fault that causes the phases that an undisturbed flight does not have
+# fault that leads to the phases which a flight without faults does not have
 LOST = Fault(What.TARGET_ODOMETRY, Kind.OFF)
 AT_ONCE, LATER_S = 0.0, 0.3
-# moments of the request: phase, and time since its start, s
+# moments of the request: phase, and time since the start of this phase, s
 MOMENTS = [
     (Phase.WAIT, AT_ONCE), (Phase.TAKEOFF, AT_ONCE), (Phase.TAKEOFF, 3.0), (Phase.APPROACH, LATER_S),
     (Phase.LAND, LATER_S), (Phase.TOUCHDOWN, AT_ONCE), (Phase.LANDED, LATER_S), (Phase.HOLD, LATER_S),
@@ -58,7 +58,7 @@ def compiled():
 
 
 def fly_and_ask(asked: Operator, phase: Phase, after_s: float):
-    """Fly, and make the operator's request this time after the start of a phase."""
+    """Fly, and make the operator's request ``after_s`` after the start of a phase."""
     since = []
 
     def moment(flight: Flight) -> bool:
@@ -79,7 +79,7 @@ def named(moments):
 
 @pytest.mark.parametrize(("phase", "after_s"), MOMENTS[2::2], ids=named(MOMENTS[2::2]))
 def test_the_emergency_stop_stops_the_motors_in_flight(phase, after_s):
-    """Some phases are tested in flight; tests/unit/core/mission/test_phases.py tests every phase."""
+    """Some phases are flown; tests/unit/core/mission/test_phases.py tests all phases without flights."""
     flown = fly_and_ask(Operator.EMERGENCY_STOP, phase, after_s)
     assert flown.phases[-1] is (Phase.LANDED if phase is Phase.LANDED else Phase.ABORT)
     assert not flown.truth.motors_running[-1]
@@ -131,7 +131,7 @@ ARMED = 128
 def test_an_onboard_process_whose_terminal_closes_flies_clear_and_lands(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_1", "--lockstep")
     run.until("-> APPROACH")
-    for _ in range(3):  # repeated SIGHUP does not count as a second Ctrl-C
+    for _ in range(3):  # a repeated SIGHUP is not a second Ctrl-C
         os.kill(run.children()["onboard-cf1"], signal.SIGHUP)
     run.until("-> ABORT")
     assert run.end() == 1
@@ -148,7 +148,7 @@ TAKES_ITS_TERMINAL = (
 
 
 def on_a_terminal(arguments):
-    """Start a subcommand as session leader on a new terminal; return the process and our end of it."""
+    """Start a subcommand as leader of a new terminal; return the process and the terminal's other end."""
     ours, theirs = pty.openpty()
     child = subprocess.Popen(
         [sys.executable, "-c", TAKES_ITS_TERMINAL, *COMMAND, *arguments],
@@ -193,7 +193,7 @@ def beat(vehicle, base_mode):
 
 @contextmanager
 def mocap_bridge():
-    """Run a motion-capture bridge, up to its first pose for an armed vehicle; yield vehicle and bridge."""
+    """Run a motion-capture bridge until an armed vehicle has its first pose; yield vehicle and bridge."""
     with (
         Mocap(KEY, lambda: ((1.0, 2.0, 0.5), (1.0, 0.0, 0.0, 0.0))) as mocap,
         plain_vehicle(12) as vehicle,

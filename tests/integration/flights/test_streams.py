@@ -1,4 +1,4 @@
-"""Tests closed or full output streams: the process does its work and has the right exit status."""
+"""Tests closed and full output streams: the process still does its work and returns the right exit status."""
 
 import os
 import subprocess
@@ -21,7 +21,7 @@ WALL_MAX_S = 240.0
 
 
 def gone():
-    """Return the writing end of a pipe without a reader."""
+    """Return the writing end of a pipe whose reading end is closed."""
     reads, writes = os.pipe()
     os.close(reads)
     return writes

@@ -16,7 +16,7 @@ from tests.integration.runs import called
 
 
 def validate(folder, out, *options, code=None):
-    few = len(list(folder.iterdir())) < 20  # runs in this process, in which everything is compiled
+    few = len(list(folder.iterdir())) < 20  # few flights run in this process, in which all is compiled
     workers = ("--workers", 1) if few else ()
     done = called("validate", folder, "--json", "--out", out, *workers, *options)
     assert "Traceback" not in done.err
@@ -28,7 +28,7 @@ def validate(folder, out, *options, code=None):
 
 
 def table():
-    """Return the columns of the short flight as arrays that may be changed."""
+    """Return the columns of the short flight as arrays, which a test may change."""
     read = pa.parquet.read_table(recorded.PIECE)
     return {name: np.array(read[name]) for name in read.column_names}
 
@@ -60,7 +60,7 @@ BAD = {
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory):
-    """Return the result of ``validate`` on a good flight, one with a gap, and all kinds of bad ones."""
+    """Return the result of ``validate`` on a good flight, one with a gap, and one flight of each bad kind."""
     folder = tmp_path_factory.mktemp("mixed")
     shutil.copy(recorded.PIECE, folder / "good.parquet")
     write(folder / "hole.csv", changed(["qx"], nan_for_a_while))

@@ -30,7 +30,7 @@ APART = ("target", "vehicle", "fly")
 RUN_HERE = ("scenarios", "sitl", "report", "compare", "replay", "check", "campaign", "python")
 
 
-# pages whose commands use output of earlier pages in ``runs/``; every other page is independent
+# pages whose commands share the folder ``runs/``, in this order; every other page is independent
 STORY = ("README.md", "first_flight.md", "report.md")
 
 
@@ -49,7 +49,7 @@ def verb(command):
 
 
 def run(command, cwd):
-    """Run one command in a folder whose .venv is that of the tests."""
+    """Run one command in a folder; the folder has links to the .venv of the tests, docs and examples."""
     if not (cwd / ".venv").exists():
         (cwd / ".venv").symlink_to(BIN.parent)
         for folder in ("docs", "examples"):
@@ -75,12 +75,12 @@ def run_each(chosen, cwd):
 
 
 def run_here(pages):
-    """Return the commands that a test can run unchanged in a short time, without duplicates."""
+    """Return the commands, without duplicates, that a test can run unchanged and in a short time."""
     return [*dict.fromkeys(c for c in commands(pages) if verb(c) in RUN_HERE and not real_time(c))]
 
 
 def stories():
-    """Return groups of pages whose commands share a folder: the dependent pages, then each other page."""
+    """Return the groups of pages whose commands share a folder: those of ``STORY``, then each other page."""
     told = [page for name in STORY for page in PAGES if page.name == name]
     return [told, *([page] for page in PAGES if page not in told and run_here([page]))]
 
@@ -113,7 +113,7 @@ def test_the_parts_apart_land(tmp_path):
                     shlex.split(command), cwd=tmp_path, stdout=subprocess.PIPE, stderr=text, text=True
                 )
             )
-            if name == "vehicle":  # the target prints ready when a client has subscribed
+            if name == "vehicle":  # the target is ready only after a client has subscribed
                 ready = line_of(running[-1].stdout)
                 assert ready.startswith("ready"), (tmp_path / f"{name}.txt").read_text()
         said, _ = running[-1].communicate(timeout=WALL_MAX_S)

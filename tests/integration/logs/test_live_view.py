@@ -1,4 +1,4 @@
-"""Tests which data the live 3-D scene draws and rejects; a viewer that hangs must not delay a process."""
+"""Tests which data the live 3-D scene shows and rejects, and that a viewer that hangs delays no process."""
 
 import contextlib
 import itertools
@@ -27,12 +27,12 @@ CONFIG = ROOT / "flightstack" / "config" / "sitl-1kg.toml"
 KEYS = ("controller/step", "loop/timing")
 PAD_RADIUS_M = 0.5  # radius of the pad in the configuration, m
 ROWS = landing().steps[::5]  # rows at 20 Hz, the published rate
-PUTS = 2000  # number of samples, more than all queues hold
+PUTS = 2000  # number of samples; more than fit into all queues
 PUT_TIME_MAX_S = 0.01
 
 
 def entities(path):
-    """Return two dictionaries by entity: the number of rows with a time, and the names of all columns."""
+    """Return, by entity, the number of rows with a time, and the names of all columns."""
     rows, columns = Counter(), {}
     for chunk in RrdReader(path).store().stream().to_chunks():
         rows[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
@@ -62,7 +62,7 @@ def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
 
 @pytest.fixture
 def sender():
-    """Provide publishers like those of the onboard process, and their Zenoh endpoint."""
+    """Yield publishers like those of the onboard process, and their Zenoh endpoint."""
     port = Port()
     session = zenoh_link.open_session([port.endpoint], [])
     yield {key: zenoh_link.dropping_publisher(session, f"cf1/{key}") for key in KEYS}, port.endpoint
@@ -94,7 +94,7 @@ def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching)
         row, timing = next(flight)
         puts["controller/step"].put(row.pack())
         puts["loop/timing"].put(timing.pack())
-        time.sleep(0.02)  # at most 50 Hz, because a slow viewer drops old data
+        time.sleep(0.02)  # 50 Hz or less, because a slow viewer drops old data
         sizes.add(out.stat().st_size)
         return len(sizes) > 20
 
@@ -178,5 +178,5 @@ def test_sitl_shows_the_flight_and_flies_as_without(tmp_path):
     assert done.code == 0, done.err
     assert done.json["outcome"] == "landed"
     rows, columns = entities(out)
-    assert rows["/world/vehicle"] > 0  # only > 0: lockstep is faster than the viewer, which drops old data
+    assert rows["/world/vehicle"] > 0  # lockstep is faster than the viewer, which drops old data
     assert "/world/target_pad/barrier" in columns

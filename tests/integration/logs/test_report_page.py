@@ -23,7 +23,7 @@ BROWSER_LIMIT_S = 180
 
 
 def find_chromium():
-    """Return the path in the variable CHROMIUM, else that of a browser on the search path, else None."""
+    """Return the path in the variable CHROMIUM, or else a browser on the search path; None: no browser."""
     named = os.environ.get("CHROMIUM")
     return named if named else next((path for name in BROWSERS if (path := shutil.which(name))), None)
 
@@ -37,7 +37,7 @@ def browse(tmp_path):
         )
 
     def opened(page, place=""):
-        """Return the page after its scripts ran, and its console output."""
+        """Return the page as it is after its scripts have run, and the lines of the browser's console."""
         result = subprocess.run(
             [
                 browser, "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
@@ -59,7 +59,7 @@ def report_of(log, out=None):
 
 
 class Page(HTMLParser):
-    """Classes and attributes of the elements of the page, without scripts."""
+    """Collects classes, attributes, links and text of a page, without its scripts."""
 
     def __init__(self, text):
         super().__init__()
@@ -89,7 +89,7 @@ class Page(HTMLParser):
 
 
 def errors(console):
-    """Return the console lines about problems; performance hints are ignored."""
+    """Return the lines of the console that report a problem; performance hints are no problem."""
     return [
         line for line in console if re.search(r"error|exception|refused|violat|failed", line, re.IGNORECASE)
     ]

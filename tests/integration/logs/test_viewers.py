@@ -42,7 +42,7 @@ def log(flown):
 
 @pytest.fixture(scope="module")
 def bag(log):
-    """Return, by topic, the log time in ns and the content of each message, decoded by rosbags."""
+    """Return, by topic, the log time, ns, and the content of each message, as rosbags decodes them."""
     found: dict[str, list] = {}
     with AnyReader([log]) as reader:
         for connection, log_time_ns, data in reader.messages():
@@ -56,7 +56,7 @@ def vector(v):
 
 
 def test_own_odometry_is_what_the_vehicle_sent(bag):
-    """LOCAL_POSITION_NED and the ENU odometry agree at each tick; the conversion here is independent."""
+    """The logged ENU odometry equals LOCAL_POSITION_NED of the same time, converted here independently."""
     sent = dict(bag["/cf1/mavlink/sys1/comp1/LOCAL_POSITION_NED"])
     compared = 0
     for time_ns, odometry in bag["/cf1/odom"]:
@@ -138,7 +138,7 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
 
 
 def numeric(reader, topic, fields):
-    """Whether the path of fields ends at a number, according to the message definitions in the log."""
+    """Whether this path of fields leads to a number in the message definitions of the log."""
     (connection,) = [c for c in reader.connections if c.topic == topic]
     kind = connection.msgtype
     for i, field in enumerate(fields):

@@ -128,7 +128,7 @@ def test_a_sender_that_repeats_itself_is_stale():
         clock.now_s += STALE_S + 1.0
         sender.puts["controller/step"].put(payload)
         sender.puts["loop/timing"].put(landing().timing[5].pack())
-        until(watch, lambda: watch.timings, "nothing came")  # timings are sent last, so the step has arrived
+        until(watch, lambda: watch.timings, "nothing came")  # timings are sent last: the step has arrived
         assert not watch.fresh
         sender.puts["controller/step"].put(step(1).pack())
         until(watch, lambda: watch.fresh, "a new step is news")
@@ -175,7 +175,7 @@ def test_wrong_words_are_refused(words):
 
 
 def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
-    """Scripts and a terminal watch a flight of sitl; Ctrl-C ends watching with status 0."""
+    """``watch`` shows a flight of ``sitl`` to scripts and on a terminal; Ctrl-C ends it with status 0."""
     port = Port()
     sitl = subprocess.Popen(
         command("sitl", "--scenario", "straight", "--out", str(tmp_path / "run"), "--no-report", "--listen",
@@ -187,7 +187,7 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        # health is sent less often than steps: the newest health message may be older than the arming
+        # health is sent less often than steps, so the newest health message may precede the arming
         seen = list(
             _lines(
                 watching,
@@ -228,7 +228,7 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
 
 
 def _lines(child, done):
-    """Yield the child's printed objects, up to one for which ``done`` is true."""
+    """Yield the JSON objects that the child prints, up to the first for which ``done`` is true."""
     until_s = time.monotonic() + 3 * PATIENCE_S
     while time.monotonic() < until_s:
         line = line_of(child.stdout)

@@ -54,9 +54,9 @@ def bridge(server: Server, *arguments: str) -> Iterator[Verb]:
 def member_behind_the_bridge(
     scenario: Scenario, seed: int, number: int, url: str, robots: str
 ) -> Iterator[SimPlant]:
-    """Run a Crazyflie as a member of a fleet, with firmware model and bridge; yield its simulated physics.
+    """Run a Crazyflie as a fleet member, with firmware model and bridge; yield its simulated vehicle.
 
-    ``number``: system id; ``robots``: Zenoh endpoint of the robots, one of which moves the deck.
+    ``number``: system id; ``robots``: Zenoh endpoint of the robots; this member's robot moves the deck.
     """
     session = zenoh_link.open_session([], [robots])
     try:
@@ -80,10 +80,10 @@ def client(started: Verb) -> Iterator[Client]:
 
 
 def fly(one: Client, server: Server) -> None:
-    """Arm, take off, and enter OFFBOARD with a stream of zeros.
+    """Arm, take off, and enter OFFBOARD with a stream of zero velocities.
 
-    A host that stalls makes state and poses stale: arming is rejected, or the take-off ends on the ground or
-    in a landing. This repeats the requests until the vehicle hovers, as a pilot would.
+    If the host stalls, state and poses become stale: arming is rejected, or the take-off ends on the ground
+    or in a landing. The requests are repeated until the vehicle hovers, as a pilot would do.
     """
     ready = lambda m: is_a("SYS_STATUS")(m) and m.onboard_control_sensors_health & 0x10000000  # noqa: E731
     one.until(ready, each=one.hello)
@@ -115,7 +115,7 @@ KEY = "lab/cf1/pose"
 
 
 class Mocap:
-    """Publishes a pose at 100 Hz under a key, until stopped."""
+    """Publishes a pose at 100 Hz on a Zenoh key, until it is stopped."""
 
     def __init__(self, key: str, pose: Callable[[], tuple]) -> None:
         self.endpoint = free_endpoint()
@@ -143,7 +143,7 @@ class Mocap:
 
 @contextmanager
 def plain_vehicle(autopilot: int) -> Iterator[Client]:
-    """Yield a client that plays an autopilot, with pymavlink only; its ``beat()`` sends a heartbeat."""
+    """Yield a pymavlink client that acts as an autopilot; its ``beat()`` sends a heartbeat."""
     one = Client(f"udpin:127.0.0.1:{free_port(udp=True)}", 1, 1, listen=True)
     try:
         one.beat = lambda: one.send(mav.MAVLink_heartbeat_message(2, autopilot, 0, 0, 3, 3))

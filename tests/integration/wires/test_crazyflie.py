@@ -90,7 +90,7 @@ def test_connects_over_a_radio_that_loses_every_tenth_packet_of_the_real_tables(
 
 
 def stays_unlocked(server):
-    """Wait until the supervisor would lock for missing set-points; it must remain unlocked."""
+    """After the time at which missing set-points would lock the supervisor, it must still be unlocked."""
     ended_s = server.now_s
     wait_for(lambda: server.now_s > ended_s + TIMEOUT_S + 2 * PERIOD_S, "the end of the watchdog's time")
     wait_for(lambda: server.firmware.supervisor.state in (State.CHECKS_PASSED, State.READY), "readiness")
@@ -103,7 +103,7 @@ def test_told_twice_to_end_it_stops_the_motors_at_once():
         started.process.send_signal(signal.SIGINT)
         one.until(is_a("HEARTBEAT", custom_mode=LAND))
         assert started.end(signal.SIGINT) == 0
-        wait_for(lambda: not server.firmware.plant.motors, "motors off")  # the last packets may be queued
+        wait_for(lambda: not server.firmware.plant.motors, "motors off")  # packets may still be queued
         stays_unlocked(server)
 
 
@@ -131,7 +131,7 @@ def test_what_nobody_takes_is_bounded(tmp_path):
             time.sleep(0.5)  # about 60 more events
             events = [event for _, event in link.poll()]
             assert len(events) <= EVENTS_MAX
-            assert Connected not in {type(event) for event in events}  # the oldest event is dropped first
+            assert Connected not in {type(event) for event in events}  # the oldest event was dropped
             times_ms = [
                 event.time_ms for event in events if isinstance(event, LogPacket) and event.block == "state"
             ]

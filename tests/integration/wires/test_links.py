@@ -96,7 +96,7 @@ def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, 
         ("metadata fleet", "signing_key"): (repr(str(key_file)), repr(ABSENT)),
     }
     rest = [d for d in different if not d.topic.startswith("metadata")]
-    assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # all other metadata are equal
+    assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # other metadata are equal
     for each in rest:
         assert each.a.replace(f"signing_key = {key_file}\\n", "") == each.b
 
@@ -123,8 +123,8 @@ SLOW = 57_600  # rate of the slow serial line, baud
 def land_over(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="sitl-1kg"):
     """Fly scenario ``large`` in real time; return exit status, output and relay.
 
-    ``make_near``: creates the relay's end at the onboard process; ``cut_s``: wall time from the approach to
-    the disconnection of the cable, and its duration, s; ``noise_bytes_s``: as in ``Relay``.
+    ``make_near``: creates the relay's end at the onboard process; ``cut_s``: wall time from the approach
+    until the cable is disconnected, and duration of this, s; ``noise_bytes_s``: as in ``Relay``.
     """
     with ExitStack() as stack:
         room = stack.enter_context(simulated(folder, "large"))
@@ -159,7 +159,7 @@ def _cut(relay, cut_s):
 
 
 @pytest.mark.xdist_group("real-time")
-# not beside PX4, whose threads preempt the kernel workers that carry the bytes of the pseudo-terminal
+# not at the same time as PX4, whose threads delay the kernel workers of the pseudo-terminal
 @pytest.mark.xdist_group("stream 0")
 def test_lands_over_a_slow_and_noisy_serial_line(tmp_path):
     code, text, relay = land_over(tmp_path, lambda folder: PtyEnd(folder, SLOW), SLOW, noise_bytes_s=100.0)

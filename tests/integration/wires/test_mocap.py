@@ -51,7 +51,7 @@ def test_a_crazyflie_that_needs_motion_capture_flies_by_a_topic_of_ros_2():
         assert plant.on_surface
         one.send(one.command(400, 1.0))
         assert one.until(is_a("COMMAND_ACK", command=400)).result == 1
-        settled_s = server.now_s + 1.0  # the supervisor needs time to change its state
+        settled_s = server.now_s + 1.0  # until then, the supervisor may be in its former state
         wait_for(lambda: server.now_s > settled_s, "time")
         one.send(one.command(400, 1.0))
         wait_for(lambda: started.said("Arming refused: mocap: no pose for"), "the reason")
@@ -88,7 +88,7 @@ def test_a_vehicle_gets_poses_in_its_own_way(autopilot, kind):
         mocap.stop()
         wait_for(lambda: started.said("mocap: no pose for"), "the text")
         vehicle.send(mav.MAVLink_timesync_message(0, 4712))
-        vehicle.until(is_a("TIMESYNC", ts1=4712))  # this reply shows that earlier messages have arrived
+        vehicle.until(is_a("TIMESYNC", ts1=4712))  # after this reply, all earlier messages have arrived
         vehicle.log.clear()
         vehicle.beat()
         vehicle.until(is_a("HEARTBEAT"), each=vehicle.beat)

@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def commands():
-    """Return the commands of docs/how_to/ros2.md, on free ports."""
+    """Return the options of each command in docs/how_to/ros2.md, with free ports."""
     page = (ROOT / "docs" / "how_to" / "ros2.md").read_text()
     block = re.search(r"^```bash\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[1].replace("\\\n", " ")
     lines = on_free_ports(block).splitlines()
@@ -32,7 +32,7 @@ def commands():
 
 
 class Node:
-    """Plays a ROS 2 node: subscribes to every topic of domain 0, and decodes with another library."""
+    """Acts as a ROS 2 node: subscribes to all topics of domain 0, and decodes them with another library."""
 
     def __init__(self, endpoint):
         self.session = rmw_session(endpoint)
@@ -50,7 +50,7 @@ class Node:
             self.messages[key.topic].append(decode(key.type_name, sample.payload.to_bytes()))
 
     def has_all_of_the_flight(self):
-        """Whether the robot's data are as new as the vehicle's last ones; a busy machine delays them."""
+        """Whether the robot's newest message is as new as the vehicle's; a busy machine delays messages."""
         self.poll()
         own, target = self.messages["/cf1/odom"], self.messages["/cf1/target/odom"]
         return seconds(target[-1]) >= seconds(own[-1])
@@ -132,7 +132,7 @@ def check(node):
     last = [repr(step.h_m) for step in steps[-50:]]  # repr, because NaN does not equal itself
     assert [repr(message.data) for message in node.messages["/cf1/h"][-50:]] == last
     landing = [step.h_m for step in steps if step.phase == Phase.LAND]
-    assert len(landing) >= 5  # LAND lasts 0.45 to 0.6 s of steps at 20 Hz
+    assert len(landing) >= 5  # LAND lasts 0.45 to 0.6 s; 20 steps a second
     assert min(landing) > -0.1
     commands_ = node.messages["/cf1/cmd/velocity"]
     assert {one.header.frame_id for one in commands_} == {"map"}

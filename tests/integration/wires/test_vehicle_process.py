@@ -70,7 +70,7 @@ def test_after_a_pause_it_goes_on_from_there_and_takes_no_core_from_others() -> 
         child.send_signal(signal.SIGCONT)
         client.until(lambda m: is_a("STATUSTEXT")(m) and re.match(r"Machine paused \d\.\d\d s", m.text))
         after = client.until(is_a("LOCAL_POSITION_NED")).time_boot_ms
-        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # its clock paused
+        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # its clock stopped
         assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
         terminate(child)
 
@@ -94,7 +94,7 @@ class Companion(Client):
                     continue
                 raw = bytes(message.get_msgbuf())
                 answer = mav.MAVLink_timesync_message(message.ts1 + 1, message.ts1)
-                if raw == self.last_request:  # request repeated after a pause of the machine
+                if raw == self.last_request:  # repeated after a pause of the machine
                     self.frames.remove(raw)
                     self.send(answer)
                     continue
@@ -124,7 +124,7 @@ def test_an_answer_from_before_the_end_is_acted_on_however_late_the_vehicle_gets
         for _ in range(21):
             assert companion.step()
         os.kill(child.pid, signal.SIGCONT)
-        assert companion.step()  # without this step, logs of equal flights would differ by one true state
+        assert companion.step()  # otherwise logs of equal flights would differ by one true state
         assert child.wait(AT_ONCE_S) == 0
 
 
@@ -203,7 +203,7 @@ def test_real_time_rate_and_start_with_the_landing() -> None:
             start_s = time.monotonic()
             wait_for(lambda: reader.poll() or len(reader.truths) > 100, "a hundred poses")
             wait_for(lambda: reader.poll() or len(reader.samples) > 100, "a hundred samples")
-            assert time.monotonic() - start_s > 0.5  # after a delay, messages arrive together
+            assert time.monotonic() - start_s > 0.5  # delayed messages arrive together
             steps.put(controller_step(Phase.TAKEOFF))
             steps.put(b"rubbish")
             last = decode_odometry(reader.truths[-1])
@@ -226,7 +226,7 @@ def test_the_robots_poses_wait_for_no_other_program_but_in_lockstep(lockstep: bo
         assert ready.startswith("ready udpin:")
         if lockstep:
             assert not prompt_threads(child.pid)
-        else:  # the thread requests the priority after the process has printed ready
+        else:  # requested after the process has printed ready
             wait_for(lambda: len(prompt_threads(child.pid) - {child.pid}) > 0, "priority of its threads")
             wait_for(lambda: child.pid in prompt_threads(child.pid), "priority of the world")
         terminate(child)

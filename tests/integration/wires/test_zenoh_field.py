@@ -43,7 +43,7 @@ def make_keys(folder):
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """Create a folder with keys of one certificate authority, and a stranger's key of a second one."""
+    """Return a folder with keys of one certificate authority, and with a stranger's key of another one."""
     folder = make_keys(tmp_path_factory.mktemp("zenoh"))
     stranger = make_keys(tmp_path_factory.mktemp("stranger"))
     for end in ("key", "pem"):
@@ -59,7 +59,7 @@ def at_home(home, monkeypatch):
 
 
 def client_file(kind, name, secret=None):
-    """Write the page's client configuration for this client, with a time-out of 1 s; return its path."""
+    """Write the page's configuration of this client with a time-out of 1 s; return the file's path."""
     text = (FILES / f"client_{kind}.json5").read_text()
     text = text.replace("connect: {", "connect: { timeout_ms: 1000,", 1).replace("keys/me", f"keys/{name}")
     text = text.replace('"robot"', f'"{name}"').replace("change me", secret or USERS.get(name, ""))
@@ -85,7 +85,7 @@ questions = itertools.count()
 
 
 def who_hears(sessions, sender, key):
-    """Return the names of the clients that receive a sample that ``sender`` sends on this key."""
+    """Return the names of the clients that receive the sample which ``sender`` sends on this key."""
     asked, marks = (f"{word} {next(questions)}".encode() for word in ("asked", "mark"))
     publisher = zenoh_link.dropping_publisher(sessions[sender], key)
     mark = zenoh_link.dropping_publisher(sessions["robot"], TARGET)
@@ -94,7 +94,7 @@ def who_hears(sessions, sender, key):
     found, marked = set(), set()  # clients that received the tested sample, and the robot's sample
 
     def passed():
-        # The robot's valid sample follows the tested one; when it has arrived, the result is known.
+        # the robot's permitted sample follows the tested one; once it has arrived, the tested one has, too
         publisher.put(asked)
         mark.put(marks)
         for name, subscriber in heard.items():
@@ -105,7 +105,7 @@ def who_hears(sessions, sender, key):
         return marked.issuperset(others)
 
     wait_for(passed, "what the robot sends")
-    for _ in range(20):  # a second wait, because the other path may be slower
+    for _ in range(20):  # the path of the tested sample may be slower
         passed()
         time.sleep(0.005)
     for one in (publisher, mark, *heard.values()):
@@ -135,7 +135,7 @@ def test_each_may_do_what_is_his_and_nothing_else(at_home, kind):
 @pytest.mark.parametrize(
     ("kind", "name", "secret"),
     [
-        ("tls", "stranger", None),  # certificate with the name robot, signed by another authority
+        ("tls", "stranger", None),  # certificate of another authority, for the name robot
         ("password", "robot", "wrong"),
         ("password", "mallory", "change me"),
     ],
@@ -145,7 +145,7 @@ def test_who_is_not_known_does_not_get_in(at_home, kind, name, secret):
         with pytest.raises(ZenohLinkError, match="does it accept us"):
             zenoh_link.open_session(connect=[endpoint], config_file=client_file(kind, name, secret))
         known = zenoh_link.open_session(connect=[endpoint], config_file=client_file(kind, "robot"))
-        known.close()  # a client with a valid certificate connects
+        known.close()  # the known client is admitted
 
 
 def test_without_a_certificate_nobody_gets_in(at_home):
@@ -162,13 +162,13 @@ def test_without_a_certificate_nobody_gets_in(at_home):
 def test_a_router_under_another_name_is_not_believed(at_home):
     file = client_file("tls", "robot")
     with router("tls") as endpoint:
-        address = endpoint.replace("localhost", "127.0.0.1")  # the certificate does not contain this address
+        address = endpoint.replace("localhost", "127.0.0.1")  # not in the certificate
         with pytest.raises(ZenohLinkError):
             zenoh_link.open_session(connect=[address], config_file=file)
 
 
 def test_peers_find_each_other(at_home):
-    port = str(free_port(udp=True))  # other Zenoh processes of this network use the default port
+    port = str(free_port(udp=True))  # the default port would find other Zenoh processes
     file = Path("peers.json5")
     file.write_text((FILES / "peers.json5").read_text().replace("7446", port))
     one = zenoh_link.open_session(config_file=file)
@@ -206,7 +206,7 @@ def test_a_router_that_is_killed_and_comes_back(at_home):
             child.wait(PATIENCE_S)
             for session in (robot, companion):
                 wait_for(lambda s=session: zenoh_link.transports(s) == 0, "the end of the connection")
-            zenoh_link.drain(heard)  # samples in transit are discarded
+            zenoh_link.drain(heard)  # discards samples in transit
         assert not flows()
         with router_process(endpoint) as (child, _):
             back_s = time.monotonic()
@@ -237,8 +237,8 @@ def test_the_verb_router_wants_a_router_and_a_free_port(at_home):
 
 @pytest.mark.xdist_group("real-time")
 def test_sitl_is_watched_by_certificate_and_seen_by_ros_2(at_home, tmp_path):
-    """The companion's access rules: processes on loopback fly, a watcher can read, and nothing else is
-    allowed."""
+    """With the companion's access rules, processes on loopback fly, a client with a certificate can watch,
+    and all other access is rejected."""
     listen, ros_router = free_endpoint().replace("tcp/", "tls/"), free_endpoint()
     dial = listen.replace("127.0.0.1", "localhost")
     with ExitStack() as stack:
