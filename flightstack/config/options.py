@@ -146,7 +146,7 @@ class Simulator(Zenoh, Simulated):
 
 @dataclass(frozen=True, kw_only=True)
 class Piloted:
-    """Options for the autopilot of a vehicle."""
+    """Options of ``sitl``, ``fly``, ``onboard`` and ``preflight``; the log of a flight contains the given ones."""
 
     autopilot: Annotated[str, Option(
         "--autopilot",
@@ -207,12 +207,17 @@ class Repeated(Piloted):
 
     def described(self) -> dict[str, str]:
         """Return the values for the log, without defaults."""
-        found = {}
-        for name, _, _, _, _, default in declared(Repeated):
-            if (value := getattr(self, name)) != default:
-                text = f"{value:.12g}" if isinstance(value, float) else str(value)
-                found[name] = text.lower() if value is True else text
-        return found
+        return described(self, Repeated)
+
+
+def described(options: object, cls: type[Piloted]) -> dict[str, str]:
+    """Return the values of the options that ``cls`` declares, for the log, without defaults."""
+    found = {}
+    for name, _, _, _, _, default in declared(cls):
+        if (value := getattr(options, name)) != default:
+            text = f"{value:.12g}" if isinstance(value, float) else str(value)
+            found[name] = text.lower() if value is True else text
+    return found
 
 
 def repeated(described: Mapping[str, str]) -> list[str]:

@@ -20,7 +20,7 @@ from bridge.zenoh import zenoh_link
 from flightstack.common import pacing
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.compiled.core import chosen_core, compiled
-from flightstack.config.options import OnboardOptions
+from flightstack.config.options import OnboardOptions, Piloted, described
 from flightstack.core.controller import ERROR, WARN, Controller, Outputs
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import DISARMED, MODE_CHANGED
@@ -139,6 +139,7 @@ class Onboard(Leaving):
                 "system_id": str(options.system_id),
                 "lockstep": str(options.lockstep).lower(),
                 "autopilot": options.autopilot,
+                **described(options, Piloted),
                 "core": self.core,
                 # the message rates of a slow serial line depend on the baud rate
                 **({"baud": str(endpoint.baud)} if endpoint.baud is not None else {}),

@@ -1,7 +1,8 @@
 """Tests the options that ``fly`` passes to the onboard process."""
 
-from dataclasses import MISSING, replace
+from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import click
 import pytest
@@ -10,10 +11,10 @@ from click.testing import CliRunner
 from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.mocap.checks import MocapOptions
 from flightstack.cli.main import main
-from flightstack.common.options import argv, declared, takes
+from flightstack.common.options import Option, argv, declared, takes
 from flightstack.common.processes import LaunchError
 from flightstack.config import load, path_of
-from flightstack.config.options import FlightOptions, OnboardOptions, WatchOptions
+from flightstack.config.options import FlightOptions, OnboardOptions, Piloted, WatchOptions, described
 from flightstack.launch import fly
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import FlyOptions, RunOptions
@@ -54,6 +55,18 @@ def test_every_option_of_the_onboard_process_is_handed_on_as_it_was_given(starte
     assert found.recorder is not None
     own = {"config_file": found.config_file, "recorder": found.recorder, "no_record": False}
     assert found == replace(given, **own, listen=(*given.listen, found.listen[-1]))
+
+
+def test_an_option_of_a_flight_is_in_its_log_once_it_is_declared():
+    @dataclass(frozen=True, kw_only=True)
+    class Noted(Piloted):
+        note: Annotated[str, Option("--note", "Remark of the operator.")] = ""
+        gusts_m_s: Annotated[float, Option("--gusts", "Speed of the gusts, m/s.")] = 0.0
+
+    assert described(Noted(autopilot="px4", note="windy"), Noted) == {"autopilot": "px4", "note": "windy"}
+    given = Noted(accept_release=True, gusts_m_s=2.5)
+    assert described(given, Noted) == {"accept_release": "true", "gusts_m_s": "2.5"}
+    assert described(given, Piloted) == {"accept_release": "true"}
 
 
 def others(cls, folder):
