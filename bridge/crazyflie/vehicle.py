@@ -27,7 +27,7 @@ from bridge.crazyflie.packets import (
 )
 from bridge.crazyflie.pilot import DESCENT_M_S, REFUSED, UNPLACED_M_S, Arming, Pilot, Stopped, yaw_rate
 from bridge.crazyflie.rules import Settings
-from bridge.mavlink.profiles import CRAZYFLIE_MARK
+from bridge.mavlink.profiles import CRAZYFLIE
 from bridge.mavlink.server.commander import Commander, Setpoint
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mocap.checks import Passed
@@ -44,7 +44,7 @@ class Vehicle(Condition, Commander):
     Home is the horizontal origin, at the height where the vehicle stands or was armed.
     """
 
-    mark = CRAZYFLIE_MARK
+    mark = CRAZYFLIE.mark
     height_range_m = limits.HEIGHT_RANGE_M
     stream_lost_s = limits.STREAM_S
 

@@ -1,6 +1,7 @@
 """Table of the supported autopilots, and their detection from HEARTBEAT and AUTOPILOT_VERSION.
 
-No other part of the stack distinguishes autopilots. This project's vehicles use PX4's commands and
+A new autopilot needs a ``Profile`` in this module; option, detection and pre-flight check then use it. No
+other part of the stack distinguishes autopilots. This project's vehicles use PX4's commands and
 MAV_AUTOPILOT; the simulated vehicle has part of PX4's parameters, the Crazyflie none that are checked.
 Sources: PX4 ``px4_custom_mode.h``, ``mavlink_receiver.cpp`` and ``offboardCheck.cpp`` (v1.16); ArduPilot
 ``ArduCopter/mode.h``, ``mode_guided.cpp`` and ``GCS_Mavlink.cpp`` (4.6); both measured in their SITL.
@@ -54,8 +55,12 @@ class Profile:
     # PARAM_ENCODE_BYTEWISE); if not, it carries the integer converted to a float
     bytewise: bool
     needs_origin: bool  # whether without satellites a position requires SET_GPS_GLOBAL_ORIGIN
+    rules: str | None  # name of the file of pre-flight rules in preflight/; None: no parameters to check
     prepare: tuple[Step, ...] = ()  # steps on the ground before the first request
     asked_hz: Mapping[int, float] = field(default_factory=dict)  # further requested rates, Hz, by message id
+    # mark of this project's vehicles in AUTOPILOT_VERSION.flight_custom_version, where other autopilots have
+    # digits of their revision; empty: no mark
+    mark: bytes = b""
 
     def mode(self, custom_mode: int) -> Mode:
         return self.modes.get(custom_mode, Mode.OTHER)
@@ -149,6 +154,7 @@ PX4 = Profile(
     unset=math.nan,
     bytewise=True,
     needs_origin=False,
+    rules="px4",
     prepare=(_HOLD,),
 )
 
@@ -158,6 +164,7 @@ OWN_SITL = replace(  # the simulated vehicle imitates PX4
     title="own simulator, OFFBOARD",
     # short, because the vehicle checks each set-point on arrival and a deck may rise during this time
     prestream_s=0.05,
+    mark=b"cfstack\x00",
 )
 
 CRAZYFLIE = replace(
@@ -168,6 +175,8 @@ CRAZYFLIE = replace(
     # motors would stop after 2 s.
     sequences={**PX4.sequences, Request.TAKEOFF: _OWN_TAKEOFF},
     prepare=(),  # arming does not depend on the mode
+    rules=None,
+    mark=b"cfbridge",
 )
 
 _GUIDED = Step(
@@ -202,16 +211,16 @@ ARDUPILOT = Profile(
     unset=0.0,
     bytewise=False,
     needs_origin=True,
+    rules="ardupilot",
     # The pre-arm bit depends on the mode, so the mode is set first. ArduPilot acknowledges but drops a mode
     # change in the first seconds after boot, so the step repeats during the whole wait.
     prepare=(replace(_GUIDED, done=lambda s: s.armed or _guided_or_airborne(s), period_s=1.0, tries=3600),),
     asked_hz={dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0},  # requested because all SRx_ rates may be 0
 )
 
-PROFILES: Mapping[str, Profile] = {p.name: p for p in (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)}
+# all profiles of this module by name, in the order of their definition
+PROFILES: Mapping[str, Profile] = {p.name: p for p in list(globals().values()) if isinstance(p, Profile)}
 CHOICES = (AUTO, *PROFILES)
-# Real autopilots; other profiles with the same MAV_AUTOPILOT use the same commands.
-_BY_AUTOPILOT: Mapping[int, Profile] = {p.autopilot: p for p in (PX4, ARDUPILOT)}
 
 
 def profile(name: str) -> Profile | None:
@@ -225,13 +234,15 @@ def profile(name: str) -> Profile | None:
 
 
 def found(autopilot: int) -> Profile | None:
-    return _BY_AUTOPILOT.get(autopilot)
+    """Return the first profile with this MAV_AUTOPILOT; later ones are variants with the same commands."""
+    return next((each for each in PROFILES.values() if each.autopilot == autopilot), None)
 
 
 def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
     """Return why MAV_AUTOPILOT or MAV_TYPE does not fit the chosen profile (None: auto), or None."""
     if chosen is None and found(autopilot) is None:
-        known = ", ".join(f"{p.title} ({number})" for number, p in _BY_AUTOPILOT.items())
+        firsts = [each for each in PROFILES.values() if found(each.autopilot) is each]
+        known = ", ".join(f"{each.title} ({each.autopilot})" for each in firsts)
         name = named("MAV_AUTOPILOT", autopilot)
         return f"unsupported autopilot {name} in the vehicle's heartbeat; supported are {known}"
     if chosen is not None and autopilot != chosen.autopilot:
@@ -252,12 +263,7 @@ def named(enum: str, number: int) -> str:
     return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)
 
 
-# marks in AUTOPILOT_VERSION.flight_custom_version, where other autopilots have digits of their revision
-SITL_MARK = b"cfstack\x00"
-CRAZYFLIE_MARK = b"cfbridge"
-_MARKED: Mapping[bytes, Profile] = {SITL_MARK: OWN_SITL, CRAZYFLIE_MARK: CRAZYFLIE}
-
-
 def marked(message: Message) -> Profile | None:
     """Return the profile of a vehicle of this project from its AUTOPILOT_VERSION; None: another vehicle."""
-    return _MARKED.get(bytes(message.flight_custom_version))
+    mark = bytes(message.flight_custom_version)
+    return next((each for each in PROFILES.values() if each.mark and each.mark == mark), None)

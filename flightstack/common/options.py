@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
+from importlib import import_module
 from inspect import Parameter, signature
 from pathlib import Path
 from types import NoneType, UnionType
@@ -34,7 +35,8 @@ class Option:
     help: str = ""
     metavar: str | None = None
     span: tuple[float | None, float | None] = (None, None)  # smallest and largest allowed number, if limited
-    choices: tuple[str, ...] = ()  # allowed texts; empty: any text
+    # allowed texts, or MODULE:NAME of their tuple in a package above this one; empty: any text
+    choices: tuple[str, ...] | str = ()
     path: str = "any"  # allowed kind of path: any, file or folder
     exists: bool = False  # whether the path has to exist
     read: Callable[[Any], Any] | None = None  # function that converts the text, or all texts of a Mapping
@@ -44,6 +46,14 @@ class Option:
     @property
     def positional(self) -> bool:
         return not self.name.startswith("-")
+
+    @property
+    def allowed(self) -> tuple[str, ...]:
+        """Allowed texts; empty: any text."""
+        if not isinstance(self.choices, str):
+            return self.choices
+        module, _, name = self.choices.partition(":")
+        return tuple(getattr(import_module(module), name))
 
 
 class Declared(NamedTuple):
@@ -164,7 +174,7 @@ def _type(each: Declared) -> Any:
         return _Number(low, high)
     if each.type is int:
         return click.IntRange(low, high) if (low, high) != (None, None) else int  # type: ignore[arg-type]
-    return click.Choice(option.choices) if option.choices else str
+    return click.Choice(option.allowed) if option.choices else str
 
 
 class _Number(click.FloatRange):

@@ -11,8 +11,7 @@ from typing import Annotated
 from flightstack.common.options import BadOptionError, Option, declared
 from flightstack.core.parameters.filters import ALLOWED, look_here
 
-# copies of names, so that a command need not load the packages that define them; a test compares both
-AUTOPILOTS = ("auto", "sitl", "crazyflie", "px4", "ardupilot")
+# values of bridge.target.ros2_target.TargetType, whose import takes 40 ms; a test compares both
 TARGET_TYPES = ("odometry", "pose", "pose-covariance")
 CORES = ("auto", "plain", "compiled")
 WATCHED = "tcp/127.0.0.1:7448"  # Zenoh endpoint of the onboard process in README and docs
@@ -146,12 +145,12 @@ class Simulator(Zenoh, Simulated):
 
 @dataclass(frozen=True, kw_only=True)
 class Piloted:
-    """Options of ``sitl``, ``fly``, ``onboard`` and ``preflight``; the log of a flight contains the given ones."""
+    """Options of ``sitl``, ``fly``, ``onboard`` and ``preflight``; a flight log contains the given ones."""
 
     autopilot: Annotated[str, Option(
         "--autopilot",
         "Autopilot of the vehicle; auto: as the heartbeat reports (docs/how_to/autopilots.md).",
-        choices=AUTOPILOTS
+        choices="bridge.mavlink.profiles:CHOICES"
     )] = "auto"  # fmt: skip
     accept_release: Annotated[bool, Option(
         "--accept-release", "Fly an unknown release of the autopilot with the rules of the nearest one."

@@ -17,7 +17,10 @@ _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and
 
 
 class Flies(Enum):
-    """Autopilot that flies; the value is the option of ``sitl`` for the autopilot's program."""
+    """Autopilot that flies; the value is the option of ``sitl`` for the autopilot's program.
+
+    The field of the option in ``RunOptions`` has the name of the member in lower case.
+    """
 
     OWN = ""  # simulated vehicle with the simulator's autopilot
     PX4 = "--px4"  # PX4 on the simulated vehicle
@@ -75,7 +78,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
 
     @property
     def _programs(self) -> Mapping[Flies, Path]:
-        given = {Flies.PX4: self.px4, Flies.PX4_SIH: self.px4_sih, Flies.ARDUPILOT: self.ardupilot}
+        given = {flies: getattr(self, flies.name.lower()) for flies in Flies if flies.value}
         return {flies: program for flies, program in given.items() if program is not None}
 
     @property

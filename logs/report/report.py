@@ -165,9 +165,6 @@ def _warnings(fleet: Fleet, verdict: FleetVerdict) -> list[str]:
     return texts
 
 
-_VEHICLES = ("px4", "px4-sih", "ardupilot")
-
-
 def command(run: Mapping[str, str], scenario: str) -> str:
     """Return the command that repeats a flight; ``scenario``: name or file of its scenario."""
     parts = ["flightstack", "sitl", "--scenario", scenario, "--seed", run["seed"]]
@@ -175,7 +172,7 @@ def command(run: Mapping[str, str], scenario: str) -> str:
         parts += ["--filter", run["filter"]]
     if run.get("mode") == "lockstep":
         parts.append("--lockstep")
-    if run.get("vehicle") in _VEHICLES:
+    if "vehicle" in run:  # an autopilot's program; absent for the simulator's autopilot
         parts += [f"--{run['vehicle']}", run.get("program", "PROGRAM")]
     return shlex.join(parts + repeated(run))
 

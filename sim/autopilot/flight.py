@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import yaw_from_quaternion
-from bridge.mavlink.profiles import SITL_MARK
+from bridge.mavlink.profiles import OWN_SITL
 from bridge.mavlink.server.commander import Battery, Commander, Sender, Setpoint
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode
@@ -117,7 +117,7 @@ _ESTIMATE_LOST_S = 0.5  # time without a valid estimate after which the vehicle 
 
 
 class Flight(Commander):
-    mark = SITL_MARK
+    mark = OWN_SITL.mark
     sensors = Commander.sensors | dialect.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
     height_range_m = HEIGHT_RANGE_M
 

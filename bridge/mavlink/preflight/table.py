@@ -12,11 +12,9 @@ from typing import Literal, NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
+from bridge.mavlink.profiles import PROFILES
 from flightstack.common.strict_toml import Files
 
-# files of rules by profile, for all profiles; None: the vehicle has no parameters
-_FILE_OF = {OWN_SITL.name: "px4", CRAZYFLIE.name: None, PX4.name: "px4", ARDUPILOT.name: "ardupilot"}
 _SLACK = 1e-6  # relative tolerance of a parameter in single precision
 
 
@@ -165,7 +163,7 @@ _FILES = Files(Table, "bridge.mavlink.preflight", "rules")
 @cache
 def table(profile: str) -> Table | None:
     """Return the rules of a profile; None for a profile without parameters. Raises ConfigError: bad file."""
-    file = _FILE_OF[profile]  # a profile that is missing here must not pass as checked
+    file = PROFILES[profile].rules
     return _FILES.load(file) if file is not None else None
 
 

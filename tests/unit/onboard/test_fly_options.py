@@ -84,7 +84,7 @@ def others(cls, folder):
         elif kind is Path:
             value = folder if option.path == "folder" else path_of("crazyflie") if option.read else file
         elif kind is str:
-            value = option.choices[-1] if option.choices else "tcp/127.0.0.1:7447"
+            value = option.allowed[-1] if option.choices else "tcp/127.0.0.1:7447"
         else:
             value = kind(option.span[1] or 3)
         found[name] = (value,) if many else (-0.1, value, 3e-7) if number == 3 else value

@@ -1,10 +1,17 @@
 """Tests the profiles of the autopilots, and the page that lists them."""
 
+import sys
+from pathlib import Path
+from types import ModuleType
+
 import pytest
 
-from bridge.mavlink.profiles import ARDUPILOT, AUTO, CHOICES, PROFILES, PX4, refusal
+from bridge.mavlink import profiles
+from bridge.mavlink.preflight import table
+from bridge.mavlink.profiles import ARDUPILOT, AUTO, CHOICES, PROFILES, PX4, found, refusal
 from bridge.target.ros2_target import TargetType
-from flightstack.config.options import AUTOPILOTS, TARGET_TYPES
+from flightstack.common.options import declared
+from flightstack.config.options import TARGET_TYPES, OnboardOptions
 from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.autopilots_page import PAGE, split, tables
 
@@ -21,9 +28,32 @@ def test_every_profile_is_whole():
     assert (AUTO, *PROFILES) == CHOICES
 
 
-def test_the_command_knows_autopilots_and_types_of_targets():
-    assert AUTOPILOTS == CHOICES
+def test_a_profile_is_used_once_it_is_defined(monkeypatch):
+    """Another autopilot is a copy of the module with one more definition, and nothing else."""
+    source = Path(profiles.__file__).read_text()
+    more = 'ACME = replace(ARDUPILOT, name="acme", title="Acme", autopilot=13)\n'
+    after = "\n# all profiles of this module"
+    assert source.count(after) == 1
+    copy = ModuleType("bridge.mavlink.profiles")
+    monkeypatch.setitem(sys.modules, copy.__name__, copy)
+    exec(source.replace(after, f"\n{more}{after}"), vars(copy))
+    acme = copy.ACME
+    assert copy.profile("acme") is acme is copy.found(13)
+    assert copy.refusal(13, 2, None) is None
+    assert "Acme (13)" in copy.refusal(99, 2, None)
+    option = next(each.option for each in declared(OnboardOptions) if each.name == "autopilot")
+    assert "acme" in option.allowed
+    monkeypatch.setattr(table, "PROFILES", copy.PROFILES)
+    assert table.table.__wrapped__("acme") == table.table("ardupilot")
+
+
+def test_the_command_knows_the_types_of_targets():
     assert tuple(each.value for each in TargetType) == TARGET_TYPES
+
+
+def test_a_variant_does_not_replace_the_autopilot_that_it_imitates():
+    assert found(PX4.autopilot) is PX4
+    assert {each.autopilot for each in PROFILES.values() if each.mark} == {PX4.autopilot}
 
 
 @pytest.mark.parametrize(
