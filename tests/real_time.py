@@ -56,8 +56,7 @@ def in_real_time(item: pytest.Item) -> bool:
 
 
 def repeated_after_a_pause() -> pytest.MarkDecorator:
-    """Return the mark of pytest-rerunfailures that repeats a failed test only if the machine paused during
-    the test."""
+    """Return pytest-rerunfailures' mark that repeats a failed test only if the machine paused meanwhile."""
 
     def paused(_: BaseException | None) -> bool:
         return PAUSES.worst_s >= PAUSE_S
