@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from flightstack.api.env import LandingEnv, make_env
     from flightstack.api.frames import frame
     from flightstack.api.landing import Landing, land, read_log, scenario
-    from flightstack.core.strategies.robust import RobustFilter
+    from flightstack.core.strategies.packaged.robust import RobustFilter
     from flightstack.core.strategies.strategy import Filter
     from flightstack.core.strategies.user_filter import At
 
@@ -27,7 +27,7 @@ _NAMES = {
     "flightstack.api.env": ("LandingEnv", "make_env"),
     "flightstack.api.frames": ("frame",),
     "flightstack.api.landing": ("Landing", "land", "read_log", "scenario"),
-    "flightstack.core.strategies.robust": ("RobustFilter",),
+    "flightstack.core.strategies.packaged.robust": ("RobustFilter",),
     "flightstack.core.strategies.strategy": ("Filter",),
     "flightstack.core.strategies.user_filter": ("At",),
 }

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.safety.barrier import Barrier
-from flightstack.core.strategies.robust import RobustFilter
+from flightstack.core.strategies.packaged.robust import RobustFilter
 from flightstack.core.target.estimator import TargetEstimator, TargetMotion
 from flightstack.core.types import ZERO
 from flightstack.verify.bound import Shape, Span

@@ -20,7 +20,7 @@ from itertools import combinations
 from flightstack.core.fleet.pair import barrier
 from flightstack.core.parameters.fleet import HOLD_LATENCIES, KEPT_PART, PART_OF_LAG, ZERO_LATENCIES, Fleet
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.strategies.robust import RobustFilter
+from flightstack.core.strategies.packaged.robust import RobustFilter
 from flightstack.core.strategies.strategy import strategy_class, strategy_of
 from flightstack.core.types import Vec3
 from flightstack.verify import paper, touchdown

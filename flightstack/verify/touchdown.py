@@ -14,7 +14,7 @@ import numpy as np
 
 from flightstack.core.mission.guidance import CLIMB_OVER
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.strategies.robust import BRAKING
+from flightstack.core.strategies.packaged.robust import BRAKING
 from flightstack.verify import late
 from flightstack.verify.envelope import Extremes
 from flightstack.verify.feedback import follow_m, matrix_exp

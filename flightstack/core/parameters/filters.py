@@ -1,4 +1,4 @@
-"""Names of the safety filters: one line for each filter of the package, ``MODULE:NAME`` for others.
+"""Names of the safety filters: those of the files in ``strategies/packaged``, ``MODULE:NAME`` for others.
 
 A filter is a class with the interface of ``strategies/strategy.py``. An external filter is imported only to
 fly or check it, never to read a configuration or a log.
@@ -17,10 +17,13 @@ from typing import Any
 from flightstack.common.strict_toml import ConfigError, meant
 from flightstack.common.text import FILTER_FAILED
 
+_PACKAGED = Path(__file__).parents[1] / "strategies" / "packaged"
+_NAMES = sorted(file.stem for file in _PACKAGED.glob("[a-z]*.py"))
+# class of each filter of the package: ``NameFilter`` in ``name.py``
 FILTERS: Mapping[str, str] = MappingProxyType(
     {
-        "paper": "flightstack.core.strategies.strategy:PaperFilter",  # eq. 11 as printed in the paper
-        "robust": "flightstack.core.strategies.robust:RobustFilter",
+        name: f"flightstack.core.strategies.packaged.{name}:{name.title().replace('_', '')}Filter"
+        for name in _NAMES
     }
 )
 ALLOWED = f"{', '.join(FILTERS)}, or MODULE:NAME of a filter from outside the package"

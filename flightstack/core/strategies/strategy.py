@@ -2,8 +2,8 @@
 
 The base class is complete: the paper's barrier and program, the position loop as approach, a straight
 descent. A filter overrides what it does differently; one method, ``filter``, is enough. The class attribute
-``certificate`` names the proof. ``MODULE:NAME`` selects a class (``examples/own_filter.py``);
-``parameters/filters.py`` has a line for each filter of the package.
+``certificate`` names the proof. ``MODULE:NAME`` selects a class (``examples/own_filter.py``); the filters of
+the package are in ``packaged/``.
 """
 
 from __future__ import annotations
@@ -282,14 +282,6 @@ class Filter:
             least_z_m_s: lowest vertical velocity that the set-point may cause if it is the last one.
         """
         return wanted_m_s
-
-
-class PaperFilter(Filter):
-    """Filter of eq. 11 as printed in the paper: it assumes a perfect velocity loop and has no estimators."""
-
-    certificate = "flightstack.verify.certificate:paper_checks"
-    watches_swinging = False  # the paper's filter has no model of the velocity loop
-    waits_filtered = False
 
 
 def strategy_class(name: str) -> type[Filter]:

@@ -14,7 +14,7 @@ from flightstack.common.strict_toml import ConfigError, dumps, from_table, to_ta
 from flightstack.config import load, names, path_of
 from flightstack.core.parameters.filters import check_name, named, referred
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.strategies.robust import RobustFilter
+from flightstack.core.strategies.packaged.robust import RobustFilter
 from flightstack.verify.certificate import problems
 from sim.scenarios import scenario
 from sim.scenarios.scenario import Scenario

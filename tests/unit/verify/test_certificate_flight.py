@@ -11,7 +11,7 @@ from flightstack.core.safety.barrier import RobustBarrier
 from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.snapshot import Relative
-from flightstack.core.strategies.robust import RobustFilter
+from flightstack.core.strategies.packaged.robust import RobustFilter
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, OwnState
 from flightstack.verify.certificate import problems

@@ -8,7 +8,7 @@ import pytest
 from flightstack.core.fleet.precedence import ALONE, Permissions
 from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import LANDED_SETTLE_S, Situation, high_enough_m
-from flightstack.core.strategies.robust import DRIFT_SHARE
+from flightstack.core.strategies.packaged.robust import DRIFT_SHARE
 from flightstack.core.types import Charge, Landed, Mode, Operator, Phase
 from tests.unit.core.mission.mission_helpers import BARRIER, NOW_S, PAD, PAPER, ROBUST, names, starting, tick
 

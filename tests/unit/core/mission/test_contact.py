@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from flightstack.core.memory import Memory
 from flightstack.core.mission.machine import SLIDING_TIME_S, STANDING_S
-from flightstack.core.strategies.robust import COMMANDED_SHARE, STOPPED_SHARE
+from flightstack.core.strategies.packaged.robust import COMMANDED_SHARE, STOPPED_SHARE
 from flightstack.core.types import Landed, Phase
 from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, names, starting, tick
 

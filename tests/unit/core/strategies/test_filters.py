@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Snapshot, relative
-from flightstack.core.strategies.robust import RobustFilter
+from flightstack.core.strategies.packaged.robust import RobustFilter
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Inputs, OwnState
 from tests.unit.core.core_helpers import config

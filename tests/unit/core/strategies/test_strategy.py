@@ -23,7 +23,7 @@ CONE = "examples.own_boundary:ConeFilter"
 # a module outside the package that prints when it is imported; its filter Bare lacks most methods
 OUTSIDE = """
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.strategies.strategy import PaperFilter
+from flightstack.core.strategies.packaged.paper import PaperFilter
 from flightstack.core.strategies.strategy import Filter
 print("imported")
 class Bare(Filter):
