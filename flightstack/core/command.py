@@ -179,8 +179,7 @@ class VelocityCommand(Situation):
     def beside(self, nominal: NominalCommand, seen: Snapshot, now_s: float) -> NominalCommand:
         """Return the command with a side-step past neighbours, and store their constraints of this tick."""
         own, self.rows = seen.inputs.own, NO_ROWS
-        neighbours = self.fleet.memory.slots
-        if neighbours and nominal.velocity is not None and own is not None and seen.own_ok:
+        if nominal.velocity is not None and own is not None and seen.own_ok:
             base, most_m_s = self.base(own.velocity_enu_m_s), self.config.limits.velocity_max_m_s
             velocity, self.rows = self.fleet.beside(
                 self.memory.phase, own, base, nominal.velocity, most_m_s, now_s

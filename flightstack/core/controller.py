@@ -304,8 +304,8 @@ class Controller:
 
     def _message(self, seen: Snapshot, now_s: float) -> MemberStatus | None:
         """Return the message to the neighbours after this tick; None: no neighbours or no recent state."""
-        own, neighbours = seen.inputs.own, self._fleet.memory.slots
-        if not neighbours or own is None or not seen.own_ok:
+        own = seen.inputs.own
+        if own is None or not seen.own_ok:
             return None
         base = self.velocity.base(own.velocity_enu_m_s)
         return self._fleet.message(self.memory, own, seen.inputs.status, base, seen.target, now_s)

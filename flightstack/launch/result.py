@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ _COLUMNS = (
     ("aside, m/s", "touchdown_speed_horizontal_m_s", 1.0),
     ("time, s", "time_to_land_s", 1.0),
 )
-# values of the whole run: text, key, unit
+# values of the whole run, shown if they are known: text, key, unit
 _ROWS = (
     ("smallest distance", "distance_min_m", "m"),
     ("the same in the ellipsoid's measure, in flight", "ellipsoid_min", ""),
@@ -46,15 +47,20 @@ _ROWS = (
 def result_table(values: Mapping[str, Any], problem: str = "") -> Group:
     """Return the values of ``logs.verdict.verdict.result`` as a table with a line for each vehicle.
 
-    "-" is an unknown value; ``problem``: text to print after the reasons.
+    "-" is an unknown value of a vehicle; ``problem``: text to print after the reasons.
     """
     vehicles = values["vehicles"]
     columns = (Column(name, justify="right") for name, _, _ in _COLUMNS)
     table = Table("", *columns, box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False)
     for name, each in vehicles.items():
         table.add_row(Text(name), *(_shown(each[key], factor) for _, key, factor in _COLUMNS))
-    rows = _ROWS if len(vehicles) > 1 else _ROWS[-1:]
-    run = [f"{name} {_shown(values[key])} {unit}".rstrip() for name, key, unit in rows]
+    run = [
+        f"{name} {_shown(value)} {unit}".rstrip()
+        for name, key, unit in _ROWS
+        if (value := values[key]) is not None
+    ]
+    pairs = combinations(vehicles, 2) if values["collisions"] is None else ()
+    unobserved = ", ".join(f"collision of {one} and {other} not known" for one, other in pairs)
     sources = dict.fromkeys(SOURCES[each["judged_from"]] for each in vehicles.values())
     fell = any(
         each["outcome"] == "landed" and (each["touchdown_speed_vertical_m_s"] or 0.0) > FALL_M_S
@@ -65,7 +71,7 @@ def result_table(values: Mapping[str, Any], problem: str = "") -> Group:
     return Group(
         _title(values), table, *map(Text, run), Text(f"judged from {', '.join(sources)}"),
         Text(_reasons(values) + problem), *([Text(FALLS, style="dim")] if fell else []),
-        *(Text(each, style="yellow") for each in (outside, values.get("judged_apart")) if each),
+        *(Text(each, style="yellow") for each in (outside, values.get("judged_apart"), unobserved) if each),
     )  # fmt: skip
 
 

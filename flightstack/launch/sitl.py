@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +12,7 @@ from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.common.terminal import Terminal
 from flightstack.config import load as load_config
 from flightstack.config.options import OnboardOptions
+from flightstack.core.parameters.fleet import ALONE
 from flightstack.launch.launcher import Followed, Launcher
 from flightstack.launch.result import Flown
 from flightstack.launch.run_options import RunOptions
@@ -38,25 +39,31 @@ def prepare(options: RunOptions) -> Scenario:
     options.check(number)
     if any(not 1 <= n <= number for n in requested) or len(requested) == number:
         raise ConfigError(
-            f"--member: found {', '.join(map(str, requested))}; allowed are 1 to {number}, and one at least "
+            f"--member: found {_ids(requested)}; allowed are 1 to {number}, and one at least "
             "is simulated here"
         )
     members = tuple(adapted(options, each) for each in scenario.members)
     if VEHICLES[options.flies].own_physics:
         members = tuple(map(around_the_start, members))
-    for n, each in enumerate(members, 1):
-        neighbours, known = {*range(1, number + 1)} - {n}, set(each.onboard.fleet.others)
-        if neighbours and not known:
+    fleets = [each.onboard.fleet for each in members]
+    for n, fleet in enumerate(fleets):
+        neighbours, known = {each.id for each in (*fleets[:n], *fleets[n + 1 :])}, {*fleet.others}
+        if missing := neighbours - known:
             raise ConfigError(
-                f"{options.scenario}: member {n}: onboard.fleet: missing; vehicles that share a room need "
-                "it to keep clear of each other (docs/how_it_works/fleet.md)"
+                f"{options.scenario}: member {n + 1}: onboard.fleet.members: {_ids(missing)} missing; vehicles "
+                "that share a room need them to keep clear of each other (docs/how_it_works/fleet.md)"
             )
-        if known and not neighbours and options.lockstep:
+        if options.lockstep and (absent := known - neighbours):
             raise ConfigError(
-                "[fleet]: in lockstep all members are flown by one command: --scenario with a team's (see "
-                "`scenarios`), or fly in real time"
+                f"[fleet]: found members {_ids(absent)}, which this command does not fly; in lockstep all "
+                "members are flown by one command: --scenario with a team's (see `scenarios`), or fly in "
+                "real time"
             )
     return Scenario.of(members)
+
+
+def _ids(found: Iterable[int]) -> str:
+    return ", ".join(map(str, sorted(found)))
 
 
 def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
@@ -66,7 +73,7 @@ def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
         config, own = load_config(name), scenario.onboard
         start_offset_m = config.takeoff.start_offset_m or own.takeoff.start_offset_m
         takeoff = replace(config.takeoff, start_offset_m=start_offset_m)
-        fleet = config.fleet if config.fleet.others else own.fleet
+        fleet = config.fleet if config.fleet != ALONE else own.fleet
         scenario = replace(scenario, onboard=replace(config, takeoff=takeoff, fleet=fleet))
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)

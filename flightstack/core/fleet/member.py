@@ -263,8 +263,10 @@ class FleetMember:
     def message(
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
-    ) -> MemberStatus:  # fmt: skip
-        """Return the message to the other members after this tick."""
+    ) -> MemberStatus | None:  # fmt: skip
+        """Return the message to the other members after this tick; None: there are none."""
+        if self._is_alone:
+            return None
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
         fleet, mine, (x, y, z) = self._fleet, self.memory, own.position_enu_m
         intent = intent_of(memory, granted=mine.granted, flies=flies)

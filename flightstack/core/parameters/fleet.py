@@ -6,6 +6,7 @@ Crazyswarm sets them for the firmware's collision avoidance. Downwash makes it h
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -74,8 +75,6 @@ class Fleet:
         members = f"fleet.members: found {list(self.members)}"
         if len(set(self.members)) != len(self.members) or self.id not in self.members:
             raise ConfigError(f"{members}; each once is needed, and id {self.id}")
-        if not self.others:
-            return
         if len(self.others) > OTHERS_MAX:
             raise ConfigError(
                 f"fleet.members: found {len(self.members)}, allowed are 1 to {OTHERS_MAX + 1}: as many "
@@ -103,4 +102,5 @@ class Fleet:
             )
 
 
-ALONE = Fleet(id=1, members=(1,))  # a vehicle without neighbours
+# a vehicle without neighbours: these values limit neither its acceleration nor the lag of its velocity loop
+ALONE = Fleet(id=1, members=(1,), rate_1_s=0.05, speed_max_m_s=0.05, slew_xy_max_m_s2=math.inf)

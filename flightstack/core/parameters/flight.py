@@ -219,11 +219,12 @@ class FlightConfig:
     def slew_max_m_s2(self) -> Vec3:
         """Acceleration limit of the robust filter's velocity on each axis.
 
-        In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each axis gets this limit
-        divided by sqrt(2), since delayed motion reduces the distance to near neighbours.
+        ``fleet.slew_xy_max_m_s2``, infinite without a table [fleet], limits both horizontal axes together:
+        each axis gets this limit divided by sqrt(2), since delayed motion reduces the distance to near
+        neighbours.
         """
         x, y, z = self.robust.acceleration_max_m_s2
-        side = self.fleet.slew_xy_max_m_s2 / math.sqrt(2.0) if self.fleet.others else math.inf
+        side = self.fleet.slew_xy_max_m_s2 / math.sqrt(2.0)
         return min(x, side), min(y, side), z
 
     @property

@@ -275,9 +275,9 @@ def _contradictions(config: FlightConfig) -> list[str]:
     beside_dead_time = {
         "velocity_feedback.horizontal": config.velocity_feedback.horizontal,
         "own.velocity_error_m_s": config.own.learns,
-        "fleet": bool(config.fleet.others),
     }
-    names = ", ".join(name for name, given in beside_dead_time.items() if given)
+    neighbours = [f"fleet member {number}" for number in config.fleet.others]
+    names = ", ".join([*(name for name, given in beside_dead_time.items() if given), *neighbours])
     rules = [
         *((found_1_s >= most_1_s,
            f"velocity_loop.{key}: found {found_1_s:g}; with velocity_loop.damping {loop.damping:g} and "
