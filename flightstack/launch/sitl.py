@@ -50,8 +50,9 @@ def prepare(options: RunOptions) -> Scenario:
         neighbours, known = {each.id for each in (*fleets[:n], *fleets[n + 1 :])}, {*fleet.others}
         if missing := neighbours - known:
             raise ConfigError(
-                f"{options.scenario}: member {n + 1}: onboard.fleet.members: {_ids(missing)} missing; vehicles "
-                "that share a room need them to keep clear of each other (docs/how_it_works/fleet.md)"
+                f"{options.scenario}: member {n + 1}: onboard.fleet.members: {_ids(missing)} missing; "
+                "vehicles that share a room need them to keep clear of each other "
+                "(docs/how_it_works/fleet.md)"
             )
         if options.lockstep and (absent := known - neighbours):
             raise ConfigError(

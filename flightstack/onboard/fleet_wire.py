@@ -26,7 +26,8 @@ import math
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 from bridge.zenoh import zenoh_link
@@ -34,11 +35,12 @@ from flightstack.common.pacing import Tick
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.sender_clock import Reading, SenderClock
 from flightstack.core.types import MemberStatus
-from logs.schema.controller_rows import Echo, received_status, status_row
+from logs.schema.controller_rows import Echo, pack_neighbours, received_status, status_row
 from logs.schema.rows import MemberStatusRow
-from logs.schema.schemas import MEMBER_STATUS
+from logs.schema.schemas import CONTROLLER_NEIGHBOURS, MEMBER_STATUS
 
 KEY = "fleet/status"
+NEIGHBOURS = "controller/neighbours"  # log topic of the received messages
 EVERY_MEMBER = f"**/{KEY}"
 CAPACITY = 256  # maximum number of queued messages; the oldest ones are dropped
 BYTES_MAX = 2048  # maximum size of an accepted message, bytes
@@ -115,54 +117,86 @@ class _Member:
 
 
 class FleetWire:
-    """Sender of this vehicle's messages, and receiver of those of the other members.
-
-    A vehicle without other members neither sends nor receives messages.
-    """
+    """Connection of this vehicle to the other members; this class is the one of a vehicle without any."""
 
     doubled = ""  # text about another process with this vehicle's id; empty: there is none
+    topics: Mapping[str, str] = MappingProxyType({})  # log topics of the messages, with their types
 
-    def __init__(self, session: zenoh_link.Session, namespace: str, fleet: Fleet) -> None:
-        self._fleet = fleet
-        self._opened_s = time.monotonic()
-        self._process = secrets.randbits(64)
-        self._members = {n: _Member(fleet) for n in fleet.others}
-        self._rejected: Counter[str] = Counter()  # number of rejected messages by reason
+    def __init__(self) -> None:
         self._texts: list[str] = []  # texts for the operator since the last call of ``texts``
-        self._epoch_ns = 0
-        self._now_s: Callable[[], float] = lambda: 0.0
-        if fleet.others:
-            encoding = f"application/cdr;{MEMBER_STATUS}"
-            self._publisher = zenoh_link.dropping_publisher(session, f"{namespace}/{KEY}", encoding)
-            self._subscriber = zenoh_link.remote_subscriber(session, EVERY_MEMBER, CAPACITY)
 
     def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
         """Set the clock of the ticks in real time; before this call no message is sent.
 
         ``epoch_ns``: Unix time of zero of the stack clock; ``now_s``: reads the stack clock.
         """
-        self._epoch_ns, self._now_s = epoch_ns, now_s
 
     def namesake(self) -> str:
-        """Listen for another process with this vehicle's id; return an error text if there is one.
-
-        Messages received meanwhile are dropped.
-        """
-        if not self._members:
-            return ""
-        time.sleep(max(0.0, self._opened_s + NAMESAKE_S - time.monotonic()))
-        for row in self._rows():
-            if row.id == self._fleet.id and row.process != self._process:
-                self._hear_namesake()
-        return self.doubled
+        """Listen for another process with this vehicle's id; return an error text if there is one."""
+        return ""
 
     def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
         """Wait for the messages of a tick in lockstep (in real time: no wait); ``stopped`` ends the wait."""
 
     def statuses(self) -> tuple[MemberStatus, ...]:
         """Return the newest message of each member since the last call."""
-        if not self._members:
-            return ()
+        return ()
+
+    def say(self, message: MemberStatus | None) -> bytes | None:
+        """Send ``Outputs.member_status`` to the other members; return its bytes for the log, or None."""
+        del message
+        return None
+
+    def received(self, tick: Tick, messages: Sequence[MemberStatus]) -> bytes | None:
+        """Return the received messages of a tick for the log; None: no others can send messages."""
+        del tick, messages
+        return None
+
+    def texts(self) -> list[str]:
+        """Return the texts for the operator since the last call."""
+        texts, self._texts = self._texts, []
+        return texts
+
+    def close(self) -> None:
+        """Undeclare publisher and subscriber."""
+
+
+FLEET_TOPICS = MappingProxyType({NEIGHBOURS: CONTROLLER_NEIGHBOURS, KEY: MEMBER_STATUS})
+
+
+class LiveStatuses(FleetWire):
+    """Sender of this vehicle's messages in real time, and receiver of those of the other members."""
+
+    topics = FLEET_TOPICS
+
+    def __init__(self, session: zenoh_link.Session, namespace: str, fleet: Fleet) -> None:
+        super().__init__()
+        self._fleet = fleet
+        self._opened_s = time.monotonic()
+        self._process = secrets.randbits(64)
+        self._members = {n: _Member(fleet) for n in fleet.others}
+        self._rejected: Counter[str] = Counter()  # number of rejected messages by reason
+        self._epoch_ns = 0
+        self._now_s: Callable[[], float] = lambda: 0.0
+        encoding = f"application/cdr;{MEMBER_STATUS}"
+        self._publisher = zenoh_link.dropping_publisher(session, f"{namespace}/{KEY}", encoding)
+        self._subscriber = zenoh_link.remote_subscriber(session, EVERY_MEMBER, CAPACITY)
+
+    def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
+        self._epoch_ns, self._now_s = epoch_ns, now_s
+
+    def namesake(self) -> str:
+        """Listen as in ``FleetWire``; messages received meanwhile are dropped."""
+        time.sleep(max(0.0, self._opened_s + NAMESAKE_S - time.monotonic()))
+        for row in self._rows():
+            if row.id == self._fleet.id and row.process != self._process:
+                self._hear_namesake()
+        return self.doubled
+
+    def received(self, tick: Tick, messages: Sequence[MemberStatus]) -> bytes:
+        return pack_neighbours(tick, messages)
+
+    def statuses(self) -> tuple[MemberStatus, ...]:
         rows = self._rows()
         now_s = self._now_s()  # read after the queue, so that no message is newer than this time
         now_ns = self._epoch_ns + round(now_s * 1e9)
@@ -175,7 +209,6 @@ class FleetWire:
         return tuple(newest[n] for n in sorted(newest))
 
     def say(self, message: MemberStatus | None) -> bytes | None:
-        """Send ``Outputs.member_status`` to the other members; return its bytes for the log, or None."""
         if message is None:
             return None
         now_ns = self._epoch_ns + round(message.stamp_s * 1e9)
@@ -188,16 +221,9 @@ class FleetWire:
         self._publisher.put(payload)
         return payload
 
-    def texts(self) -> list[str]:
-        """Return the texts for the operator since the last call."""
-        texts, self._texts = self._texts, []
-        return texts
-
     def close(self) -> None:
-        """Undeclare publisher and subscriber."""
-        if self._members:
-            self._subscriber.undeclare()
-            self._publisher.undeclare()
+        self._subscriber.undeclare()
+        self._publisher.undeclare()
 
     def _reject(self, reason: str, detail: str = "") -> None:
         """Count a rejected message; store a text whenever the count for this reason has doubled."""

@@ -8,7 +8,7 @@ arrived (docs/how_it_works/lockstep.md).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from msgspec import msgpack
 
@@ -22,9 +22,8 @@ from flightstack.common.pacing import (
     Tick,
     wait_until,
 )
-from flightstack.core.parameters.fleet import ALONE
 from flightstack.core.types import MemberStatus
-from flightstack.onboard.fleet_wire import FleetWire
+from flightstack.onboard.fleet_wire import FLEET_TOPICS, FleetWire
 from flightstack.onboard.leaving import Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
 from logs.schema.controller_rows import pack_neighbours, status_row, unpack_neighbours
@@ -156,12 +155,14 @@ class LockstepStatuses(FleetWire):
     """Fleet messages in lockstep: the other members receive a message in a later tick than it is sent.
 
     The vehicles' simulator receives the messages of all members and distributes them tick by tick, so that
-    their order does not depend on wall time. This class replaces ``FleetWire``, which needs real time. No
-    other process has this vehicle's id, because the launcher starts one process per vehicle.
+    their order does not depend on wall time. No other process has this vehicle's id, because the launcher
+    starts one process per vehicle.
     """
 
+    topics = FLEET_TOPICS
+
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
-        super().__init__(session, namespace, ALONE)
+        super().__init__()
         self._heard = zenoh_link.fifo_subscriber(session, f"{namespace}/{HEARD}")
         self._told = zenoh_link.blocking_publisher(session, f"{namespace}/{TOLD}")
         self._inbox: dict[int, list[bytes]] = {}  # packed messages by tick
@@ -188,6 +189,9 @@ class LockstepStatuses(FleetWire):
             return ()
         found = [message for each in self._inbox.pop(tick.number, ()) for message in unpack_neighbours(each)]
         return tuple(message._replace(arrival_s=tick.now_s) for message in found)
+
+    def received(self, tick: Tick, messages: Sequence[MemberStatus]) -> bytes:
+        return pack_neighbours(tick, messages)
 
     def say(self, message: MemberStatus | None) -> bytes | None:
         """Send the message of this tick; without a message, send an empty one."""

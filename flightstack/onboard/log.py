@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from bridge.mavlink.client.vehicle_state import Battery
 from bridge.mavlink.endpoint import Direction
@@ -13,6 +14,7 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.onboard.fleet_wire import KEY, NEIGHBOURS
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import state_text
 from logs.recorder.feed import Feed
@@ -20,7 +22,6 @@ from logs.schema import Names, schemas
 from logs.schema.controller_rows import (
     TickInputs,
     pack_controller_input,
-    pack_neighbours,
     power_row,
     step_row,
 )
@@ -39,9 +40,14 @@ class OnboardLog:
     """Writer of each tick's log messages, and publisher of the live topics at lower rates."""
 
     def __init__(
-        self, feed: Feed, session: zenoh_link.Session, names: Names, config: FlightConfig, *, lockstep: bool
-    ) -> None:
-        """Open the channels; ``session``: of the live topics; ``names``: for channels, topics, metadata."""
+        self, feed: Feed, session: zenoh_link.Session, names: Names, config: FlightConfig,
+        of_fleet: Mapping[str, str] = MappingProxyType({}), *, lockstep: bool,
+    ) -> None:  # fmt: skip
+        """Open the channels.
+
+        ``session``: of the live topics; ``names``: for channels, topics, metadata; ``of_fleet``: topics of
+        the fleet's messages, with their types.
+        """
         self._feed, self._names, self._lockstep = feed, names, lockstep
 
         def topic(name: str, schema: str) -> int:
@@ -61,12 +67,10 @@ class OnboardLog:
         }
         self._input = topic("controller/input", schemas.CONTROLLER_INPUT)
         self._step = topic("controller/step", schemas.CONTROLLER_STEP)
-        self._power = self._neighbours = self._status = None
+        self._power = None
         if config.reserve is not None:
             self._power = topic("controller/power", schemas.CONTROLLER_POWER)
-        if config.fleet.others:
-            self._neighbours = topic("controller/neighbours", schemas.CONTROLLER_NEIGHBOURS)
-            self._status = topic("fleet/status", schemas.MEMBER_STATUS)
+        self._of_fleet = {name: topic(name, schema) for name, schema in of_fleet.items()}
         self._state = topic("controller/state", schemas.CONTROLLER_STATE)
         self._timing = topic("loop/timing", schemas.LOOP_TIMING)
         self._rosout = feed.channel("/rosout", schemas.LOG)
@@ -120,16 +124,21 @@ class OnboardLog:
         self._unix_ns += 1
         self.frames()
 
-    def step(self, tick: Tick, taken: Taken, out: Outputs, controller: Controller) -> ControllerStepRow:
-        """Write frames, inputs, events and outputs of a tick, once a second the state; return its row."""
+    def step(
+        self, tick: Tick, taken: Taken, out: Outputs, controller: Controller, heard: bytes | None = None
+    ) -> ControllerStepRow:
+        """Write frames, inputs, events and outputs of a tick, once a second the state; return its row.
+
+        ``heard``: messages of the other fleet members; None: there are none.
+        """
         unix_ns = self._unix_ns = tick.unix_ns
         self.frames()
         given = TickInputs(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)
         self._put(self._input, tick, pack_controller_input(given))
         if self._power is not None:
             self._put(self._power, tick, power_row(tick, taken.inputs.power, out.reserve).pack())
-        if self._neighbours is not None:
-            self._put(self._neighbours, tick, pack_neighbours(tick, taken.inputs.neighbours))
+        if heard is not None:
+            self._put(self._of_fleet[NEIGHBOURS], tick, heard)
         for event in out.events:
             self.event(unix_ns, event.level, event.text, CONTROLLER)
         row = step_row(tick, out)
@@ -143,8 +152,8 @@ class OnboardLog:
 
     def status(self, tick: Tick, payload: bytes | None) -> None:
         """Write this vehicle's status as it was sent to its fleet; None: it was not sent."""
-        if self._status is not None and payload is not None:
-            self._put(self._status, tick, payload)
+        if payload is not None:
+            self._put(self._of_fleet[KEY], tick, payload)
 
     def health(
         self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int

@@ -28,7 +28,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import ignored
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard import preflight
-from flightstack.onboard.fleet_wire import FleetWire
+from flightstack.onboard.fleet_wire import FleetWire, LiveStatuses
 from flightstack.onboard.leaving import Ended, Leaving, Signals
 from flightstack.onboard.lockstep import LockstepStatuses, LockstepWires
 from flightstack.onboard.log import OnboardLog
@@ -79,7 +79,9 @@ class Onboard(Leaving):
         socket = str(recorder) if recorder is not None else None
         self.feed = Feed.connect(socket, self.names.logger(ONBOARD), lossless=lockstep)
         self._describe()
-        self.log = OnboardLog(self.feed, self.wires.session, self.names, config, lockstep=lockstep)
+        self.log = OnboardLog(
+            self.feed, self.wires.session, self.names, config, self.fleet.topics, lockstep=lockstep
+        )
         self.link.endpoint.tap = self.log.tap
         # in lockstep no text may depend on wall time
         self.waiting = WaitReport(config, system_id, self.link, self.wires, searches=not lockstep)
@@ -111,7 +113,8 @@ class Onboard(Leaving):
             report = None
         if report is not None:
             self.log.event(tick.unix_ns, WARN, report)
-        row = self.log.step(tick, taken, out, self.controller)
+        heard = self.fleet.received(tick, taken.inputs.neighbours)
+        row = self.log.step(tick, taken, out, self.controller, heard)
         self.log.timing(tick, out, exec_s, self.feed.dropped)
         if out.transition is not None and out.transition.reason.startswith((DISARMED, MODE_CHANGED)):
             self.cause = f"; {self.waiting.cause(tick.now_s)}"
@@ -232,14 +235,16 @@ def _fleet(
     config: FlightConfig, options: OnboardOptions, session: zenoh_link.Session, namespace: str
 ) -> FleetWire:
     """Return the connection to the other fleet members. Raises ConfigError: they cannot connect."""
-    if config.fleet.others and not (options.connect or options.listen or options.zenoh_config):
+    if not config.fleet.others:
+        return FleetWire()
+    if not (options.connect or options.listen or options.zenoh_config):
         raise ConfigError(
             "[fleet]: no other process can reach this one; --connect, --listen or --zenoh-config is needed "
             "(docs/how_it_works/fleet.md)"
         )
-    if config.fleet.others and options.lockstep:
+    if options.lockstep:
         return LockstepStatuses(session, namespace)
-    return FleetWire(session, namespace, config.fleet)
+    return LiveStatuses(session, namespace, config.fleet)
 
 
 def _preflight(onboard: Onboard) -> Ended | None:

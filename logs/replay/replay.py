@@ -124,9 +124,10 @@ class _Run:
     def tick(self, record: TickRecord) -> None:
         given = record.given
         assert given is not None
-        if self.config.fleet.others and not record.told:
+        missing = ", ".join(map(str, () if record.told else self.config.fleet.others))
+        if missing:
             raise ReplayError(
-                f"{self.flight.log.path}: the messages of the other members at tick {given.tick} are missing "
+                f"{self.flight.log.path}: the messages of members {missing} at tick {given.tick} are missing "
                 f"({self.flight.topic('controller/neighbours')}); without them the replay proves nothing"
             )
         if self.wire is not None:

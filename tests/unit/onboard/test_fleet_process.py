@@ -16,7 +16,7 @@ from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, MemberStatus, Operator, Phase
 from flightstack.onboard import process
-from flightstack.onboard.fleet_wire import DRIFT_PPM, FleetWire, Offset, OtherClock
+from flightstack.onboard.fleet_wire import DRIFT_PPM, LiveStatuses, Offset, OtherClock
 from flightstack.onboard.process import Onboard
 from flightstack.onboard.runner import Runner
 from logs.schema import schemas
@@ -76,7 +76,7 @@ def other(onboard, endpoint):
     """Yield the fleet connection of another vehicle, with id 7."""
     session = open_session(connect=[endpoint])
     wait_for(lambda: zenoh_link.transports(session) == 1)
-    wire = FleetWire(session, "cf7", Fleet(7, (3, 7)))
+    wire = LiveStatuses(session, "cf7", Fleet(7, (3, 7)))
     yield wire
     wire.close()
     session.close()

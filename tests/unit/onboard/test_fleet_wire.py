@@ -9,7 +9,7 @@ from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, MemberStatus
-from flightstack.onboard.fleet_wire import BYTES_MAX, FleetWire
+from flightstack.onboard.fleet_wire import BYTES_MAX, LiveStatuses
 from logs.schema.controller_rows import Echo, status_row
 from logs.schema.rows import MemberStatusRow
 from tests.processes.bounded import wait_for
@@ -42,7 +42,7 @@ class Side:
 
     def __init__(self, session, id_, epoch_ns):
         fleet, self.id = Fleet(id_, MEMBERS), id_
-        self.wire, self.now_s = FleetWire(session, f"cf{id_}", fleet), 1.0
+        self.wire, self.now_s = LiveStatuses(session, f"cf{id_}", fleet), 1.0
         self.wire.begin(epoch_ns, lambda: self.now_s)
 
     def hear(self):
