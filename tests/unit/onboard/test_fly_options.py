@@ -13,6 +13,7 @@ from bridge.mocap.checks import MocapOptions
 from flightstack.cli.main import main
 from flightstack.common.options import Option, argv, declared, takes
 from flightstack.common.processes import LaunchError
+from flightstack.common.strict_toml import ConfigError
 from flightstack.config import load, path_of
 from flightstack.config.options import FlightOptions, OnboardOptions, Piloted, WatchOptions, described
 from flightstack.launch import fly
@@ -120,3 +121,22 @@ def test_a_configuration_that_does_not_say_where_to_begin_begins_where_the_scena
     flown = prepare(RunOptions(scenario=scenario, px4=Path("px4"))).onboard
     assert flown.takeoff.start_offset_m == given
     assert flown.vehicle == load(config).vehicle
+
+
+@pytest.mark.parametrize(
+    ("members", "lockstep", "why"),
+    [
+        ("[[member]]\n[[member]]\n", False, "member 1: onboard.fleet.members: 1 missing"),
+        (
+            "[onboard.fleet]\nid = 1\nmembers = [1, 2]\n[[member]]\n[[member]]\nonboard.fleet.id = 3\n"
+            "onboard.fleet.members = [1, 3]\n",
+            False, "member 1: onboard.fleet.members: 3 missing",
+        ),
+        ("[onboard.fleet]\nid = 1\nmembers = [1, 2]\n", True, "found members 2, which this command"),
+    ],
+)  # fmt: skip
+def test_members_are_the_vehicles_of_the_run(members, lockstep, why, tmp_path):
+    file = tmp_path / "team.toml"
+    file.write_text(f'name = "team"\nbase = "field"\n{members}')
+    with pytest.raises(ConfigError, match=why):
+        prepare(RunOptions(scenario=str(file), lockstep=lockstep))
