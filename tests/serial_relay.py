@@ -26,7 +26,7 @@ from flightstack.common.pacing import ask_for_priority
 from tests.processes.ports import free_port
 
 _TURN_S = 0.002  # period of the thread, s; 12 bytes at 57,600 baud
-_PIECE = 256  # maximum bytes per read
+_PIECE = 256  # maximum number of bytes in a read
 _NONE = bytes(4)  # result of FIONREAD if there are no bytes to read
 
 
@@ -135,7 +135,7 @@ class Line:
 
     def __init__(self, baud: int | None) -> None:
         self._rate = baud / 10 if baud else None
-        self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes: 0.05 s, at least 576
+        self._buffer_max = 65536 if baud is None else max(576, baud // 200)  # bytes of 0.05 s, at least 576
         self._buffer = bytearray()
         self._credit = 0.0
 

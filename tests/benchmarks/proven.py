@@ -65,7 +65,7 @@ def parameters(cls: type = FlightConfig, path: tuple[str, ...] = ()) -> Iterator
     hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
         kind, below = hints[field.name], (*path, field.name)
-        if type(None) in get_args(kind):  # the value is optional
+        if type(None) in get_args(kind):  # the type is optional: use the type of the value
             kind = next(each for each in get_args(kind) if each is not type(None))
         if is_dataclass(kind):
             yield from parameters(kind, below)
@@ -85,7 +85,7 @@ def values(parameter: Parameter, count: int) -> list[Any]:
     return [round(each) if parameter.whole else float(f"{each:.4g}") for each in found]
 
 
-Case = tuple[str, str, tuple[str, ...], Any]  # scenario, filter, parameter, value
+Case = tuple[str, str, tuple[str, ...], Any]  # scenario, filter, path of the parameter, value
 
 
 def changed(name: str, kind: str, path: tuple[str, ...], value: Any) -> Scenario:

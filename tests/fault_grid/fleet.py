@@ -38,7 +38,7 @@ def broken(team: Scenario, seed: int, way: Way, who: int, at_s: float) -> tuple[
     """Return the team with a fault of member ``who`` from ``at_s`` on, and the exchange of its messages."""
     if way is Way.STOPS:
         team = _with_fault(team, who, Fault(What.ROBOT, Kind.STUCK, start_s=at_s))
-    if way is Way.KILLED:  # its autopilot ends the flight by a fail-safe
+    if way is Way.KILLED:  # the member's autopilot ends the flight by a fail-safe
         team = _with_fault(team, who, Fault(What.LINK_IN, Kind.OFF, start_s=at_s))
     words, from_tick = Words(team, seed), round(at_s * team.rate_hz)
 

@@ -49,8 +49,8 @@ class Flown:
     disturbed_at_s: float  # start of the disturbance; all later times are relative to it
     noticed_s: float  # first of: start of HOLD, CLIMB or ABORT; start of a fail-safe
     down_s: float  # time at which the motors stopped for the last time
-    failsafe_s: float  # start of the autopilot's first fail-safe
-    phases: tuple[Phase, ...]  # phases of the companion, in order
+    failsafe_s: float  # time of the start of the autopilot's first fail-safe
+    phases: tuple[Phase, ...]  # phases of the companion in the order of the flight
 
     @property
     def failsafe(self) -> bool:

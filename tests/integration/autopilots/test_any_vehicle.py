@@ -68,7 +68,7 @@ def test_connects_and_tells_who_and_where_it_is(pilot):
     assert speed_m_s(pilot) < STANDING_M_S
 
 
-@pytest.mark.given  # test_preflight_tells_safe_from_unsafe covers the simulated vehicle
+@pytest.mark.given  # a test in test_autopilots.py covers the simulated vehicle
 def test_its_parameters_are_safe(room):
     words = ["--vehicle", room.url, "--autopilot", room.autopilot, "--config", room.config]
     words += ["--signing-key", room.signing_key] if room.signing_key else []
@@ -129,7 +129,7 @@ def stands(pilot) -> bool:
     return not pilot.status.armed and pilot.status.landed is Landed.ON_GROUND
 
 
-@pytest.mark.given  # test_fly.py lands the simulated vehicle
+@pytest.mark.given  # a test in test_fly.py covers the simulated vehicle
 @pytest.mark.arms
 def test_follows_and_lands_on_the_target(room):
     with companion(room) as flying:

@@ -119,5 +119,5 @@ def test_in_real_time_the_deck_follows_the_robot_and_the_truth_is_recorded(tmp_p
     flight = load_flight(log)
     assert flight.truth is not None
     pad = flight.truth.pad_position_enu_m
-    assert np.linalg.norm(pad[-1] - pad[0]) > 0.5  # the robot drives at 0.4 m/s
+    assert np.linalg.norm(pad[-1] - pad[0]) > 0.5  # distance that the robot drives at 0.4 m/s
     assert len(pad) == pytest.approx(6.0 * 250 / 3, rel=0.05)

@@ -144,7 +144,7 @@ def test_the_target_drives_a_circle_and_says_so():
             wait_for(enough, "60 samples")
         finally:
             session.close()
-    messages = [decode(ODOMETRY, sample.payload) for sample in samples]  # codec of another project
+    messages = [decode(ODOMETRY, sample.payload) for sample in samples]  # an independent codec
     assert {b.sequence - a.sequence for a, b in pairwise(samples)} == {1}
     times_s = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages]
     places = [(m.pose.pose.position.x, m.pose.pose.position.y) for m in messages]

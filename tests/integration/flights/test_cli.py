@@ -82,7 +82,7 @@ def test_help_lists_every_verb_with_a_line_in_its_group():
         elif title in GROUPS and line.strip():
             name, *words = line.split()
             assert words, name
-            assert words[-1].endswith("."), name  # one line with a full sentence
+            assert words[-1].endswith("."), name  # the line is a sentence
             found.setdefault(title, []).append(name)
     assert found == {title: list(verbs) for title, verbs in GROUPS.items()}
 

@@ -118,7 +118,7 @@ def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path):
     for name in ("cf1", "cf3"):
         assert verdict.members[name].outcome in (Outcome.LANDED, Outcome.ABORTED), verdict.members[name]
         assert fleet.flights[name].phase_spans()[-1][0] in (Phase.LANDED, Phase.ABORT)
-    assert not fleet.flights["cf2"].truth.motors_running[-1]  # its autopilot landed the vehicle
+    assert not fleet.flights["cf2"].truth.motors_running[-1]  # cf2's autopilot landed it
 
 
 @pytest.mark.parametrize(

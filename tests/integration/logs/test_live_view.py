@@ -116,7 +116,7 @@ def commands():
     """Return the command lines of all processes."""
     lines = []
     for file in Path("/proc").glob("[0-9]*/cmdline"):
-        with contextlib.suppress(OSError):  # the process has ended
+        with contextlib.suppress(OSError):  # the process may have ended
             lines.append(file.read_bytes().split(b"\0"))
     return lines
 

@@ -156,7 +156,7 @@ def test_the_page_is_whole_and_names_every_number_with_its_unit(tmp_path):
     assert out == tmp_path / "there" / "report.html"
     text = out.read_text(encoding="utf-8")
     page = Page(text)
-    assert all(source.startswith(("data:", "#")) for source in page.sources)  # loads no other files
+    assert all(source.startswith(("data:", "#")) for source in page.sources)  # the page loads no other files
     assert "@@" not in page.text
     for words in (
         "Landed",

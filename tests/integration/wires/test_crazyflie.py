@@ -103,7 +103,7 @@ def test_told_twice_to_end_it_stops_the_motors_at_once():
         started.process.send_signal(signal.SIGINT)
         one.until(is_a("HEARTBEAT", custom_mode=LAND))
         assert started.end(signal.SIGINT) == 0
-        wait_for(lambda: not server.firmware.plant.motors, "motors off")  # packets may still be queued
+        wait_for(lambda: not server.firmware.plant.motors, "motors off")  # the last packets may be delayed
         stays_unlocked(server)
 
 
@@ -128,7 +128,7 @@ def test_what_nobody_takes_is_bounded(tmp_path):
         link = CrazyflieLink(server.uri, tmp_path)
         try:
             wait_for(lambda: len(link._events) == EVENTS_MAX, "more events than there is room for")
-            time.sleep(0.5)  # about 60 more events
+            time.sleep(0.5)  # time for about 60 more events
             events = [event for _, event in link.poll()]
             assert len(events) <= EVENTS_MAX
             assert Connected not in {type(event) for event in events}  # the oldest event was dropped

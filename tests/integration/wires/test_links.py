@@ -96,7 +96,7 @@ def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, 
         ("metadata fleet", "signing_key"): (repr(str(key_file)), repr(ABSENT)),
     }
     rest = [d for d in different if not d.topic.startswith("metadata")]
-    assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # other metadata are equal
+    assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # the rest is equal
     for each in rest:
         assert each.a.replace(f"signing_key = {key_file}\\n", "") == each.b
 

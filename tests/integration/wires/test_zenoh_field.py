@@ -145,7 +145,7 @@ def test_who_is_not_known_does_not_get_in(at_home, kind, name, secret):
         with pytest.raises(ZenohLinkError, match="does it accept us"):
             zenoh_link.open_session(connect=[endpoint], config_file=client_file(kind, name, secret))
         known = zenoh_link.open_session(connect=[endpoint], config_file=client_file(kind, "robot"))
-        known.close()  # the known client is admitted
+        known.close()  # a client with a valid certificate is admitted
 
 
 def test_without_a_certificate_nobody_gets_in(at_home):
@@ -162,7 +162,7 @@ def test_without_a_certificate_nobody_gets_in(at_home):
 def test_a_router_under_another_name_is_not_believed(at_home):
     file = client_file("tls", "robot")
     with router("tls") as endpoint:
-        address = endpoint.replace("localhost", "127.0.0.1")  # not in the certificate
+        address = endpoint.replace("localhost", "127.0.0.1")  # the certificate lacks this address
         with pytest.raises(ZenohLinkError):
             zenoh_link.open_session(connect=[address], config_file=file)
 
@@ -206,7 +206,7 @@ def test_a_router_that_is_killed_and_comes_back(at_home):
             child.wait(PATIENCE_S)
             for session in (robot, companion):
                 wait_for(lambda s=session: zenoh_link.transports(s) == 0, "the end of the connection")
-            zenoh_link.drain(heard)  # discards samples in transit
+            zenoh_link.drain(heard)  # samples in transit are discarded
         assert not flows()
         with router_process(endpoint) as (child, _):
             back_s = time.monotonic()

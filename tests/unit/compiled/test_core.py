@@ -131,7 +131,7 @@ def test_without_numba_and_mujoco_the_onboard_process_misses_nothing(asked, stat
 
 def test_the_machine_code_of_other_sources_or_another_filter_is_not_warm(tmp_path, monkeypatch):
     monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
-    monkeypatch.setattr("flightstack.compiled.tick.CompiledController", Controller)  # no code is compiled
+    monkeypatch.setattr("flightstack.compiled.tick.CompiledController", Controller)  # compile nothing
     robust, paper = (load("lab").with_filter(name).onboard for name in ("robust", "paper"))
     assert chosen_core("auto", robust, lockstep=False) == "plain"
     compiled(robust)

@@ -111,7 +111,7 @@ def test_one_number_is_enough(field, axis, bad):
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 @pytest.mark.parametrize(("field", "axis"), [("velocity_enu_m_s", 2), ("position_enu_m", 0), ("yaw_rad", 0)])
 def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, field, axis, bad):
-    """While vehicle states are bad, the controller's state remains finite; later the vehicle lands."""
+    """If states have NaN or infinity, the controller's state remains finite, and the vehicle lands later."""
     world = World(config(kind, limits=SLOW), solid_pad=True)
     world.run(0.5)
     learned = world.controller.state.tracking.disturbance_m_s

@@ -58,7 +58,7 @@ def test_vehicles_that_begin_inside_each_other_are_refused():
 
 
 def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():
-    """h remains above 30 mm; it fell to -11 mm when a sinking vehicle was predicted to continue inwards."""
+    """All h stay above 30 mm; one fell to -11 mm when a sinking vehicle was predicted to continue inwards."""
     landings = land(load("fleet_8"), 20866).members
     assert min(each.verdict.h_min_outside_pad_m for each in landings) > 0.03
 

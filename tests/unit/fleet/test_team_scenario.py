@@ -83,7 +83,7 @@ onboard.checks.wait_time_max_s = 99.0
     first, second = (each.onboard for each in scenario.load(written(ABOUT + text)).members)
     named = configurations.load("px4-crazyflie")
     assert second.velocity_loop == named.velocity_loop != first.velocity_loop
-    assert second.checks == replace(named.checks, wait_time_max_s=99.0)  # replaces the team's value
+    assert second.checks == replace(named.checks, wait_time_max_s=99.0)  # replaces the value of the team
     assert second.takeoff == replace(named.takeoff, start_offset_m=(-0.8, 0.3, 0.7))
     assert second.fleet == replace(first.fleet, id=2)
     assert first.checks.retries_max == 7
@@ -129,7 +129,7 @@ STANDS = ROBOT + 'path = "still"\nspeed_m_s = 0.0\nturn_rate_rad_s = 0.0\n'
         (LANE + STANDS + "position_m = [3.0, 4.0]\n", 4.0),
         (LANE + "heading_rad = 0.5\n" + LANE + "heading_rad = 0.5\nposition_m = [0.0, 2.0]\n", 1.755),
         (LANE + LANE + "heading_rad = 3.14159265358979\nposition_m = [9.0, 2.0]\n", 2.0),
-        (LANE + LANE + "heading_rad = 0.1\nposition_m = [0.0, 2.0]\n", 0.0),  # crossing paths
+        (LANE + LANE + "heading_rad = 0.1\nposition_m = [0.0, 2.0]\n", 0.0),  # the paths cross
         (STANDS + LANE.replace("turn_rate_rad_s = 0.0", "turn_rate_rad_s = 0.1"), 0.0),
         (STANDS + "pad_behind_axle_m = 0.1\n" + STANDS + "position_m = [3.0, 4.0]\n", 0.0),  # unknown heading
         (STANDS, float("inf")),

@@ -148,7 +148,7 @@ def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard,
     wait_for(go_on)
     assert "another process has the vehicle id 3" in found[-1].reason
     out = SimpleNamespace(phase=Phase.APPROACH, finished=False)
-    assert onboard.ended(out, onboard.controller.memory, None, 1.0) is None  # in flight it continues
+    assert onboard.ended(out, onboard.controller.memory, None, 1.0) is None  # a vehicle in flight continues
 
 
 def test_a_lone_vehicle_has_no_wire(feed):

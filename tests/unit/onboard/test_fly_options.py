@@ -40,7 +40,7 @@ def started(monkeypatch):
 
     def fly_with(*words):
         done = CliRunner().invoke(main, ["fly", *map(str, words)])
-        assert done.exit_code == 2  # status of the LaunchError above
+        assert done.exit_code == 2  # exit status of the LaunchError above
         return seen[-1]
 
     return fly_with

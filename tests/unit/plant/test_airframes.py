@@ -81,5 +81,5 @@ def test_the_large_configuration_is_proven_and_made_for_its_vehicle():
     assert config.touchdown.feet_below_reference_m == -params.geometry.foot_bottom_m
     assert config.touchdown.pad_radius_m == scenario.target.pad_radius_m
     feet_m = 2**0.5 * (params.geometry.foot_offset_m + params.geometry.foot_radius_m)
-    assert config.robust.corridor_m + feet_m < config.touchdown.pad_radius_m  # all feet are on the pad
+    assert config.robust.corridor_m + feet_m < config.touchdown.pad_radius_m  # all feet fit on the pad
     assert scenario.judge is None  # the verdict uses the barrier that is flown

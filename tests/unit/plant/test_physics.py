@@ -121,7 +121,7 @@ def test_six_degrees_of_freedom_agree_with_the_independent_model(seed, slow):
     angular_acceleration = np.abs(np.diff(rates, axis=0)).max(axis=0) / 0.02
     assert turning > 0.5  # the vehicle turns enough for a test of the bounds
     assert (error[:, 10:13].max(axis=0) < STEP_S * angular_acceleration + 1e-4).all()
-    assert 2.0 * error[:, 6:10].max() < STEP_S * turning + 1e-4  # angle error, rad
+    assert 2.0 * error[:, 6:10].max() < STEP_S * turning + 1e-4  # error of the angle, rad
     assert error[:, 3:6].max() < 0.5 * STEP_S * turning * G * 1.5  # thrust, about m g, turned by half a step
     assert error[:, :3].max() < 0.5 * STEP_S * turning * G * 1.5**2 / 2.0
     assert error[:, 13:].max() < (0.01 if slow else 1e-6)  # rpm; the slow lag is integrated to second order

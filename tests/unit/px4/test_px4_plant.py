@@ -158,7 +158,7 @@ def test_the_rate_loop_is_fast_enough_and_damped(airframe, axis, index):
     assert max(poles.real) < -1.0
     oscillating = [s for s in poles if s.imag > 0.0]
     assert all(-s.real / abs(s) > 0.4 for s in oscillating)
-    assert 0.01 <= p <= 0.5  # range that PX4 documents
+    assert 0.01 <= p <= 0.5  # the range that PX4 documents
     assert 0.0 <= d <= 0.01
 
 
@@ -169,7 +169,7 @@ def test_the_lines_of_every_form_hold_all_of_them(airframe, form):
     text = parameter_text(params, form)
     assert parameters_of(text) == pytest.approx(parameters(params))
     assert "CA_ROTOR_COUNT=4" in text or "CA_ROTOR_COUNT 4\n" in text  # integers are printed without decimals
-    assert all(len(name) <= 16 for name in parameters(params))  # MAVLink allows 16 characters
+    assert all(len(name) <= 16 for name in parameters(params))  # the longest name that MAVLink allows
 
 
 def test_the_check_before_a_flight_finds_nothing_unsafe_in_them():

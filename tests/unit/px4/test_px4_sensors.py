@@ -50,7 +50,7 @@ def body(q=LEVEL, position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), rates=(0.0
     return Body(position, velocity, q, rates)
 
 
-SLOW_BITS = 0b1101111000000  # fields_updated of magnetometer and barometer
+SLOW_BITS = 0b1101111000000  # bits of magnetometer and barometer in fields_updated
 
 
 def received(message):
@@ -131,7 +131,7 @@ def test_fix_shows_position_and_velocity(x, y, z, vx, vy, vz):
 
 
 def test_rates_of_the_sensors_and_the_flags_of_what_is_new():
-    readings, fixes = many(body(), 250)  # readings of one second
+    readings, fixes = many(body(), 250)  # messages of one second
     flags = [m.fields_updated for m in readings]
     assert flags.count(0b1101111111111) == 50  # all sensors except differential pressure
     assert flags.count(0b111111) == 200

@@ -30,7 +30,7 @@ EXTRAS = {
     "bridge.crazyflie": {"crazyflie"},
     "flightstack.api": {"sim", "export", "report", "env"},
     "flightstack.cli": {"view"},
-    "flightstack.compiled": {"sim"},  # optional: tests/unit/compiled/test_core.py
+    "flightstack.compiled": {"sim"},  # an optional extra: see tests/unit/compiled/test_core.py
     "logs.report": {"report"},
     "logs.tools": {"export"},
     "logs.view": {"view"},

@@ -109,7 +109,7 @@ def test_anything_else_is_no_attachment(data):
     ],
 )
 def test_what_a_sender_says_of_its_accuracy_is_in_the_sample(x, y, sigma):
-    """The sample has the larger deviation of x and y; if one is zero, negative, huge or not finite, 0."""
+    """The sample has the larger deviation of x and y, or 0 if one is zero, negative, huge or not finite."""
     covariance = np.random.default_rng(1).normal(size=36)
     covariance[0], covariance[7] = x, y
     for name, field in (

@@ -16,7 +16,7 @@ from flightstack.core.parameters.robust import TargetLink
 from tests.processes.bounded import wait_for
 from tests.unit.target import ros2_helpers as ros
 
-FRAME, CHILD = "odom", "base_footprint"  # TurtleBot3's burger.yaml
+FRAME, CHILD = "odom", "base_footprint"  # names in TurtleBot3's burger.yaml
 STAMP = 1_700_000_000_500_000_000
 
 

@@ -57,7 +57,7 @@ def test_simulated_estimates_are_like_those_that_the_same_model_made():
 
 
 def test_the_defaults_are_like_the_recorded_flights():
-    """The default errors have 65 to 135 % of the size in every third recorded flight, and the same delay."""
+    """Default errors have 65 to 135 % of the size of recorded errors, and the same delay within 12 ms."""
     recorded = [load(path) for path in flights()[::3]]
     found = [compare(flight, number) for number, flight in enumerate(recorded) if flight.usable]
     for quantity in ("position", "velocity"):

@@ -21,7 +21,7 @@ def test_takes_off_from_the_ground_and_lands_on_it(loop):
         False,
     )
     fly(sim, (0.0, 0.0, 0.3), 0.5)
-    assert sim.truth().position_enu_m == pytest.approx((-1.2, 0.3, STANDING), abs=1e-4)  # not armed
+    assert sim.truth().position_enu_m == pytest.approx((-1.2, 0.3, STANDING), abs=1e-4)  # disarmed vehicle
     assert sim.arm() is None
     assert sim.arm() is None
     sim.advance(100)

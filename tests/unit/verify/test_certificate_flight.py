@@ -150,7 +150,7 @@ def test_no_descent_drifts_farther_than_promised(acceleration):
             wrong_p = [-x.position_error_m * u for u in unit]
             a = [-x.target_acceleration_m_s2 * u for u in unit]
             for i in range(2):
-                wanted = wrong_v[i] - gain * (e[i] + wrong_p[i])  # command relative to the target
+                wanted = wrong_v[i] - gain * (e[i] + wrong_p[i])  # commanded velocity relative to the target
                 rate = a[i] - gain * w[i]  # rate of the commanded velocity, world frame
                 pulled = (wanted - w[i] + told * rate) / lag - a[i]
                 w[i] += pulled * dt

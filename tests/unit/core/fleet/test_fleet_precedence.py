@@ -117,7 +117,7 @@ def test_pads_that_drive_towards_each_other_come_near_within_the_time():
     assert nearest_m(a, *b, 10.0) == pytest.approx(0.3)
     assert nearest_m(a, *b, 2.0) == pytest.approx(math.hypot(1.2, 0.3))
     assert nearest_m(b, *b, 10.0) == 0.0
-    assert nearest_m(a, (-1.0, 0.0, 0.0), ZERO, 10.0) == pytest.approx(1.0)  # the first pad drives away
+    assert nearest_m(a, (-1.0, 0.0, 0.0), ZERO, 10.0) == pytest.approx(1.0)  # the pad drives away
 
 
 @pytest.mark.parametrize(
@@ -205,7 +205,7 @@ SETTINGS = settings_of(3, (3, 7, 9), takeoff={"start_offset_m": [2.0, 0.0, 1.0]}
 EAST, UP, DOWN = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 CLEAR = {"abort_way": AbortWay.FLY_CLEAR}
 PHASES = [
-    (Phase.WAIT, {}, (2.0, 0.0, 1.5), None),  # a waiting vehicle hovers
+    (Phase.WAIT, {}, (2.0, 0.0, 1.5), None),  # the vehicle hovers while it waits
     (Phase.TAKEOFF, {"climbed": True}, (0.0, 0.0, 1.2), EAST),
     (Phase.APPROACH, {}, (-2.0, 0.0, 1.2), EAST),
     (Phase.HOLD, {"started_s": 0.0}, (0.5, 0.0, 1.0), UP),

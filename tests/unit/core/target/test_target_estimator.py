@@ -152,7 +152,7 @@ def fed(link, said=(0.0, 0.0), count=60):
 
 @given(st.floats(0.0, 0.2), st.floats(0.0, 1.0))
 def test_a_sender_that_says_it_is_worse_is_believed_and_one_that_is_better_is_not(position_m, velocity_m_s):
-    """In x and y, a reported deviation above the configured one replaces it; in z no reported one is used."""
+    """In x and y a reported deviation is used if it is larger than the configured one, in z it never is."""
     found = fed(LINK, (position_m, velocity_m_s))
     noise = {
         "position_noise_m": max(position_m, LINK.position_noise_m),

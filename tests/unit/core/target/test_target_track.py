@@ -208,7 +208,7 @@ def test_a_yaw_that_is_no_number_turns_nothing(unknown):
 
 
 def test_numbers_of_a_target_that_is_stuck_are_the_last_also_at_rest(track):
-    """At rest a repeated position is rejected if the velocity is noisy, and accepted if it is zero."""
+    """At rest a repeated position is rejected if the velocity has noise, and accepted at zero velocity."""
     rest = {"position_enu_m": FIRST.position_enu_m, "velocity_enu_m_s": (0.004, -0.003, 0.0)}
     assert track.accept(later(0.02, **rest)) is Reading.FROZEN
     assert track.accept(later(0.04, **(rest | {"velocity_enu_m_s": ZERO}))) is Reading.FRESH

@@ -202,7 +202,7 @@ def test_a_log_is_complete_only_if_every_byte_was_understood(tmp_path, between, 
 
 
 @pytest.mark.parametrize(
-    "case",  # first bytes, text of the error
+    "case",  # first bytes of the file; text of the error
     [
         (b"\x28\xb5\x2f\xfd" + bytes(40), "zstd -d"),
         (b"SQLite format 3\0" + bytes(40), "rosbag2"),

@@ -148,7 +148,7 @@ def test_contact_speed_of_a_state_that_lags_and_comes_seldom(flight, rate_hz, la
 
 @pytest.mark.parametrize(("pad_carries", "outcome"), [(True, Outcome.TIMEOUT), (False, Outcome.LANDED)])
 def test_on_a_floor_without_a_pad_the_vehicle_rests_in_the_world(flight, pad_carries, outcome):
-    """If no pad carries it, a vehicle that rests on a floor at the pad's height has landed."""
+    """If the target has no real pad, a vehicle at rest on a floor at the pad's height has landed."""
     steps = descent(flight)
     down = steps.t_s >= CONTACT_S
     at_m = steps.own_position_enu_m[np.flatnonzero(down)[0]]
@@ -180,7 +180,7 @@ def test_on_a_floor_without_a_pad_the_vehicle_rests_in_the_world(flight, pad_car
     [(0.3, 0.0, Outcome.LANDED), (-0.3, 0.0, Outcome.LANDED), (0.0, -0.2, Outcome.TIMEOUT)],
 )
 def test_a_floor_without_a_pad_neither_heaves_with_the_target_nor_is_lower(flight, heave_m, floor_m, outcome):
-    """A vehicle on the floor has landed if only the target heaves, but not if the floor is too low."""
+    """A vehicle at rest on a floor has landed if only the target heaves, but not if the floor is too low."""
     steps = descent(flight)
     down = steps.t_s >= CONTACT_S
     at_m = steps.own_position_enu_m[np.flatnonzero(down)[0]]

@@ -87,7 +87,7 @@ def test_the_verdict_is_printed_with_a_line_of_each_member(fleet):
 @pytest.fixture(scope="module")
 def saved(fleet, tmp_path_factory):
     """Return the path of the fleet's recording."""
-    pytest.importorskip("rerun", reason="needs the extra [view]")  # late, as it takes a second
+    pytest.importorskip("rerun", reason="needs the extra [view]")  # an import of one second
     from logs.view.view import save
 
     out = tmp_path_factory.mktemp("view") / "fleet.rrd"

@@ -54,7 +54,7 @@ def test_cut_frame_record_is_refused(frame, data):
 LINK = mav.MAVLink(None, srcSystem=1, srcComponent=1)
 PARSER = everything.MAVLink(None)
 STAMP_NS = 1_577_836_800_123_456_789
-ROS_FIELD = re.compile(r"[a-z](_?[a-z0-9])*")  # valid field names in ROS 2
+ROS_FIELD = re.compile(r"[a-z](_?[a-z0-9])*")  # field names that ROS 2 allows
 ROS_TYPE = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 

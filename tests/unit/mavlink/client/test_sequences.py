@@ -91,7 +91,7 @@ def sent(s, request, ticks, *, note=lambda tick: None, period_s=0.01, **shown):
         (PX4, KILL, None, [0.0, 21196.0]),
         (PX4, NONE, OURS, [1.0, 4.0, 3.0]),
         (CRAZYFLIE, TAKEOFF, READY, [1.0, 0.0]),
-        (CRAZYFLIE, TAKEOFF, ARMED, [math.nan] * 6 + [488.0 + HEIGHT]),  # m above sea level
+        (CRAZYFLIE, TAKEOFF, ARMED, [math.nan] * 6 + [488.0 + HEIGHT]),  # height above sea level, m
         (ARDUPILOT, TAKEOFF, READY, [1.0, 4.0]),
     ],
 )
@@ -145,7 +145,7 @@ def test_commands_are_repeated_every_half_second_and_give_up_with_all_that_was_s
             s.note_ack(LAND, 0)  # ACCEPTED, but the heartbeat never shows the mode
         if tick == 5:
             s.note_ack(LAND, 1)
-            s.note_ack(ARM, 4)  # reply to another command
+            s.note_ack(ARM, 4)  # a reply to another command
             s.note_text("Landing denied: no position")
 
     found = sent(s, DOWN, 1000, note=note, armed=True)

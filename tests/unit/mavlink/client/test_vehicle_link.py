@@ -86,7 +86,7 @@ def auto(vehicle):
 def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
     assert auto.state.profile is None
     assert auto.failed is None
-    auto.command(Request.LAND, 0.0)  # ignored: no vehicle is known yet
+    auto.command(Request.LAND, 0.0)  # this is ignored, because no vehicle is known yet
     assert not auto.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.0)
     vehicle.send(position(10))
     poll(auto, 0.1)
@@ -194,7 +194,7 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
     assert auto.state.status.mode is Mode.TAKEOFF
     auto.command(Request.EXTERNAL, 4.0)
     assert auto.send_setpoint(still, 4.0)
-    assert auto.state.status.mode is Mode.EXTERNAL  # ArduPilot's heartbeat does not show it
+    assert auto.state.status.mode is Mode.EXTERNAL  # the mode is not from the heartbeat
     shows(5.0, 1)  # on the pad, set-points still press the vehicle down
     assert auto.send_setpoint(still, 5.0)
     assert auto.state.status.mode is Mode.EXTERNAL

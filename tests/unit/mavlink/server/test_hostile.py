@@ -53,7 +53,7 @@ def hostile(rng: random.Random, id_: int, commands: list[int]):
         message.custom_mode = rng.choice(list(PX4_CODES.values())).custom_mode
     if hasattr(message, "param_id") and rng.random() < 0.8:
         message.param_id = rng.choice(PARAMETERS)
-        message._param_id_raw = message.param_id.encode()  # pymavlink packs this field
+        message._param_id_raw = message.param_id.encode()  # pymavlink packs ``_param_id_raw``
         if hasattr(message, "param_type"):
             message.param_type = rng.choice((6, 9))
     return message
