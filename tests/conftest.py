@@ -1,4 +1,4 @@
-"""Command line options and collection rules of the tests."""
+"""Defines the command line options and the collection rules of the tests."""
 
 from __future__ import annotations
 

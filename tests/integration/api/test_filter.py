@@ -72,7 +72,7 @@ def test_at_has_barrier_limits_and_states():
         assert (safe >= at.lower_m_s).all()
         assert (safe <= at.upper_m_s).all()
         assert at.gradient.shape == at.velocity_enu_m_s.shape == at.target_velocity_enu_m_s.shape == (3,)
-    paper = fs.land("lab", 3, filter="paper")  # but for rounding, the base class flies as the paper's
+    paper = fs.land("lab", 3, filter="paper")  # apart from rounding, both fly the same
     both = slice(0, 200)
     assert np.allclose(landing.log.h_m[both], paper.log.h_m[both], atol=1e-4, equal_nan=True)
 

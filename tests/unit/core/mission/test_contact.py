@@ -79,7 +79,7 @@ def test_a_descent_that_stopped_low_over_the_pad_is_contact():
     assert not found(1.0, velocity=tuple(1.02 * v for v in slow))
     assert not found(1.0, e=(*low[:2], 1.01 * r.touch_height_m))
     assert not found(1.0, e=(0.0, 1.01 * ROBUST.touchdown.pad_radius_m, low[2]))
-    # commanded and measured velocities count relative to the pad
+    # commanded and measured velocities are compared relative to the pad
     rising = (0.0, 0.0, 0.3)
     assert found(
         0.05, command=(0.0, 0.0, told[2] + 0.3), velocity=(0.0, 0.0, slow[2] + 0.3), target_velocity=rising

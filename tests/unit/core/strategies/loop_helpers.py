@@ -1,4 +1,4 @@
-"""A second-order velocity loop in place of the vehicle, which flies references or follows a target."""
+"""A second-order velocity loop, which replaces the vehicle and flies references or follows a target."""
 
 import numpy as np
 from scipy.linalg import expm

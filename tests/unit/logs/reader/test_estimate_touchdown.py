@@ -1,4 +1,4 @@
-"""Tests how the touchdown is found in the vehicle's estimate: time, place and speed, or none."""
+"""Tests where, when and how fast the touchdown is found in the vehicle's estimate, or that none is found."""
 
 from dataclasses import replace
 

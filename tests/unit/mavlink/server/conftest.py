@@ -26,7 +26,7 @@ USERS: dict[str, type[Served]] = {"px4": Simulated, "crazyflie": Bridged}
 
 @functools.cache
 def prepared(user: str, situation: str) -> Served:
-    """Return a vehicle in a situation, from a cache: copy it before use."""
+    """Return a vehicle in this situation from a cache; copy the vehicle before use."""
     made = USERS[user]()
     if situation != "disarmed":
         getattr(made, situation)()

@@ -1,4 +1,4 @@
-"""Tests all command tables: both encodings, repetitions, rejections and addresses."""
+"""Tests all command tables: both encodings, repeated commands, rejections and addresses."""
 
 from __future__ import annotations
 
