@@ -54,7 +54,7 @@ class PtyEnd:
         self._master = -1
 
     def read(self) -> bytes:
-        with contextlib.suppress(OSError):  # because an empty read would wait for a kernel worker
+        with contextlib.suppress(OSError):  # an empty read would wait for a kernel worker
             empty = self._master < 0 or fcntl.ioctl(self._master, termios.FIONREAD, _NONE) == _NONE
             return b"" if empty else os.read(self._master, _PIECE)
         return b""

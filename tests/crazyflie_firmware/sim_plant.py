@@ -1,7 +1,7 @@
 """Connects the simulated vehicle (MuJoCo, rotors, battery, attitude and velocity loop) to the firmware model.
 
-Every scenario is flown with the firmware's filter (``sim.firmware.estimator``) and its PID velocity loop; the
-filter knows drag along body z and by ``kalman.dragB_*`` only.
+Every scenario is flown with the firmware's filter (``sim.firmware.estimator``) and its PID velocity loop. The
+filter uses in flight only body z of the accelerometer, with the drag along x and y from ``kalman.dragB_*``.
 """
 
 import math
