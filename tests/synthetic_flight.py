@@ -19,6 +19,7 @@ from logs.recorder.recording import McapFile
 from logs.schema import schemas
 from logs.schema.events import pack_log
 from logs.schema.rows import ControllerStepRow, LoopTimingRow, TrueStateRow
+from tests.step_rows import step_row
 
 DT_S = 0.01
 RATE_HZ = 100
@@ -124,12 +125,18 @@ def _landing() -> Rows:
             wanted = filtered
         command = slew(command, wanted, (0.04, 0.04, 0.04))
         rows.steps.append(
-            ControllerStepRow(
-                stamp, tick, phase, 2 if flying else 0, 1 if go else 0, 0 if flying else 1, flying,
-                go and filtered != nominal, True, True, 0.005, 0.01 + 0.01 * rng.random(), seen_p, v, 0.0,
-                pad, pad_v, heading, h, gradient, dh_dt, nominal, filtered if go else NAN3, command,
-                sum(g * u for g, u in zip(gradient, command, strict=True)) - bound, 1e-10, 40, tick, 0,
-                False, False, NAN3, math.nan,
+            step_row(
+                stamp_ns=stamp, tick=tick, phase=phase, request=2 if flying else 0,
+                filter_status=1 if go else 0, gate=0 if flying else 1, setpoint_sent=flying,
+                barrier_active=go and filtered != nominal, own_valid=True, target_valid=True,
+                own_age_s=0.005, target_age_s=0.01 + 0.01 * rng.random(),
+                own_position_enu_m=seen_p, own_velocity_enu_m_s=v,
+                target_position_enu_m=pad, target_velocity_enu_m_s=pad_v, target_yaw_rad=heading,
+                h_m=h, gradient=gradient, dh_dt_m_s=dh_dt, nominal_enu_m_s=nominal,
+                filtered_enu_m_s=filtered if go else NAN3, command_enu_m_s=command,
+                slack_m_s=sum(g * u for g, u in zip(gradient, command, strict=True)) - bound,
+                residual=1e-10, iterations=40, target_accepted=tick, wanted_enu_m_s=NAN3,
+                command_yaw_rad=math.nan,
             )
         )  # fmt: skip
         truth_h = BARRIER.h(e)

@@ -37,6 +37,8 @@ from logs.schema.schemas import TARGET_SAMPLE, fields_of
 
 _SAMPLE_FIELDS = tuple(field.name for field in fields_of(TARGET_SAMPLE))
 _sample_values = attrgetter(*_SAMPLE_FIELDS)
+# fields of a step that are attributes or properties of ``Outputs``: they need only a line in the .msg file
+_OF_OUTPUTS = tuple(name for name in ControllerStepRow._fields if hasattr(Outputs, name))
 _NO_STATUS = (False, 0, 0, False, 0.0)
 _NO_POWER = (0.0, 0.0, 0.0, 0.0)
 _NO_OWN = (0.0, 0.0, ZERO, ZERO, 0.0)
@@ -110,10 +112,7 @@ def step_row(tick: Tick, out: Outputs) -> ControllerStepRow:
     return ControllerStepRow(
         stamp_ns=tick.unix_ns,
         tick=tick.number,
-        phase=out.phase,
-        request=out.request,
         filter_status=barrier.result.status if barrier is not None else 0,
-        gate=out.gate,
         setpoint_sent=out.setpoint is not None,
         barrier_active=barrier.result.active if barrier is not None else False,
         own_valid=seen.own_ok,
@@ -135,12 +134,10 @@ def step_row(tick: Tick, out: Outputs) -> ControllerStepRow:
         slack_m_s=barrier.result.slack_m_s if barrier is not None else nan,
         residual=barrier.result.residual_m_s if barrier is not None else nan,
         iterations=barrier.result.iterations if barrier is not None else 0,
-        target_accepted=out.target_accepted,
-        target_rejected=out.target_rejected,
         link_valid=seen.link_ok,
-        finished=out.finished,
         wanted_enu_m_s=out.wanted if out.wanted is not None else none,
         command_yaw_rad=out.setpoint.yaw_rad if out.setpoint is not None else nan,
+        **{name: getattr(out, name) for name in _OF_OUTPUTS},
     )
 
 

@@ -13,8 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.ros2.cdr import decode_odometry
 from bridge.zenoh import zenoh_link
-from flightstack.core.types import ZERO, Phase
-from logs.schema.rows import ControllerStepRow
+from flightstack.core.types import Phase
 from tests.integration.sim_processes import (
     Client,
     is_a,
@@ -26,6 +25,7 @@ from tests.integration.sim_processes import (
 )
 from tests.processes.bounded import AT_ONCE_S, wait_for
 from tests.processes.ports import free_port
+from tests.step_rows import step_row
 
 ARMED = 128
 LAND = 0x06040000
@@ -233,7 +233,4 @@ def test_the_robots_poses_wait_for_no_other_program_but_in_lockstep(lockstep: bo
 
 
 def controller_step(phase: Phase) -> bytes:
-    return ControllerStepRow(
-        0, 0, int(phase), 0, 0, 0, True, False, True, True, 0.0, 0.0, ZERO, ZERO, 0.0, ZERO, ZERO, 0.0,
-        0.0, ZERO, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 0, 0, 0, True, False, ZERO, 0.0,
-    ).pack()  # fmt: skip
+    return step_row(phase=int(phase)).pack()

@@ -10,7 +10,8 @@ from logs.recorder.recording import McapFile, Recorder
 from logs.schema import schemas
 from logs.schema.events import Severity, pack_log
 from logs.schema.mavlink import pack_mavlink
-from logs.schema.rows import ControllerStepRow, LoopTimingRow, TrueStateRow
+from logs.schema.rows import LoopTimingRow, TrueStateRow
+from tests.step_rows import step_row
 
 
 def timing(tick):
@@ -32,9 +33,10 @@ CHANNELS = {
 
 def payloads(tick, now_ns):
     p = (0.01 * tick, 0.0, 1.0)
-    step = ControllerStepRow(
-        now_ns, tick, 3, 2, 1, 0, True, False, True, True, 0.0, 0.0, p, ZERO, 0.0, ZERO, ZERO, 0.0,
-        0.5, ZERO, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 1, 1, 0, True, False, NAN, math.nan,
+    step = step_row(
+        stamp_ns=now_ns, tick=tick, phase=3, request=2, filter_status=1, setpoint_sent=True, own_valid=True,
+        target_valid=True, link_valid=True, own_position_enu_m=p, h_m=0.5, iterations=1, target_accepted=1,
+        wanted_enu_m_s=NAN, command_yaw_rad=math.nan,
     )  # fmt: skip
     truth = TrueStateRow(
         now_ns, tick, p, ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, (1.0, 2.0, 3.0, 4.0), ZERO, ZERO, 0.0,

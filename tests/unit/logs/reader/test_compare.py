@@ -9,18 +9,19 @@ from logs.reader.reader import LogError
 from logs.recorder.recording import RECORDER_NAME, McapFile
 from logs.schema import schemas
 from logs.schema.events import pack_log
-from logs.schema.rows import ControllerStepRow, LoopTimingRow
+from logs.schema.rows import LoopTimingRow
+from tests.step_rows import step_row
 
 ZERO = (0.0, 0.0, 0.0)
 STEP_TOPIC = "/cf1/controller/step"
 
 
 def step(tick, **changes):
-    row = ControllerStepRow(
-        tick, tick, 3, 2, 1, 0, True, False, True, True, 0.0, 0.0, (1.0, 2.0, 3.0), ZERO, 0.0, ZERO, ZERO,
-        0.0, float("nan"), ZERO, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 1, 1, 0, True, False, ZERO, 0.0,
-    )  # fmt: skip
-    return row._replace(**changes).pack()
+    given = {
+        "stamp_ns": tick, "tick": tick, "phase": 3, "own_position_enu_m": (1.0, 2.0, 3.0),
+        "h_m": float("nan"), "target_accepted": 1,
+    }  # fmt: skip
+    return step_row(**(given | changes)).pack()
 
 
 def timing(tick, exec_s):

@@ -17,8 +17,8 @@ from logs.recorder.derive import Deriver, Derivers
 from logs.recorder.markers import PATH_POINTS, surface
 from logs.schema import schemas
 from logs.schema.mavlink import pack_mavlink
-from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import codec
+from tests.step_rows import step_row
 
 STORE = schemas.typestore()
 EPOCH_NS = 1_577_836_800_000_000_000
@@ -26,14 +26,15 @@ CONFIG = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}}
 
 
 def step(t_ns=0, own=(1.0, 2.0, 3.0), velocity=(0.3, 0.0, -0.1), yaw=0.0, **changes):
-    zero = (0.0, 0.0, 0.0)
-    row = ControllerStepRow(
-        EPOCH_NS + t_ns, t_ns // 10_000_000, 3, 2, 1, 0, True, True, True, True, 0.01, 0.02,
-        own, velocity, yaw, (0.5, -0.5, 0.2), (0.1, 0.0, 0.0), math.pi / 2,
-        0.4, zero, 0.0, (0.2, 0.0, -0.2), (0.1, 0.0, -0.1), zero, 0.0, 0.0, 1, 2, 3,
-        False, False, (math.nan,) * 3, math.nan,
-    )  # fmt: skip
-    return row._replace(**changes)
+    given = {
+        "stamp_ns": EPOCH_NS + t_ns, "tick": t_ns // 10_000_000, "phase": 3, "setpoint_sent": True,
+        "own_valid": True, "target_valid": True, "h_m": 0.4,
+        "own_position_enu_m": own, "own_velocity_enu_m_s": velocity, "own_yaw_rad": yaw,
+        "target_position_enu_m": (0.5, -0.5, 0.2), "target_velocity_enu_m_s": (0.1, 0.0, 0.0),
+        "target_yaw_rad": math.pi / 2, "nominal_enu_m_s": (0.2, 0.0, -0.2),
+        "filtered_enu_m_s": (0.1, 0.0, -0.1), "wanted_enu_m_s": (math.nan,) * 3, "command_yaw_rad": math.nan,
+    }  # fmt: skip
+    return step_row(**(given | changes))
 
 
 def derive(row, deriver=None):
