@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.common.strict_toml import dumps, from_table
+from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from logs.recorder.derive import Deriver, Derivers
@@ -176,7 +177,7 @@ def frame(sequence, system=1):
 def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart():
     derivers, radii_m = Derivers(), {"cf1": 0.1, "cf2": 0.3}
     for n, (name, radius_m) in enumerate(radii_m.items(), 1):
-        fleet = replace(CONFIG.fleet, id=n, members=(1, 2), radius_xy_m=0.25, radius_z_m=0.75)
+        fleet = Fleet(id=n, members=(1, 2), radius_xy_m=0.25, radius_z_m=0.75)
         derivers.metadata(f"{name}/run", {"pad_radius_m": str(radius_m), "seed": str(n)})
         derivers.attachment(f"{name}/onboard.toml", dumps(replace(CONFIG, fleet=fleet)).encode())
         derivers.metadata(f"{name}/onboard", {"namespace": name, "system_id": str(n)})
