@@ -16,7 +16,7 @@ import numpy as np
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import ROBOT_FAILED, one_line
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Cell, Record, cell, cell_of_numbers, new
+from flightstack.compiled.records import F64, Cell, Record, cell, cell_of_numbers, copy, new
 from flightstack.core.parameters.filters import file_of, referred
 from flightstack.core.types import Vec3
 from sim.chance import stream
@@ -217,7 +217,7 @@ def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) 
     """
     for row in pads:
         drive(motion, dt_s, driving)
-        row[:] = motion[0].pad
+        copy(motion[0].pad, row)
 
 
 class TargetModel:

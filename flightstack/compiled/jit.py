@@ -12,6 +12,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import select
+import signal
 import stat
 import sys
 import tempfile
@@ -33,6 +35,7 @@ SOURCES = (
     *(f"sim/runners/{name}.py" for name in ("ticks", "robot", "room")),
 )
 OFF = "NUMBA_DISABLE_JIT"  # environment variable of numba that disables compilation
+_APART_MAX_S = 120.0  # longest wait for a part that a second process compiles, s
 _NEEDLESS = ("scipy.linalg", "coverage")  # optional imports of numba that compiled code does not use
 
 
@@ -123,22 +126,47 @@ def is_kept(what: str) -> bool:
 
 
 @contextlib.contextmanager
-def compiling(what: str, about: str) -> Iterator[None]:
+def compiling(what: str, about: str) -> Iterator[bool]:
     """Announce on standard error that functions are compiled in this block, unless ``what`` is on disk.
 
-    After the block, all machine code of ``what`` is on disk. ``about``: description and processor time of the
-    compilation; a slow computer takes longer.
+    The value of the block is False if ``what`` is on disk. After the block, all machine code of ``what`` is
+    on disk. ``about``: description and time of the compilation; a slow computer takes longer.
     """
     if is_off() or is_kept(what):
-        yield
+        yield False
         return
     _say(f"compiling {about}")
-    yield
+    yield True
     _say("compiled")
     folder = cache_directory()
     if folder is not None:
         with contextlib.suppress(OSError):  # the disk may be full
             (folder / what).touch()
+
+
+def at_once(here: Callable[[], object], apart: Callable[[], object]) -> None:
+    """Compile two parts of the code at the same time, ``apart`` in a forked process.
+
+    The process leaves only machine code on disk. Without it (the process fails, or takes longer than
+    ``_APART_MAX_S`` after ``here``), that part is compiled at its first call.
+    """
+    if cache_directory() is None:
+        here()
+        return
+    ended, ends = os.pipe()  # readable when the process has ended
+    child = os.fork()
+    if child == 0:
+        with contextlib.suppress(BaseException):
+            apart()
+        os._exit(0)
+    os.close(ends)
+    try:
+        here()
+        select.select([ended], (), (), _APART_MAX_S)
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        os.close(ended)
 
 
 def _say(text: str) -> None:

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Protocol, TypeVar, cast, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
-from flightstack.compiled.jit import is_off
+from flightstack.compiled.jit import is_off, jitted
 
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
@@ -109,6 +109,13 @@ def _bare(kind: np.dtype[Any]) -> np.dtype[Any]:
         return kind
     formats = [_bare(kind[name]) for name in kind.names]
     return np.dtype({"names": kind.names, "formats": formats})
+
+
+@jitted
+def copy(source: F64, target: F64) -> None:
+    """Copy element by element: numba needs 2 s to compile ``target[:] = source``."""
+    for i in range(len(target)):
+        target[i] = source[i]
 
 
 Scalar = Any  # a memoryview of one number; reading it returns a Python number

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
 from typing import Any
@@ -33,7 +34,7 @@ from sim.runners.landing_wire import PEER
 from sim.runners.lockstep import LockstepVehicle
 from sim.runners.log import Notes
 from sim.runners.robot import DirectTarget
-from sim.runners.ticks import BEFORE, MIDDLE, BatchRecord, fly_ticks, narrow
+from sim.runners.ticks import BEFORE, MIDDLE, BatchRecord, decided, fly_ticks, narrow
 from sim.runners.vehicle_node import VehicleNode
 
 TICKS = 20  # maximum number of ticks in one call; the robot is computed for this number of future ticks
@@ -95,6 +96,12 @@ class Batches:
         self._raised: BaseException | None = None  # exception of an agent or a user's filter
         self._next, self._wait = 0, 1  # first tick of the next attempt; ticks to wait after a failed one
         self._sender = (node.autopilot.system_id, COMPANION_ID, PEER)
+
+    def warm_up_controller(self) -> None:
+        """Compile the controller's part of the code: a call that ends at once, since the flight is over."""
+        run: Any = decided
+        with contextlib.suppress(NotOrdinary):
+            run(self._node.vehicle.record, self._batch, self._objects, np.empty((0, 9)), math.inf)
 
     def warm_up(self) -> None:
         """Compile the code, or load it from the cache."""

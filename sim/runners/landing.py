@@ -19,7 +19,7 @@ from bridge.mavlink.profiles import OWN_SITL
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Tick
-from flightstack.compiled.jit import compiling
+from flightstack.compiled.jit import at_once, compiling
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import MemberStatus, Phase
 from flightstack.onboard.leaving import Leaving
@@ -237,12 +237,17 @@ def land(
 
 def warm_up(scenario: Scenario) -> None:
     """Compile all code of a flight, or load it from the cache, before the first flight starts."""
-    warm_up_room(scenario)
     batches = Flights(scenario, 0).batches
-    if batches is not None:
-        name = scenario.onboard.filter.replace(":", "-")
-        with compiling(f"loop-{name}", "the loop of a campaign with this filter, about 20 s, once for each"):
-            batches.warm_up()
+    if batches is None:
+        warm_up_room(scenario)
+        return
+    name, about = scenario.onboard.filter.replace(":", "-"), "the loop of a campaign with this filter"
+    with compiling(f"loop-{name}", f"{about}, about 20 s, once for each") as cold:
+        if cold:
+            at_once(lambda: warm_up_room(scenario), batches.warm_up_controller)
+        else:
+            warm_up_room(scenario)
+        batches.warm_up()
 
 
 if __name__ == "__main__":  # compiles in advance, for these filters, so that no campaign has to wait

@@ -13,7 +13,7 @@ import numpy as np
 
 from bridge import frames
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, I64, Cell, Record, Vector
+from flightstack.compiled.records import F64, I64, Cell, Record, Vector, copy
 from flightstack.compiled.tick import take
 from flightstack.core.controller import Controller, Landing
 from flightstack.core.numeric import NotOrdinary, twin
@@ -138,7 +138,7 @@ def _needs_autopilot(p: BatchRecord, v: VehicleRecord, now_ms: int, now_s: float
 
 
 @jitted
-def _decided(
+def decided(
     v: VehicleRecord, p: BatchRecord, kernel: Controller, samples: F64, now_s: float
 ) -> tuple[OwnState, Landing]:
     """Pass the vehicle state and the ``samples`` of this tick to the controller; run its step."""
@@ -197,11 +197,11 @@ def fly_ticks(
     rate, before, plan = p.rate_hz, p.plan[2], p.plan
     plan[3] = 0
     for n in range(plan[1]):
-        spare[:] = state
+        copy(state, spare)
         tick = plan[0] + n
         now_s = tick * NS_PER_S // rate / 1e9
         now_ms, end_ms = (2000 * tick + rate) // (2 * rate), (2000 * (tick + 1) + rate) // (2 * rate)
-        own, landing = _decided(v, p, kernel, samples[before : come[n]], now_s)
+        own, landing = decided(v, p, kernel, samples[before : come[n]], now_s)
         setpoint = _narrow3(landing.setpoint)
         if landing.sends != bool(p.flies) or (landing.sends and not _flyable(p, setpoint)):
             raise NotOrdinary

@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, I64, Record, Vector
+from flightstack.compiled.records import F64, I64, Record, Vector, copy
 from flightstack.core.numeric import twin
 from flightstack.core.safety.barrier import boundary_height
 from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
@@ -88,7 +88,7 @@ def note_contact(
             c.ground_ms = now_ms
     if bits & PAD and c.judging and c.touch_ms == NONE_MS:
         c.touch_ms = now_ms
-        c.touch_e[:] = before_e
+        copy(before_e, c.touch_e)
         c.touch_velocity[0] = before_velocity[0] - (deck.velocity[0] - deck.rate * before_e[1])
         c.touch_velocity[1] = before_velocity[1] - (deck.velocity[1] + deck.rate * before_e[0])
         c.touch_velocity[2] = before_velocity[2] - deck.velocity[2]

@@ -160,26 +160,38 @@ def move(v: VehicleRecord, now_ms: int) -> None:
 
 
 @jitted
+def run_firmware(v: VehicleRecord, now_ms: int) -> None:
+    """Run sensors and firmware for one step; the random numbers must have been drawn (``advance``)."""
+    receive(v.firmware.inbox, v.firmware.setpoint, now_ms)
+    measure_pose(v.mocap, v.world.body, now_ms)
+    if not v.mocap.diverted:
+        correct_estimate(v.mocap, v.firmware.estimator, v.world.body, now_ms)
+    if now_ms % CONTROL_EVERY_MS == 0:
+        axes = rotation_axes(v.world.body.quaternion)
+        measure(v.imu, v.world.body.velocity, v.world.body.rates, axes)
+        predict(v.firmware.estimator, v.imu.gyro, v.imu.accel)
+        if now_ms % PERIOD_MS == 0:
+            oversee(v.firmware, now_ms, v.imu.accel)
+        v.firmware.thrust_map.no_duty_rpm = speed_at_no_duty(v.battery)
+        control(v.firmware, speed_limit(v.battery))
+        apply_ground_effect(v)
+
+
+@jitted
+def run_body(v: VehicleRecord, now_ms: int) -> None:
+    """Run surroundings, rotors, body and deck for one step."""
+    surround(v, now_ms)
+    push(v)
+    move(v, now_ms)
+
+
+@jitted
 def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
     """Run steps of 1 ms until ``end_ms``; the random numbers must have been drawn (``advance``)."""
     v = vehicle[0]
     for now_ms in range(begin_ms, end_ms):
-        receive(v.firmware.inbox, v.firmware.setpoint, now_ms)
-        measure_pose(v.mocap, v.world.body, now_ms)
-        if not v.mocap.diverted:
-            correct_estimate(v.mocap, v.firmware.estimator, v.world.body, now_ms)
-        if now_ms % CONTROL_EVERY_MS == 0:
-            axes = rotation_axes(v.world.body.quaternion)
-            measure(v.imu, v.world.body.velocity, v.world.body.rates, axes)
-            predict(v.firmware.estimator, v.imu.gyro, v.imu.accel)
-            if now_ms % PERIOD_MS == 0:
-                oversee(v.firmware, now_ms, v.imu.accel)
-            v.firmware.thrust_map.no_duty_rpm = speed_at_no_duty(v.battery)
-            control(v.firmware, speed_limit(v.battery))
-            apply_ground_effect(v)
-        surround(v, now_ms)
-        push(v)
-        move(v, now_ms)
+        run_firmware(v, now_ms)
+        run_body(v, now_ms)
 
 
 AIRBORNE_AFTER_MS = 200  # time without contact after which the vehicle counts as airborne, ms

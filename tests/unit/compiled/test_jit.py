@@ -5,6 +5,7 @@ import math
 import os
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from typing import Annotated
 
@@ -194,3 +195,32 @@ def test_a_full_disk_and_damaged_machine_code_only_cost_time(tmp_path):
             damaged.write_bytes(content)
             assert added() == ("1.0\n", "")
             assert index.read_bytes() != content  # the machine code was compiled and stored again
+
+
+def _twice(x):
+    return 2.0 * x
+
+
+def test_machine_code_that_a_second_process_compiled_is_loaded(tmp_path, monkeypatch):
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    twice = jit.jitted(_twice)
+    jit.at_once(lambda: None, lambda: twice(1.0))
+    assert twice(2.0) == 4.0
+    assert sum(twice.stats.cache_hits.values()) == 1
+
+
+@pytest.mark.parametrize("apart", [lambda: 1 / 0, lambda: threading.Event().wait()])
+def test_a_second_process_that_fails_or_hangs_does_not_stop_the_first(tmp_path, monkeypatch, apart):
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    monkeypatch.setattr(jit, "_APART_MAX_S", 0.1)
+    done = []
+    jit.at_once(lambda: done.append(True), apart)
+    assert done == [True]
+
+
+def test_without_a_cache_directory_no_second_process_is_started(monkeypatch):
+    monkeypatch.setattr(jit, "cache_directory", lambda: None)
+    monkeypatch.setattr(jit.os, "fork", lambda: pytest.fail("forked"))
+    done = []
+    jit.at_once(lambda: done.append(True), lambda: None)
+    assert done == [True]
