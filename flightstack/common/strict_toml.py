@@ -199,6 +199,11 @@ def _places(
         raise ConfigError(f"{at}: found {value!r}, a finite number is needed")
     yield at, (kind, value)
     if isinstance(kind, inspect.DataclassType) and isinstance(value, dict):
+        if hasattr(kind.cls, "other_keys"):  # replaces other forms of the fields, in place
+            try:
+                kind.cls.other_keys(value)
+            except ConfigError as error:
+                raise ConfigError(f"{at}: {error}" if at else str(error)) from None
         known = {field.name: field for field in kind.fields}
         for key in value:
             if key not in known:

@@ -21,10 +21,10 @@ without end. m is chosen such that the faded margin is still sufficient at the p
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, NamedTuple, Protocol
 
-from flightstack.common.strict_toml import span
+from flightstack.common.strict_toml import ConfigError, from_table, span
 from flightstack.core.numeric import numeric
 from flightstack.core.types import ZERO, Vec3
 
@@ -57,8 +57,30 @@ def problem_of(boundary: Any, e_m: Vec3) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class Peak:
+    """Highest ring of the boundary, which a configuration may give in place of alpha and beta (eq. 7)."""
+
+    peak_height_m: Annotated[float, span(0.05, 10.0)]
+    peak_distance_m: Annotated[float, span(0.05, 20.0)] | None = None  # radius of the ring
+    # angle at the landing spot between the vertical and the ring, in place of the radius
+    cone_half_angle_rad: Annotated[float, span(0.05, 1.5)] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.peak_distance_m is None) == (self.cone_half_angle_rad is None):
+            raise ConfigError("give peak_height_m with either peak_distance_m or cone_half_angle_rad")
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Alpha and beta of the boundary."""
+        distance_m = self.peak_distance_m
+        if distance_m is None:
+            distance_m = self.peak_height_m * math.tan(self.cone_half_angle_rad or 0.0)
+        return {"alpha_1_m": 1.0 / distance_m, "beta_m": E * self.peak_height_m}
+
+
+@dataclass(frozen=True, slots=True)
 class Barrier:
-    """Landing barrier: the table [barrier] of a configuration. Eq. 7 gives alpha and beta for a peak."""
+    """Landing barrier: the table [barrier] of a configuration, which may also give a ``Peak``."""
 
     # horizontal shape: the peak is 1/alpha from the landing spot
     alpha_1_m: Annotated[float, span(0.05, 20.0)]
@@ -66,6 +88,21 @@ class Barrier:
     omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper filter: relative rate at which h may fall
     # radius around the landing spot within which the gradient fades to vertical
     apex_smoothing_m: Annotated[float, span(0.001, 0.02)] = 0.005
+
+    @staticmethod
+    def other_keys(table: dict[str, Any]) -> None:
+        """Replace the keys of a ``Peak`` in a table by alpha and beta. Raises ConfigError: it has both."""
+        given = {each.name: table.pop(each.name) for each in fields(Peak) if each.name in table}
+        if not given:
+            return
+        numbers = from_table(Peak, given).numbers
+        if both := table.keys() & numbers:
+            values = ", ".join(f"{name} = {value:.4g}" for name, value in numbers.items())
+            raise ConfigError(
+                f"found {', '.join((*given, *sorted(both)))} (a base file may give some of them); "
+                f"give either the peak or alpha_1_m and beta_m; this peak is {values}"
+            )
+        table |= numbers
 
     @property
     def peak_height_m(self) -> float:

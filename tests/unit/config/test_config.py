@@ -51,6 +51,13 @@ def paper(**sections):
             ["velocity_max_m_s: found [0.2, 0.2]", "an array of 3 values"],
         ),
         ({"barrier": {"alpha_1_m": 1.0}}, ["barrier.beta_m: missing"]),
+        ({"barrier": {"peak_distance_m": 1.0}}, ["barrier: peak_height_m: missing"]),
+        ({"barrier": {"peak_height_m": 0.55}}, ["either peak_distance_m or cone_half_angle_rad"]),
+        ({"barrier": {"peak_height_m": 0.55, "cone_half_angle_rad": 2}}, ["found 2", "0.05 to 1.5"]),
+        (
+            {"barrier": {"peak_height_m": 0.55, "peak_distance_m": 1.0, "beta_m": 1.5}},
+            ["barrier: found peak_height_m, peak_distance_m, beta_m", "alpha_1_m = 1, beta_m = 1.495"],
+        ),
         ({"barrier": {"alpha_1_m": 1.0, "beta_m": float("nan")}}, ["beta_m", "finite"]),
         ({"filter": "best"}, ["filter", "'best'", "paper, robust"]),
         ({"limits": {"altitude_max_m": 0.6}}, ["altitude_max_m", "peak"]),
@@ -164,6 +171,18 @@ def test_a_file_has_what_it_leaves_out_from_its_base(tmp_path):
     windy.write_text('base = "late.toml"\n')
     late.write_text('base = "lab"\nname = "own"\n')
     assert (scenario.load(windy).name, scenario.load(late).name) == ("windy", "own")
+
+
+def test_a_barrier_may_be_given_by_its_peak_but_not_over_a_base_with_alpha_and_beta(tmp_path):
+    by_angle = config(barrier={"peak_height_m": 0.55, "cone_half_angle_rad": math.radians(60.0)}).barrier
+    assert (by_angle.alpha_1_m, by_angle.beta_m) == pytest.approx((1.0498, 1.4951), abs=1e-4)
+    assert (by_angle.peak_height_m, by_angle.peak_distance_m) == pytest.approx((0.55, 0.9526), abs=1e-4)
+    by_distance = config(barrier={"peak_height_m": 0.55, "peak_distance_m": 0.5, "omega_1_s": 1.0}).barrier
+    assert (by_distance.peak_distance_m, by_distance.omega_1_s) == (0.5, 1.0)
+    mine = tmp_path / "mine.toml"
+    mine.write_text('base = "crazyflie"\n[barrier]\npeak_height_m = 0.55\npeak_distance_m = 1.0\n')
+    with pytest.raises(ConfigError, match=r"mine\.toml: barrier: found .* alpha_1_m, beta_m \(a base file"):
+        load(mine)
 
 
 @pytest.mark.parametrize(
