@@ -106,16 +106,15 @@ def _read(log: LogFile) -> Fleet:
                 said.append(message)
     flights = {name: _flight(log.part(name), found[name]) for name in log.members}
     origin_ns = min(flight.origin_ns for flight in flights.values())
-    shared = log if len(flights) > 1 else log.single()
     return Fleet(
         path=log.path,
         flights=flights,
         pairs=pairs,
         ids=log.ids,
         # the flights already report unreadable events as problems
-        events=_events(said, origin_ns, [], shared),
-        metadata={key: values for key, values in shared.metadata().items() if not log.owner(key)},
-        attachments={each.name: each.data for each in shared.attachments() if not log.owner(each.name)},
+        events=_events(said, origin_ns, [], log),
+        metadata={key: values for key, values in log.metadata().items() if not log.owner(key)},
+        attachments={each.name: each.data for each in log.attachments() if not log.owner(each.name)},
     )
 
 

@@ -42,15 +42,10 @@ def fault_spans(flight: Flight) -> list[FaultSpan]:
 class Side(NamedTuple):
     """A flight as one side of a report page, with the data that the page shows."""
 
-    name: str  # name of the member of a fleet; empty for a single flight
+    name: str  # name of the vehicle
     flight: Flight
     verdict: Verdict
     offset_s: float  # offset that converts times of the flight to times of the page, s
-
-    @property
-    def of(self) -> str:
-        """Prefix of the names on the page that belong to this side; empty for a single flight."""
-        return f"{self.name} " if self.name else ""
 
 
 def touch_index(flight: Flight) -> int | None:

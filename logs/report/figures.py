@@ -91,14 +91,13 @@ def timeline(axis: Axis, bars: Iterable[Bar], events: Sequence[Event], zero_s: f
     return figure.update_layout(showlegend=False, uniformtext=labels, margin={"t": 32, "b": 50, "l": 150})
 
 
-def _bars(side: Side) -> Iterator[Bar]:
-    """Yield phases, faults and right of way of a flight; for a single flight also sent and missing data."""
-    flight, of, zero_s = side.flight, side.of, side.offset_s
+def _bars(side: Side, of: str, more: Iterable[Bar] = ()) -> Iterator[Bar]:
+    """Yield phases, further bars, faults and right of way of a flight; ``of``: prefix of the names."""
+    flight, zero_s = side.flight, side.offset_s
     for phase, begin_s, end_s in flight.phase_spans():
         name, color = phase_name(phase), phase_color(phase, bar=True)
         yield Bar(f"{of}phase", begin_s + zero_s, end_s + zero_s, color, f"{of}{name}", name)
-    if not side.name and flight.steps is not None:
-        yield from _ticks(flight.steps, zero_s)
+    yield from more
     for fault in fault_spans(flight):
         yield Bar(f"{of}fault injected", fault.begin_s + zero_s, fault.end_s + zero_s, FAULT, fault.text)
     for span in flight.spans:
@@ -165,6 +164,7 @@ def _trace(curve: Curve, t_s: Floats, values: Floats, *, first: bool) -> go.Scat
 def panels(side: Side) -> list[Panel]:
     """Return the figures of one flight; the first is the main picture."""
     flight, axis = side.flight, axis_of(side.flight)
+    ticks = _ticks(flight.steps, side.offset_s) if flight.steps is not None else ()
     both = "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
     source = both if flight.truth is not None else "The vehicle's own estimate; the log holds no true states."
     edge = "" if flight.barrier is not None else " The log does not name the barrier; none is drawn."
@@ -175,7 +175,7 @@ def panels(side: Side) -> list[Panel]:
         ),
         Panel(
             "timeline", "The flight at a glance", _TIMELINE,
-            timeline(axis, _bars(side), flight.events, axis.zero_s),
+            timeline(axis, _bars(side, "", ticks), flight.events, axis.zero_s),
         ),
         Panel(
             "altitude", "Relative altitude over horizontal distance",
@@ -189,11 +189,12 @@ def panels(side: Side) -> list[Panel]:
 
 def fleet_panels(fleet: Fleet, sides: Sequence[Side]) -> list[Panel]:
     """Return the figures of a fleet; the first is the main picture."""
+    bars = chain.from_iterable(_bars(side, f"{side.name} ") for side in sides)
     return [
         Panel("room", "All paths in the room", _ROOM, space.room_3d(sides)),
         Panel(
             "timeline", "Who did what, and who waited for whom", _LANES,
-            timeline(fleet_axis(fleet), chain.from_iterable(map(_bars, sides)), fleet.events, 0.0),
+            timeline(fleet_axis(fleet), bars, fleet.events, 0.0),
         ),
     ]  # fmt: skip
 

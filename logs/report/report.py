@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from flightstack.config.options import repeated
-from logs.reader.flight_data import ATTACHMENT, Fleet
+from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
 from logs.report import tables
 from logs.report.derived import Side
 from logs.report.page import (
@@ -20,7 +19,7 @@ from logs.report.page import (
     write,
 )
 from logs.schema import FLEET, SCENARIO
-from logs.verdict.types import ESTIMATE, RADIUS_ABOVE_M, RADIUS_BESIDE_M, SOURCES, TRUTH
+from logs.verdict.types import ESTIMATE, RADIUS_ABOVE_M, RADIUS_BESIDE_M, SOURCES, TRUTH, Outcome
 from logs.verdict.verdict import (
     FleetVerdict,
     fleet_verdict,
@@ -36,7 +35,10 @@ _NEAR = (
     f"{2 * RADIUS_BESIDE_M:g} m sideways and {2 * RADIUS_ABOVE_M:g} m up and down; its measure is 1 on the "
     "surface, below is too near."
 )
-_EVENTS = "wide events"  # CSS classes of the tables of events
+_PAIRS_UNKNOWN = (
+    "the simulator did not follow all pairs to the end: a collision or an ellipsoid violation cannot be "
+    "excluded"
+)
 _WAITS = "Times in which a member flew and gave way to neighbours, by its own messages."
 
 
@@ -49,85 +51,114 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
     name = "report" if fleet.path.name == "flight.mcap" else fleet.path.stem  # as `sitl` and `fly` name it
     target = fleet.path.with_name(f"{name}.html") if out is None else out
     if len(fleet.flights) == 1:
-        return {"": write(target, page(fleet, verdict))}
+        return {"": write(target, _flight_page(fleet, verdict, *fleet.flights))}
     pages = {
         name: target.with_name(f"{target.stem}_{name.replace('/', '_')}{target.suffix}")
         for name in fleet.flights
     }
     for name, place in pages.items():
-        flight = fleet.flights[name]
-        part_of = replace(
-            fleet, flights={name: flight}, events=flight.events, metadata=flight.metadata,
-            attachments=flight.attachments,
-        )  # fmt: skip
-        write(place, page(part_of, fleet_verdict({name: verdict.members[name]}), of=target.name))
-    return {"": write(target, page(fleet, verdict, pages)), **pages}
+        write(place, _flight_page(fleet, verdict, name, whole=target.name))
+    return {"": write(target, _fleet_page(fleet, verdict, pages)), **pages}
 
 
-def page(
-    fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path] | None = None, of: str | None = None
-) -> Page:
-    """Return the report of the flights in a log.
+def _flight_page(fleet: Fleet, verdict: FleetVerdict, name: str, whole: str = "") -> Page:
+    """Return the page of one flight; ``whole``: name of the page of all flights; empty: there is none."""
+    from logs.report.figures import panels
 
-    ``pages``: pages of the single flights, in the same folder; ``of``: name of the page of the whole log.
-    """
-    from logs.report.figures import fleet_panels, panels
-
-    first, *others = fleet.flights.values()
-    several = bool(others)
-    sides = [
-        Side(
-            name if several else "", flight, verdict.members[name],
-            fleet.shift_s(flight) if several else -(flight.landing_start_s or 0.0),
-        )
-        for name, flight in fleet.flights.items()
-    ]  # fmt: skip
-    run = fleet.metadata.get("run", fleet.metadata.get(FLEET, {}))
-    picture, timeline, *figures = fleet_panels(fleet, sides) if several else panels(sides[0])
-    together = [
-        Panel("near", "How near they came", _NEAR, tables.pairs_table(fleet)),
-        Panel("waits", "Who waited for whom", _WAITS, tables.waits_table(sides)),
-    ]
-    title = run.get("scenario", fleet.path.stem)
-    label = first.member if of is not None else ""  # name of the vehicle on the page of a fleet member
-    about = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
-    about += [run["mode"]] if "mode" in run else []
+    flight, alone = fleet.flights[name], fleet_verdict({name: verdict.members[name]})
+    side = Side(name, flight, alone.members[name], -(flight.landing_start_s or 0.0))
+    title, about = _about(flight, fleet.path)
+    picture, timeline, *figures = panels(side)
     return Page(
-        title if label in title else f"{title}, {label}",
-        tables.headline(verdict),
-        " · ".join([*[f"{len(sides)} vehicles"] * several, *about, verdict.reason]),
-        tables.key_numbers(verdict, sides),
+        title if not whole or name in title else f"{title}, {name}",
+        tables.headline(alone),
+        " · ".join([*about, alone.reason]),
+        tables.key_numbers(alone, [side]),
         [
-            part("paragraph", part("link", of, "The whole fleet")) if of is not None else "",
+            part("paragraph", part("link", whole, "The whole fleet")) if whole else "",
             picture,
-            Panel("result", "Result", _source(verdict), tables.result_table(verdict, sides, pages or {})),
+            Panel("result", "Result", _source(alone), tables.result_table(alone, [side], {})),
             part("bar", True),
             timeline,
             *figures,
-            *([together] if several else []),
-            Panel(
-                "events", "Events",
-                f"Times since the {'log' if several else 'landing'} began; each is a link.",
-                tables.events_table(fleet.events, 0.0 if several else -sides[0].offset_s), style=_EVENTS,
-            ),
-            repeat_section(fleet, label),
-            Panel("run", "Run", "", tables.run_table(fleet.metadata)),
-            *_configuration(fleet),
+            _events(flight, "landing", -side.offset_s),
+            repeat_section(flight, name if whole else ""),
+            *_files(flight, [flight]),
         ],
-        _warnings(fleet, verdict),
-    )  # fmt: skip
+        _warnings([flight], alone),
+    )
 
 
-def _configuration(fleet: Fleet) -> tuple[Panel, str]:
-    """Return a panel that shows the attachments as text, and the footer of the page."""
+def _fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -> Page:
+    """Return the page of all flights together; ``pages``: pages of the single flights, in the same folder."""
+    from logs.report.figures import fleet_panels
+
+    sides = [
+        Side(name, flight, verdict.members[name], fleet.shift_s(flight))
+        for name, flight in fleet.flights.items()
+    ]
+    title, about = _about(fleet, fleet.path)
+    landed = f"{verdict.outcomes.count(Outcome.LANDED)} of {len(sides)}"
+    nearest_m = tables.number(verdict.distance_min_m, 2)
+    source = f"{_source(verdict)} The fleet has landed when all its members have."
+    unknown = [] if pairs_known(fleet) else [_PAIRS_UNKNOWN]
+    picture, timeline = fleet_panels(fleet, sides)
+    return Page(
+        title,
+        tables.headline(verdict),
+        " · ".join([f"{len(sides)} vehicles", *about, verdict.reason]),
+        [
+            ("landed", landed, ""),
+            ("smallest distance of two vehicles", nearest_m, "m"),
+            *tables.key_numbers(verdict, sides),
+        ],
+        [
+            picture,
+            Panel("result", "Result", source, tables.result_table(verdict, sides, pages)),
+            part("bar", True),
+            timeline,
+            [
+                Panel("near", "How near they came", _NEAR, tables.pairs_table(fleet)),
+                Panel("waits", "Who waited for whom", _WAITS, tables.waits_table(sides)),
+            ],
+            _events(fleet, "log", 0.0),
+            repeat_section(fleet),
+            *_files(fleet, fleet.flights.values()),
+        ],
+        [*_warnings(fleet.flights.values(), verdict), *unknown],
+    )
+
+
+def _about(shown: Fleet | Flight, log: Path) -> tuple[str, list[str]]:
+    """Return the title of a page, and the seed, filter and mode of its run."""
+    run = _run(shown)
+    about = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
+    return run.get("scenario", log.stem), about + ([run["mode"]] if "mode" in run else [])
+
+
+def _run(shown: Fleet | Flight) -> Mapping[str, str]:
+    return shown.metadata.get("run", shown.metadata.get(FLEET, {}))
+
+
+def _events(shown: Fleet | Flight, since: str, zero_s: float) -> Panel:
+    note = f"Times since the {since} began; each is a link."
+    return Panel("events", "Events", note, tables.events_table(shown.events, zero_s), style="wide events")
+
+
+def _files(shown: Fleet | Flight, flights: Iterable[Flight]) -> tuple[Panel, Panel, str]:
+    """Return the panels of the run's metadata and of the attachments as text, and the footer of the page."""
     files = [
         (f"{flight.member}: Configuration of the onboard process", flight.attachments.get(ATTACHMENT),
          f"{flight.member}.{ATTACHMENT}")
-        for flight in fleet.flights.values()
+        for flight in flights
     ]  # fmt: skip
-    files.append(("Scenario, whole", fleet.attachments.get(SCENARIO), SCENARIO))
+    files.append(("Scenario, whole", shown.attachments.get(SCENARIO), SCENARIO))
     found = [(what, data.decode(errors="replace"), name) for what, data, name in files if data is not None]
-    return Panel("configuration", "Configuration", "", part("files", found)), part("footer", fleet.path.name)
+    return (
+        Panel("run", "Run", "", tables.run_table(shown.metadata)),
+        Panel("configuration", "Configuration", "", part("files", found)),
+        part("footer", shown.path.name),
+    )
 
 
 def _source(verdict: FleetVerdict) -> str:
@@ -137,14 +168,12 @@ def _source(verdict: FleetVerdict) -> str:
         text += "True states are sampled every physics step, independent of the controller's estimate. "
     if ESTIMATE in sources:
         text += "An estimate shows neither contacts nor its own errors. "
-    if len(verdict.members) > 1:
-        text += "The fleet has landed when all its members have."
     return text.rstrip()
 
 
-def _warnings(fleet: Fleet, verdict: FleetVerdict) -> list[str]:
+def _warnings(flights: Iterable[Flight], verdict: FleetVerdict) -> list[str]:
     texts = []
-    for name, flight in fleet.flights.items():
+    for flight in flights:
         found = [*flight.problems]
         if outside := outside_envelope(flight):
             found.append(f"outside the proven envelope: {outside}")
@@ -154,14 +183,9 @@ def _warnings(fleet: Fleet, verdict: FleetVerdict) -> list[str]:
             found.append("no true states in this log: all values are the vehicle's own estimate")
         if flight.steps is None:
             found.append("no controller steps in this log: phases, velocities and the estimate are missing")
-        if verdict.members[name].violation is None:
+        if verdict.members[flight.member].violation is None:
             found.append("data is missing, so that a barrier violation cannot be excluded")
-        texts += [f"{name}: {text}" for text in found]
-    if len(fleet.flights) > 1 and not pairs_known(fleet):
-        texts.append(
-            "the simulator did not follow all pairs to the end: a collision or an ellipsoid violation cannot "
-            "be excluded"
-        )
+        texts += [f"{flight.member}: {text}" for text in found]
     return texts
 
 
@@ -177,13 +201,13 @@ def command(run: Mapping[str, str], scenario: str) -> str:
     return shlex.join(parts + repeated(run))
 
 
-def repeat_section(fleet: Fleet, member: str = "") -> str:
+def repeat_section(shown: Fleet | Flight, member: str = "") -> str:
     """Return the section with the commands that repeat a flight, or the reason why there are none.
 
     ``member``: name of the vehicle if it flew in a fleet; only the whole fleet can fly again.
     """
-    run, whole = fleet.metadata.get("run", fleet.metadata.get(FLEET, {})), fleet.attachments.get(SCENARIO)
-    again = ["flightstack", "replay", fleet.path.name, "--check"]
+    run, whole = _run(shown), shown.attachments.get(SCENARIO)
+    again = ["flightstack", "replay", shown.path.name, "--check"]
     if member:
         return part("repeat", replay=shlex.join([*again, "--member", member]), alone=False)
     if whole is None or "seed" not in run:
@@ -193,7 +217,7 @@ def repeat_section(fleet: Fleet, member: str = "") -> str:
         "repeat",
         replay=shlex.join(again),
         command=command(run, SCENARIO),
-        revision=fleet.metadata.get("made", {}).get("git_revision", ""),
+        revision=shown.metadata.get("made", {}).get("git_revision", ""),
         lockstep=run.get("mode") == "lockstep",
         scenario=whole.decode(errors="replace"),
         by_name=command(run, run["scenario"]) if by_name else "",

@@ -121,16 +121,11 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
 def key_numbers(verdict: FleetVerdict, sides: Sequence[Side]) -> list[tuple[str, str, str]]:
     """Return name, value and unit of each key number; the value is the worst one of all flights."""
     worst = sides[0]._replace(verdict=verdict)
-    found = [
+    return [
         (name, number(value(worst), digits, factor), unit)
         for name, unit, digits, factor, value, _ in _NUMBERS
         if name in _KEYS
     ]
-    if len(sides) > 1:
-        landed = f"{verdict.outcomes.count(Outcome.LANDED)} of {len(sides)}"
-        nearest = ("smallest distance of two vehicles", number(verdict.distance_min_m, 2), "m")
-        found = [("landed", landed, ""), nearest, *found]
-    return found
 
 
 def result_table(verdict: FleetVerdict, sides: Sequence[Side], pages: Mapping[str, Path]) -> str:
