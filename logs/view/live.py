@@ -33,8 +33,8 @@ class LiveRecording:
     """Rerun recording of a running flight; each call of ``add`` adds newer data."""
 
     def __init__(self, where: str, name: str, config: FlightConfig | None = None) -> None:
-        """Open the view under a name; without ``config`` there is no barrier."""
-        self._config = config
+        """Open the view of a vehicle with this name; without ``config`` there is no barrier."""
+        self._name, self._config = name, config
         self._stream = rr.RecordingStream("flightstack")
         self._stream.send_recording_name(name)
         self._canvas: Canvas | None = None
@@ -63,8 +63,9 @@ class LiveRecording:
         if not steps:
             return
         if self._canvas is None:
-            self._canvas = Canvas(self._stream, steps[0].stamp_ns)
-            self._stream.send_blueprint(blueprint())
+            self._canvas = Canvas(self._stream, steps[0].stamp_ns, self._name)
+            self._events = Canvas(self._stream, steps[0].stamp_ns)
+            self._stream.send_blueprint(blueprint([self._name]))
         origin_ns, end_ns = steps[0].stamp_ns, steps[-1].stamp_ns
         piece = Flight(
             path=Path(),
@@ -76,7 +77,7 @@ class LiveRecording:
             config=self._config,
         )
         draw(self._canvas, piece)
-        events(self._canvas, origin_ns, piece.events)
+        events(self._events, origin_ns, piece.events)
 
     def close(self) -> None:
         """End the recording and the server of the web viewer, in bounded time."""

@@ -39,15 +39,12 @@ VELOCITIES: tuple[tuple[str, Callable[[Steps], Floats], str], ...] = (
 _LEVELS: dict[int, str] = dict(zip(Severity, ("DEBUG", "INFO", "WARN", "ERROR", "CRITICAL"), strict=True))
 
 
-def blueprint(members: Sequence[str] = ()) -> Any:
-    """Return the layout of the viewer, which places the camera by itself."""
+def blueprint(members: Sequence[str]) -> Any:
+    """Return the layout of the viewer for these vehicles; the viewer places the camera by itself."""
     scene = rrb.Spatial3DView(origin=WORLD, name="Scene: ENU, metres", line_grid=rrb.LineGrid3D(spacing=0.25))
-    if members:
-        phases = [f"+ {of_member(PHASE, member)}" for member in members]
-        fleet = rrb.StateTimelineView(origin="/", contents=phases, name="Fleet")
-        tabs: list[Any] = [fleet, *(rrb.Tabs(*_tabs(m), name=m, active_tab=0) for m in members)]
-    else:
-        tabs = list(_tabs(""))
+    phases = [f"+ {of_member(PHASE, member)}" for member in members]
+    tabs: list[Any] = [rrb.Tabs(*_tabs(member), name=member, active_tab=0) for member in members]
+    tabs.append(rrb.StateTimelineView(origin="/", contents=phases, name="All phases"))
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
@@ -139,13 +136,12 @@ def rgba(color: markers.Color | str) -> tuple[int, int, int, int]:
 def save(log: Path, out: Path) -> str:
     """Write a log as a recording; return the problems of the log, as text."""
     fleet = load_fleet(log)
-    flights = fleet.flights.values()
-    first, members = next(iter(flights)), list(fleet.flights) if len(flights) > 1 else []
+    first = next(iter(fleet.flights.values()))
     told = fleet.metadata.get(FLEET, first.metadata.get("run", {}))
     stream = rr.RecordingStream("flightstack")
     stream.send_recording_name(f"{told.get('scenario', 'flight')}: {log.name}")
-    stream.save(out, default_blueprint=blueprint(members))
-    for number, (member, flight) in enumerate(zip(members or [""], flights, strict=True)):
+    stream.save(out, default_blueprint=blueprint(list(fleet.flights)))
+    for number, (member, flight) in enumerate(fleet.flights.items()):
         color = markers.COLORS[number % len(markers.COLORS)]
         draw(Canvas(stream, fleet.origin_ns, member, color), flight)
     events(Canvas(stream, fleet.origin_ns), fleet.origin_ns, fleet.events)

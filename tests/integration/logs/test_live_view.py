@@ -42,7 +42,7 @@ def entities(path):
 
 def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
     whole = tmp_path / "pieces.rrd"
-    recording = LiveRecording(str(whole), "test")
+    recording = LiveRecording(str(whole), "cf1")
     for begin in range(0, len(ROWS), 3):
         piece = ROWS[begin : begin + 3]
         timings = [t for t in landing().timing if piece[0].tick <= t.tick <= piece[-1].tick]
@@ -50,12 +50,12 @@ def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
     recording.add([], [])
     recording.close()
     rows, columns = entities(whole)
-    assert rows["/barrier/h/estimate"] == rows["/world/vehicle"] == rows["/world/target"] == len(ROWS)
-    assert rows["/velocity/z/filtered"] == len(ROWS)
-    assert rows["/phase"] == rows["/events"] == len({r.phase for r in ROWS})
-    assert any(name.startswith("LineStrips3D:strips") for name in columns["/world/vehicle_path"])
-    assert any(name.startswith("Arrows3D:vectors") for name in columns["/world/velocity/nominal"])
-    assert "/world/target_pad/barrier" not in columns  # the shape of the barrier was not published
+    for entity in ("/cf1/barrier/h/estimate", "/cf1/velocity/z/filtered", "/world/cf1/vehicle"):
+        assert rows[entity] == rows["/world/cf1/target"] == len(ROWS)
+    assert rows["/cf1/phase"] == rows["/events"] == len({r.phase for r in ROWS})
+    assert any(name.startswith("LineStrips3D:strips") for name in columns["/world/cf1/vehicle_path"])
+    assert any(name.startswith("Arrows3D:vectors") for name in columns["/world/cf1/velocity/nominal"])
+    assert "/world/cf1/target_pad/barrier" not in columns  # the shape of the barrier was not published
     reader = RrdReader(whole)
     assert (len(reader.recordings()), len(reader.blueprints())) == (1, 1)
 
@@ -103,10 +103,10 @@ def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching)
     _, errors = child.communicate(timeout=60.0)
     assert (child.returncode, errors) == (0, "")
     rows, columns = entities(out)
-    assert rows["/world/vehicle"] > 10
-    assert any(name.startswith("Mesh3D") for name in columns["/world/target_pad/barrier"])
+    assert rows["/world/cf1/vehicle"] > 10
+    assert any(name.startswith("Mesh3D") for name in columns["/world/cf1/target_pad/barrier"])
     for chunk in RrdReader(out).store().stream().to_chunks():
-        if chunk.entity_path == "/world/target/pad":
+        if chunk.entity_path == "/world/cf1/target/pad":
             batch = chunk.to_record_batch()
             (name,) = [n for n in batch.schema.names if n.startswith("Cylinders3D:radii")]
             assert batch.column(name).to_pylist()[0][0] == pytest.approx(PAD_RADIUS_M)
@@ -178,5 +178,5 @@ def test_sitl_shows_the_flight_and_flies_as_without(tmp_path):
     assert done.code == 0, done.err
     assert done.json["outcome"] == "landed"
     rows, columns = entities(out)
-    assert rows["/world/vehicle"] > 0  # lockstep is faster than the viewer, which drops old data
-    assert "/world/target_pad/barrier" in columns
+    assert rows["/world/cf1/vehicle"] > 0  # lockstep is faster than the viewer, which drops old data
+    assert "/world/cf1/target_pad/barrier" in columns

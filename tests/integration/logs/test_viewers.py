@@ -117,20 +117,21 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
     assert len(reader.blueprints()) == 1
     found = rows_of(out)
     steps = bag["/cf1/controller/step"]
-    for entity in ("/barrier/h/estimate", "/velocity/z/filtered", "/age/age/target", "/timing/wall/exec"):
+    for curve in ("barrier/h/estimate", "velocity/z/filtered", "age/age/target", "timing/wall/exec"):
+        entity = f"/cf1/{curve}"
         assert found[entity][0] == len(steps), entity
     for entity, column in (
-        ("/world/target_pad/barrier", "Mesh3D:vertex_positions"),
-        ("/world/target/pad", "Cylinders3D"),
-        ("/world/vehicle", "Transform3D:translation"),
-        ("/world/vehicle_path", "LineStrips3D:strips"),
-        ("/world/velocity/command", "Arrows3D:vectors"),
-        ("/phase", "StateChange:state"),
+        ("/world/cf1/target_pad/barrier", "Mesh3D:vertex_positions"),
+        ("/world/cf1/target/pad", "Cylinders3D"),
+        ("/world/cf1/vehicle", "Transform3D:translation"),
+        ("/world/cf1/vehicle_path", "LineStrips3D:strips"),
+        ("/world/cf1/velocity/command", "Arrows3D:vectors"),
+        ("/cf1/phase", "StateChange:state"),
     ):
         assert any(c.startswith(column) for c in found[entity][1]), (entity, found[entity])
     assert found["/events"][0] == len(bag["/rosout"])
     for chunk in reader.store().stream().to_chunks():
-        if chunk.entity_path == "/barrier/h/estimate" and not chunk.is_static:
+        if chunk.entity_path == "/cf1/barrier/h/estimate" and not chunk.is_static:
             shown = [v[0] for v in chunk.to_record_batch().column("Scalars:scalars").to_pylist()]
             np.testing.assert_array_equal(shown, [m.h_m for _, m in steps])
     again = flightstack("view", log, "--save", out)
