@@ -37,7 +37,7 @@ from sim.runners.landing_wire import wires
 from sim.runners.lockstep import Exchange, LockstepVehicle, fly_in_lockstep
 from sim.runners.log import Notes, Seen
 from sim.runners.robot import DirectTarget
-from sim.runners.room import Room, Words, warm_up_room
+from sim.runners.room import FleetEnd, Room, Words, warm_up_room
 from sim.scenarios.scenario import Scenario, load
 from sim.vehicle.vehicle import VehicleSim
 
@@ -56,7 +56,7 @@ class _Wires(VehicleTicks):
         return self.neighbours
 
 
-class Companion(Leaving):
+class Companion(Leaving, FleetEnd):
     """Replaces the onboard process; the vehicle's loop calls it where it would wait for an answer.
 
     ``controller`` replaces the scenario's controller. ``on_step`` is called after every controller step.

@@ -8,9 +8,10 @@ flies exactly as in ``land`` with the same seed.
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -21,7 +22,7 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import COMPANION_SILENT_S, EPOCH_NS, wait_until
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid
 from sim.runners.robot import Robot
-from sim.runners.room import Room
+from sim.runners.room import FleetEnd, Room, in_pairs
 from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # wall time between two checks for signals, s
@@ -29,22 +30,6 @@ _REPEAT_EVERY = 10  # number of checks after which an unanswered request is repe
 _FLUSH_EVERY = 10  # period of the log flush, ticks; a shorter one would wake up the recorder more often
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
-
-
-class FleetEnd(Protocol):
-    """The simulator's end of the messages between a companion and the other members of its fleet."""
-
-    tick: int  # current tick of the vehicles
-
-    @property
-    def left(self) -> bool:
-        """Whether the companion has ended before this tick."""
-
-    def take(self, stop: Stop) -> Any:
-        """Return the companion's message of this tick, or None."""
-
-    def hear(self, words: Any) -> None:
-        """Send the messages that the companion receives with the next tick."""
 
 
 # Function of the number of a tick that all vehicles have flown, and of the companions' messages. It returns
@@ -59,7 +44,7 @@ class LockstepVehicle(VehicleNode):
     robot: Robot | None  # robot that carries the deck; None: the deck does not move
     grid: TickGrid
     stop: Stop  # ends every wait
-    words: FleetEnd | None = None  # link between the companion and the other members; None: no fleet
+    words: FleetEnd  # link between the companion and the other members
     answered: bool = field(default=False, init=False)  # whether the companion answered the previous tick
     _companion: Peer | None = field(default=None, init=False)  # the peer that answered first
     _alive: bool = field(default=True, init=False)  # False after a time-out, until it answers again
@@ -115,8 +100,7 @@ class LockstepVehicle(VehicleNode):
         """
         robot, vehicle, now_ns = self.robot, self.vehicle, self.grid.ns(tick)
         now_s, steps = now_ns / 1e9, self.grid.ms(tick + 1) - self.grid.ms(tick)
-        if self.words is not None:
-            self.words.tick = tick
+        self.words.tick = tick
         if robot is not None:
             if self.answers:
                 robot.await_credit(tick)
@@ -151,12 +135,7 @@ class LockstepVehicle(VehicleNode):
         self._await_answer(now_ns)
         self.control(now_ns / 1e9)
         vehicle.advance(grid.ms(tick + 1) - grid.ms(tick) - vehicle.sent_before_ms)
-        self.over = self._leaves
-
-    @property
-    def _leaves(self) -> bool:
-        """Whether the companion has announced the end of its flight."""
-        return self.words is not None and self.words.left
+        self.over = self.words.left
 
     def _await_answer(self, now_ns: int) -> None:
         """Handle all messages up to the companion's answer for this tick."""
@@ -164,9 +143,7 @@ class LockstepVehicle(VehicleNode):
             self._replies += self.answer(received, now_ns / 1e9)
         late, self._late = self._late, []
         self.answered = self._take(late, now_ns)
-        if not self._alive:  # simulate at full speed in flight, in real time after the landing
-            if self.words is None and not self.vehicle.armed:
-                self.endpoint.wait(self.grid.period_s)
+        if not self._alive:
             self._take(self.endpoint.receive(), now_ns)
             self.answered = False
         elif not self.answered:
@@ -181,7 +158,7 @@ class LockstepVehicle(VehicleNode):
                 return self.answered
 
             def ended() -> bool:
-                return self.stop.is_set or self._leaves
+                return self.stop.is_set or self.words.left
 
             most_s = COMPANION_SILENT_S if self._companion else STARTUP_S
             if not (ended() or wait_until(answered, ended, most_s, pause_s=0.0)):
@@ -228,49 +205,50 @@ class LockstepVehicle(VehicleNode):
 def fly_in_lockstep(
     vehicles: Sequence[LockstepVehicle],
     room: Room,
-    exchange: Exchange | None,
+    exchange: Exchange,
     stop: Stop,
     ticks: int | None,
     batch: Callable[[int], int] | None = None,
-) -> None:
-    """Run the ticks of all vehicles until a stop request, or until all flights of a fleet are over.
+) -> int:
+    """Run the ticks of all vehicles until a stop request or until all flights are over; return their number.
 
-    ``exchange``: transmits the messages of a fleet; None: no fleet; ``ticks``: largest number of ticks; None:
-    no limit; ``batch``: flies a batch of ticks that starts with the given one, and returns their number (0:
-    none).
+    ``exchange``: transmits the messages of a fleet; ``ticks``: largest number of ticks; None: no limit;
+    ``batch``: flies a batch of ticks that starts with the given one, and returns their number (0: none).
     Raises NoAnswerError: time-out of a companion.
     """
 
     def ended() -> bool:
         if stop.is_set:  # the true state of the answered tick is still logged
             return all(each.over or not each.answered for each in vehicles)
-        return exchange is not None and all(each.rests for each in vehicles)
+        return all(each.over for each in vehicles)
 
     for vehicle in vehicles:
         vehicle.begin()
+    _, fleet = in_pairs(vehicles)  # vehicles that exchange messages
     tick = 0
     while tick != ticks and not ended():
+        if all(each.rests for each in vehicles):  # in real time, because a silent companion may return
+            time.sleep(vehicles[0].grid.period_s)
         flown = batch(tick) if batch is not None else 0
         if not flown:
-            _tick(vehicles, room, exchange, stop, tick)
+            _tick(vehicles, fleet, room, exchange, stop, tick)
         tick += flown or 1
     if tick:
         room.write(tick - 1, EPOCH_NS)
+    return tick
 
 
 def _tick(
-    vehicles: Sequence[LockstepVehicle], room: Room, exchange: Exchange | None, stop: Stop, tick: int
-) -> None:
+    vehicles: Sequence[LockstepVehicle], fleet: Sequence[LockstepVehicle], room: Room, exchange: Exchange,
+    stop: Stop, tick: int,
+) -> None:  # fmt: skip
     room.begin()
     for vehicle in vehicles:
         vehicle.ask(tick)
     for vehicle in vehicles:
         vehicle.act(tick)
     room.end(tick, EPOCH_NS)
-    if exchange is None:
-        return
-    fleet = [(each, each.words) for each in vehicles if each.words is not None]
-    sent = [end.take(stop) if each.answers else None for each, end in fleet]
-    for (vehicle, end), received in zip(fleet, exchange(tick, sent), strict=True):
+    sent = [each.words.take(stop) if each.answers else None for each in fleet]
+    for vehicle, received in zip(fleet, exchange(tick, sent), strict=True):
         if vehicle.answers:
-            end.hear(received)
+            vehicle.words.hear(received)

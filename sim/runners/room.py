@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any, TypeVar
 
 import numpy as np
@@ -63,6 +63,14 @@ def blow(team: Sequence[VehicleSim], jets: F64) -> None:
 
 T = TypeVar("T")
 
+
+def in_pairs(items: Sequence[T]) -> tuple[list[tuple[T, T]], list[T]]:
+    """Return all pairs, (1, 2) first, and the items that are in a pair: all, or none of a single item."""
+    pairs = list(combinations(range(len(items)), 2))
+    found = dict.fromkeys(chain.from_iterable(pairs))
+    return [(items[one], items[other]) for one, other in pairs], [items[number] for number in found]
+
+
 TOPIC = "/fleet/pairs"
 NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
@@ -78,38 +86,35 @@ class Room:
     """
 
     def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
-        self._members, self._grid, self._feed = members, grid, feed
+        self._grid, self._feed = grid, feed
+        self._pairs, members = in_pairs(members)
         self._vehicles, self._jets = [member.vehicle for member in members], np.zeros((len(members), JET))
         shapes = [Shape.of(each.params) for each in self._vehicles]
-        self._pairs, self._team = list(combinations(members, 2)), Team(shapes)  # pairs: (1, 2) first
+        self._team = Team(shapes)
         number = len(self._pairs)
         # for each pair: time of collision; number and duration of stays in the ellipsoid; whether inside now
         self._collided_ms = np.full(number, NEVER)
         self._violations, self._inside_ms = np.zeros(number, np.int64), np.zeros(number, np.int64)
         self._inside = np.zeros(number, np.bool_)
         self._before, self._flew = self._states(), self._flying()
-        # a single vehicle has no pair, and needs no compiled code for pairs
-        for one, other in overlapping(shapes, self._before[:, :3]) if self._pairs else ():
+        for one, other in overlapping(shapes, self._before[:, :3]):
             place = ", ".join(f"{each:.2f}" for each in members[one].vehicle.body().position_enu_m)
             raise ValueError(
                 f"{members[one].name} and {members[other].name} begin inside each other, at ({place}) m; "
                 "give them other start places"
             )
-        self._channel = feed.channel(TOPIC, FLEET_PAIR) if self._pairs else 0
+        self._channels = [feed.channel(TOPIC, FLEET_PAIR) for _ in self._pairs]
         self._every, self._written = max(1, round(grid.rate_hz / _LOG_HZ)), 0
 
     def begin(self) -> None:
         """Update the jets before a tick."""
-        if self._pairs:
-            blow(self._vehicles, self._jets)
+        blow(self._vehicles, self._jets)
 
     def end(self, tick: int, epoch_ns: int) -> None:
         """Evaluate a tick that all vehicles have flown; write the distances about ten times per second.
 
         ``tick``: number of the tick; ``epoch_ns``: Unix time of tick 0.
         """
-        if not self._pairs:
-            return
         grid, before, flew = self._grid, self._before, self._flew
         begin_ms, steps = grid.ms(tick), grid.ms(tick + 1) - grid.ms(tick)
         self._before, self._flew = self._states(), self._flying()
@@ -133,9 +138,9 @@ class Room:
     def write(self, tick: int, epoch_ns: int) -> None:
         """Write the smallest distances of all pairs up to the end of a tick; arguments as in ``end``."""
         stamp_ns = epoch_ns + self._grid.ns(tick + 1)
-        for row in self.found(stamp_ns):
+        for channel, row in zip(self._channels, self.found(stamp_ns), strict=True):
             self._written += 1
-            self._feed.write(self._channel, stamp_ns, stamp_ns, self._written, row.pack())
+            self._feed.write(channel, stamp_ns, stamp_ns, self._written, row.pack())
 
     def _note(self, begin_ms: int, steps: int) -> None:
         """Count the pairs inside their ellipsoid; the first overlap of a pair is a collision."""
@@ -153,7 +158,7 @@ class Room:
 
     def _states(self) -> F64:
         """Return position (m) and velocity (m/s) of all vehicles, (N, 6), ENU."""
-        return np.array([np.concatenate(each.body()[:2]) for each in self._vehicles])
+        return np.array([np.concatenate(each.body()[:2]) for each in self._vehicles]).reshape(-1, 6)
 
     def _flying(self) -> I64:
         """Whether each vehicle flies, (N,): motors running, off the ground and off a pad."""
@@ -169,7 +174,7 @@ class Words:
     """
 
     def __init__(self, team: Scenario, seed: int) -> None:
-        link, numbers = team.exchange, range(1, len(team.members) + 1)
+        link, (_, numbers) = team.exchange, in_pairs(range(1, len(team.members) + 1))
         ticks = max(1, math.ceil(link.delay_s * team.rate_hz - 1e-9))
         self._loss = link.loss
         # random streams: one for each receiver and sender
@@ -197,13 +202,37 @@ class Words:
 def warm_up_room(team: Scenario) -> None:
     """Compile the code of the room, or load it from the cache."""
     warm_up_vehicle(team)
-    if len(team.members) > 1:
-        two = [VehicleSim(each, 0) for each in team.members[:2]]
+    pairs, _ = in_pairs(team.members)
+    for pair in pairs[:1]:  # the code is the same for all pairs
+        two = [VehicleSim(each, 0) for each in pair]
         blow(two, np.zeros((2, JET)))
         overlapping([Shape.of(each.params) for each in two], np.zeros((2, 3)))
 
 
-class MemberWords:
+class FleetEnd:
+    """The simulator's end of the messages between a companion and other members; this one has none."""
+
+    tick = 0  # current tick of the vehicles
+
+    def await_listener(self, stop: Stop) -> None:
+        """Wait until the member has subscribed, because messages without a subscriber are lost.
+
+        Raises NoAnswerError: time-out.
+        """
+
+    @property
+    def left(self) -> bool:
+        """Whether the companion has announced its end before this tick."""
+        return False
+
+    def take(self, stop: Stop) -> Any:
+        """Return the companion's message of this tick, or None."""
+
+    def hear(self, words: Any) -> None:
+        """Send the messages that the companion receives with the next tick."""
+
+
+class MemberWords(FleetEnd):
     """Transmits the messages of one member without decoding them.
 
     ``flightstack.onboard.lockstep.LockstepStatuses`` is the other end.
@@ -219,7 +248,6 @@ class MemberWords:
 
     @property
     def left(self) -> bool:
-        """Whether the onboard process has announced its end before this tick."""
         self._poll()
         return self._last is not None and self._last < self.tick
 
@@ -233,14 +261,9 @@ class MemberWords:
         return self._payload if self._tick == self.tick and self._payload else None
 
     def hear(self, words: list[bytes]) -> None:
-        """Send the messages that the member receives with the next tick."""
         self._heard.put(msgpack.encode((self.tick + 1, words)))
 
     def await_listener(self, stop: Stop) -> None:
-        """Wait until the member has subscribed, because messages without a subscriber are lost.
-
-        Raises NoAnswerError: time-out.
-        """
         await_subscriber(lambda: zenoh_link.is_matched(self._heard), f"{self.namespace}/{HEARD}", stop)
 
     def _told_now(self) -> bool:

@@ -42,7 +42,7 @@ from sim.options import TargetOptions, VehicleOptions, WorldOptions
 from sim.runners.lockstep import LockstepVehicle, fly_in_lockstep
 from sim.runners.log import EventLog, VehicleLog
 from sim.runners.published_robot import LockstepRobot, R, RealTimeDeck, RealTimeRobot, robots_of
-from sim.runners.room import MemberWords, Room, Words, warm_up_room
+from sim.runners.room import FleetEnd, MemberWords, Room, Words, in_pairs, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
@@ -209,7 +209,7 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
     lockstep, grid, here = options.lockstep, TickGrid(team.rate_hz), _here(team, options)
     names, ids = team.namespaces(options.namespace), {n: options.system_id + n - 1 for n in here}
     endpoints = {n: _opened(options, n, ids[n], stack) for n in here}
-    session = _session(team, options, stack)
+    session = _session(options, stack)
     warm_up_room(team)
     singles = dict(enumerate(team.singles(options.seed), 1))
     simulated = {n: VehicleSim(*singles[n]) for n in here}
@@ -242,18 +242,17 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
         fly_in_real_time(vehicles, list(driven.values()), room, grid, stop, FastClock(), ticks)
         return
     ahead = robots(LockstepRobot)
-    words = Words(team, options.seed) if team.exchanges else None
-    ends = {n: MemberWords(session, names[n]) for n in here if words is not None}
+    ends = {n: MemberWords(session, names[n]) if session is not None else FleetEnd() for n in here}
     loops = [
-        LockstepVehicle(*parts(n), robot=ahead.get(n), grid=grid, stop=stop, words=ends.get(n)) for n in here
+        LockstepVehicle(*parts(n), robot=ahead.get(n), grid=grid, stop=stop, words=ends[n]) for n in here
     ]
     room = Room(loops, grid, feed)
     _ready([url for _, url in endpoints.values()], stop)
-    for each in ends.values():
-        each.await_listener(stop)
-    fly_in_lockstep(loops, room, words, stop, ticks)
+    for each in in_pairs(loops)[1]:
+        each.words.await_listener(stop)
+    flown = fly_in_lockstep(loops, room, Words(team, options.seed), stop, ticks)
     feed.flush()
-    while words is not None and not stop.is_set:  # continue until the parent process ends this process
+    while flown != ticks and not stop.is_set:  # continue until the parent process ends this process
         time.sleep(_PAUSE_S)
 
 
@@ -291,15 +290,13 @@ def _opened(options: VehicleOptions, number: int, system_id: int, stack: ExitSta
     return endpoint, f"{kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}"
 
 
-def _session(team: Scenario, options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
+def _session(options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
     """Open the Zenoh session of robots and onboard processes; return None if no endpoint is configured."""
     with_robots = isinstance(options, WorldOptions)
     if not (options.connect or options.listen or options.zenoh_config is not None):
-        if not (with_robots or (options.lockstep and team.exchanges)):
+        if not with_robots:
             return None
-        raise ValueError(
-            "robots and messages between vehicles are on Zenoh: give --connect, --listen or --zenoh-config"
-        )
+        raise ValueError("robots are on Zenoh: give --connect, --listen or --zenoh-config")
     if options.lockstep and not with_robots:
         raise ValueError(
             "in lockstep a vehicle follows no robot of another process; `flightstack world` simulates both"

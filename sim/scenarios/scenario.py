@@ -142,11 +142,6 @@ class Scenario:
         return self.onboard.loop.rate_hz
 
     @property
-    def exchanges(self) -> bool:
-        """Whether the vehicles send messages to each other."""
-        return any(each.onboard.fleet.others for each in (self, *self.others))
-
-    @property
     def judged_by(self) -> Barrier:
         """Barrier of the verdict, which is evaluated with true states."""
         if self.judge is None:
