@@ -10,7 +10,7 @@ from typing import cast
 
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import C
-from flightstack.core.numeric import hypot
+from flightstack.core.numeric import hypot, rare
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
@@ -20,6 +20,10 @@ from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Pha
 OVER_PAD_LEFT = 1.5  # phase LAND continues within this multiple of the pad's radius
 TAKEOFF_DONE = 0.85  # fraction of the take-off height at which the take-off climb ends
 LANDED_SETTLE_S = 2.2  # time at rest on the pad that ends the flight, s; the verdict requires 2 s
+_SWINGING = (
+    "oscillates over the pad: velocity loop slower than configured, run `identify`, or a robot that "
+    "accelerates more than envelope.target_acceleration_max_m_s2"
+)
 _ASKED: dict[Operator, int] = {
     Operator.NONE: 0,
     Operator.ABORT: C.ABORT_ASKED,
@@ -66,6 +70,13 @@ class Situation:
     def __init__(self, config: FlightConfig, strategy: Filter, memory: Memory) -> None:
         self.config, self.strategy, self.memory = config, strategy, memory
         self.times_s = phase_times_s(config)
+        self.failure = ""  # text of the check that failed in this tick; compiled code has no such field
+
+    @rare
+    def fail(self, reason: str, details: str, first: float, second: float) -> bool:
+        """Store the text of a failed check, and return True; ``details``: format of one or both numbers."""
+        self.failure = f"{reason}: {details.format(first, second)}"
+        return True
 
 
 def high_enough_m(s: Situation) -> float:
@@ -246,18 +257,37 @@ def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_
     over_pad = at.d_m <= radius and low and may_land
     touches = may_touch and strategy.may_touch(at) and not waits_for_calm(s, at, now_s)
     descends = memory.phase is Phase.TOUCHDOWN and not memory.contact
-    swings = False
-    if memory.phase is Phase.LAND and may_land and may_touch and strategy.watches_swinging:
-        # the vehicle oscillates: it leaves the cone over the pad too often, or stays in it for too long
-        waited_s = now_s - max(memory.phase_since_s, memory.started_s + touchdown.calm_wait_s)
-        leaves = memory.swings >= s.config.checks.swings_max
-        swings = waited_s > s.config.checks.over_pad_time_max_s if over_pad else leaves
     return (
         (C.OVER_PAD if over_pad else 0)
         | (C.TOUCH if touches else 0)
         | (C.DRIFTED if descends and (strategy.drifts(at) or _sets_off(s, at, now_s)) else 0)
-        | (C.SWINGS if swings else 0)
+        | (C.CHECK_FAILED if check_fails(s, at, now_s, over_pad, may_land and may_touch) else 0)
     )
+
+
+def check_fails(
+    s: Situation,
+    at: Relative,  # noqa: ARG001  # each check may use it
+    now_s: float,
+    over_pad: bool,
+    permitted: bool,
+) -> bool:
+    """Whether a check aborts the flight in TAKEOFF, APPROACH, LAND or TOUCHDOWN; all inputs are good.
+
+    A new check is one more ``if``: its phases, its test, and its text with two numbers. ``permitted``: the
+    neighbours permit to land and to touch.
+    """
+    memory, checks = s.memory, s.config.checks
+    if memory.phase is Phase.LAND and permitted and s.strategy.watches_swinging:
+        # the vehicle oscillates: it leaves the cone over the pad too often, or stays in it for too long
+        most_s, leaves = checks.over_pad_time_max_s, memory.swings >= checks.swings_max
+        waited_s = now_s - max(memory.phase_since_s, memory.started_s + s.config.touchdown.calm_wait_s)
+        if waited_s > most_s if over_pad else leaves:
+            if leaves:
+                counts = "left the cone over it {:g} times; checks.swings_max is {:g}"
+                return s.fail(_SWINGING, counts, memory.swings + 1.0, checks.swings_max)
+            return s.fail(_SWINGING, "no touchdown in checks.over_pad_time_max_s, {:g} s", most_s, waited_s)
+    return False
 
 
 def _sets_off(s: Situation, at: Relative, now_s: float) -> bool:

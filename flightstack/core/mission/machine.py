@@ -67,7 +67,7 @@ _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
 COMPUTED = (
     C.TARGET_KNOWN | C.RETRIES_LEFT | C.CLEAR | C.ARMED | C.EXTERNAL | C.STANDING | C.WAS_ARMED
     | C.WAS_EXTERNAL | C.STARTED | C.LANDING_TIME_OVER | C.PHASE_TIME_OVER | C.ON_PAD | C.OVER_PAD | C.TOUCH
-    | C.DRIFTED | C.SWINGS
+    | C.DRIFTED | C.CHECK_FAILED
 )  # fmt: skip
 # flags that no ordinary tick has: ``Controller.land`` leaves such a tick to ``Controller.step``
 EXCLUDED = (
@@ -295,6 +295,8 @@ class Mission(Situation):
         """Return the reason text of a rule that fires, with the measured values of its true conditions."""
         if rule.when & C.ABORT_ASKED and seen.inputs.operator is Operator.TIME_OVER:
             return TIME_OVER
+        if rule.when & C.CHECK_FAILED:
+            return self.failure
         checks, target, battery = self.config.checks, seen.target, self._reserve.text
         raised = (rule.when | rule.about) & flags
         numbers: tuple[tuple[int, Callable[[], str]], ...] = (
@@ -302,7 +304,6 @@ class Mission(Situation):
             (C.LINK_LOST, lambda: self._link_lost(seen, now_s)),
             (C.TARGET_LOST, lambda: self._target_lost(seen)),
             (C.NOT_FOLLOWING, self._not_following),
-            (C.SWINGS, self._swinging),
             (C.TIRED, lambda: battery),
             (C.NO_RESULT, lambda: self.strategy.memory.refusal),
         )
@@ -355,12 +356,6 @@ class Mission(Situation):
             return f"no sample of the target has been accepted{refused}"
         limit = f"checks.target_age_max_s is {checks.target_age_max_s:g}"
         return f"the target's newest sample is {target.age_s:.2f} s old; {limit}{refused}"
-
-    def _swinging(self) -> str:
-        checks, swings = self.config.checks, self.memory.swings
-        if swings >= checks.swings_max:
-            return f"left the cone over it {swings + 1} times; checks.swings_max is {checks.swings_max}"
-        return f"no touchdown in checks.over_pad_time_max_s, {checks.over_pad_time_max_s:g} s"
 
     def _not_following(self) -> str:
         watched = self._plausibility

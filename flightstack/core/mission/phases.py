@@ -4,7 +4,7 @@
 none of ``unless`` are set. Nothing else changes a phase.
 
 A go-around is a change to APPROACH or TAKEOFF that uses a retry: from TOUCHDOWN (DRIFTED), or from HOLD or
-CLIMB (RECOVERED). LAND -> APPROACH is no go-around: the vehicle left the cone, and SWINGS limits how often.
+CLIMB (RECOVERED). LAND -> APPROACH is no go-around: the vehicle left the cone, and a check limits how often.
 
 The kinds of abort (``AbortWay``) have their own table: the rules of ``AbortWay.NONE`` choose the kind when an
 abort starts. No rule leaves ABORT. Phase LANDED is left at most once, to free the pad for another fleet
@@ -59,7 +59,7 @@ class Condition(IntEnum):
     PAD_WANTED = 1 << 27  # another vehicle waits for this pad, and the landed vehicle may take off again
     CLEAR = 1 << 28  # the vehicle has flown clear of the target, and lands beside the target
     CUT_OFF = 1 << 29  # too few fleet members send messages, and the pad is not the shortest way down
-    SWINGS = 1 << 30  # the vehicle leaves the cone over the pad too often, or stays in it for too long
+    CHECK_FAILED = 1 << 30  # a check of ``conditions.check_fails`` ends the flight; it has its own text
     NO_RESULT = 1 << 31  # the user's filter returned no velocity in the last tick
 
 
@@ -111,10 +111,7 @@ _INPUTS = (
     Rule(C.LINK_LOST, Phase.HOLD, "heartbeat lost"),
     Rule(C.TARGET_LOST, Phase.HOLD, "target lost"),
 )
-SWINGING = (
-    "oscillates over the pad: velocity loop slower than configured, run `identify`, or a robot that "
-    "accelerates more than envelope.target_acceleration_max_m_s2"
-)
+_CHECK = Rule(C.CHECK_FAILED, Phase.ABORT, "a check of the landing failed")
 START_LATE = Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time")
 _NOT_OFF = C.ARMED | C.LINK_LOST
 _STANDS = C.COMMAND_FAILED | C.STANDING
@@ -139,6 +136,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         *_INPUTS,
         _TIRED,
         _CUT_OFF,
+        _CHECK,
         START_LATE,
         Rule(C.AT_START | C.EXTERNAL, Phase.APPROACH, "start reached"),
     ),
@@ -148,6 +146,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         _TIRED,
         _CUT_OFF,
         Rule(C.LANDING_TIME_OVER, Phase.ABORT, "landing took too long"),
+        _CHECK,
         Rule(C.OVER_PAD, Phase.LAND, "inside the descending cone"),
     ),
     Phase.LAND: (
@@ -155,7 +154,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         *_INPUTS,
         Rule(C.LANDING_TIME_OVER, Phase.ABORT, "landing took too long"),
         Rule(C.TOUCH, Phase.TOUCHDOWN, "touchdown rule met"),
-        Rule(C.SWINGS, Phase.ABORT, SWINGING),
+        _CHECK,
         Rule(NONE, Phase.APPROACH, "left the descending cone", unless=C.OVER_PAD),
     ),
     Phase.TOUCHDOWN: (
@@ -163,6 +162,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         Rule(C.WAS_ARMED, Phase.LANDED, "motors off", unless=C.ARMED | C.LINK_LOST),
         Rule(C.OWN_LOST, Phase.ABORT, "own state lost at touchdown"),
         Rule(C.NOT_FOLLOWING, Phase.ABORT, "vehicle does not follow its velocity set-points"),
+        _CHECK,
         Rule(C.DRIFTED | C.RETRIES_LEFT, Phase.APPROACH, "going to miss the pad: go around"),
         Rule(C.DRIFTED, Phase.ABORT, "going to miss the pad, and no retry left"),
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "no contact, or motors did not stop"),

@@ -3,11 +3,13 @@
 import pytest
 
 from flightstack.core.memory import Memory
+from flightstack.core.mission import conditions
 from flightstack.core.mission.phases import Condition
+from flightstack.core.strategies.user_filter import NOWHERE
 from flightstack.core.types import Phase
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
-from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, names, tick
+from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, mission_of, names, tick
 
 # the robot of these tests drives at 0.1 m/s
 CALM = config(touchdown={"calm_wait_s": 12.0, "calm_speed_m_s": 0.05, "calm_height_m": 0.3})
@@ -75,7 +77,34 @@ IN, OUT = (0.0, 0.0, 0.3), (3.0 * PAD_M, 0.0, 0.3)
 def test_leaving_the_cone_again_and_again_and_staying_in_it_is_swinging(swings, in_phase_s, e, expected):
     began_s = NOW_S - in_phase_s
     memory = Memory(phase=Phase.LAND, swings=swings, phase_since_s=began_s, started_s=began_s)
-    assert ("SWINGS" in names(tick(e=e, memory=memory))) is expected
-    assert "SWINGS" not in names(tick(PAPER, e=e, memory=memory))  # the paper's filter has no such rule
+    assert ("CHECK_FAILED" in names(tick(e=e, memory=memory))) is expected
+    assert "CHECK_FAILED" not in names(tick(PAPER, e=e, memory=memory))  # the paper's filter has no such rule
     memory.phase = Phase.APPROACH
-    assert "SWINGS" not in names(tick(e=e, memory=memory))
+    assert "CHECK_FAILED" not in names(tick(e=e, memory=memory))
+
+
+@pytest.mark.parametrize(
+    ("swings", "over_pad", "details"),
+    [
+        (3, False, "left the cone over it 4 times; checks.swings_max is 3"),
+        (0, True, "no touchdown in checks.over_pad_time_max_s, 15 s"),
+    ],
+)
+def test_a_vehicle_that_swings_says_how_much_and_what_is_allowed(swings, over_pad, details):
+    mission = mission_of(ROBUST)
+    mission.memory = Memory(phase=Phase.LAND, swings=swings, phase_since_s=0.0, started_s=0.0)
+    assert conditions.check_fails(mission, NOWHERE, NOW_S, over_pad, True)
+    assert mission.failure.startswith("oscillates over the pad: velocity loop slower than configured")
+    assert mission.failure.endswith(f": {details}")
+
+
+def test_a_check_needs_only_its_test_and_its_text(monkeypatch):
+    def near(s, at, now_s, over_pad, permitted):
+        d_m, least_m = at.d_m, 0.5
+        return d_m < least_m and s.fail("too near", "{:.1f} m from it; {:g} m are allowed", d_m, least_m)
+
+    monkeypatch.setattr(conditions, "check_fails", near)
+    world = World(config())
+    world.run(30.0, until=lambda w: w.phase is Phase.ABORT)
+    assert world.phase is Phase.ABORT
+    assert world.controller.memory.reason == "too near: 0.5 m from it; 0.5 m are allowed"

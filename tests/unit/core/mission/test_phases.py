@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flightstack.core.mission.machine import COMPUTED, EXCLUDED, masks
-from flightstack.core.mission.phases import DISARMED, ORDINARY, SWINGING, TABLE, Condition, Rule, first
+from flightstack.core.mission.phases import DISARMED, ORDINARY, TABLE, Condition, Rule, first
 from flightstack.core.types import Phase
 
 FINAL = (Phase.LANDED, Phase.ABORT)
@@ -41,6 +41,8 @@ CUT_OFF
 cut_off -> ABORT: too few fleet members send messages
 TIRED
 tired -> ABORT: the battery is too low to land on the target
+CHECK
+check_failed -> ABORT: a check of the landing failed
 
 WAIT
 = OPERATOR
@@ -50,24 +52,26 @@ phase_time_over -> ABORT: inputs did not become ready in time
 ready & external & ~standing -> APPROACH: flying and all inputs fresh
 ready & recovered & standing -> TAKEOFF: all inputs fresh
 TAKEOFF
-= OPERATOR, VEHICLE, INPUTS, TIRED, CUT_OFF
+= OPERATOR, VEHICLE, INPUTS, TIRED, CUT_OFF, CHECK
 phase_time_over -> ABORT: start not reached in time
 at_start & external -> APPROACH: start reached
 APPROACH
 = OPERATOR, VEHICLE, INPUTS, TIRED, CUT_OFF
 landing_time_over -> ABORT: landing took too long
+= CHECK
 over_pad -> LAND: inside the descending cone
 LAND
 = OPERATOR, VEHICLE, INPUTS
 landing_time_over -> ABORT: landing took too long
 touch -> TOUCHDOWN: touchdown rule met
-swings -> ABORT: {SWINGING}
+= CHECK
 ~over_pad -> APPROACH: left the descending cone
 TOUCHDOWN
 = OPERATOR
 was_armed & ~armed & ~link_lost -> LANDED: motors off
 own_lost -> ABORT: own state lost at touchdown
 not_following -> ABORT: vehicle does not follow its velocity set-points
+= CHECK
 drifted & retries_left -> APPROACH: going to miss the pad: go around
 drifted -> ABORT: going to miss the pad, and no retry left
 phase_time_over -> ABORT: no contact, or motors did not stop
