@@ -7,11 +7,11 @@ delay of the firmware's second-order Butterworth filters, sqrt(2) / (2 pi f).
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Annotated, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Record, Vector, cell, new
@@ -48,16 +48,17 @@ class NoiseRows:
         self._sigmas = np.array(sigmas, dtype=np.float64)
         self._noisy = self._sigmas != 0.0
         self._rng = stream(seed, purpose)
-        self._left: list[list[float]] = []
+        self._left = np.empty((0, len(self._sigmas)))  # rows that are drawn but not taken
 
-    def take(self) -> list[float]:
-        """Return the noise of the next sample's values."""
-        if not self._left:
-            self._left = self.block()[::-1].tolist()
-        return self._left.pop()
+    def take(self, count: int) -> F64:
+        """Return the noise of the next samples, one row for each."""
+        while len(self._left) < count:
+            self._left = np.concatenate((self._left, self._block()))
+        rows, self._left = self._left[:count], self._left[count:]
+        return rows
 
-    def block(self) -> F64:
-        """Return the noise of the next samples, one row for each; draw as few blocks as possible."""
+    def _block(self) -> F64:
+        """Return the noise of further samples; draw as few blocks as possible."""
         width = int(self._noisy.sum())
         if width == 0:
             return np.full((BLOCK, len(self._sigmas)), NO_NOISE)
@@ -109,7 +110,7 @@ class Losses:
     def __init__(self, link: OdometryLink, seed: int, purpose: str) -> None:
         self._link = link
         self._rng = stream(seed, purpose)
-        self._chances: list[float] = []  # drawn in advance; used from the end of the list
+        self._chances = np.empty(0)  # drawn in advance
         self._drop_start_ns = self._drop_end_ns = NEVER_NS
         if link.dropout_every_s > 0.0 and link.dropout_max_s > 0.0:
             self._draw_dropout(0)
@@ -118,24 +119,23 @@ class Losses:
         self._drop_start_ns = after_ns + round(self._rng.exponential(self._link.dropout_every_s) * NS)
         self._drop_end_ns = self._drop_start_ns + round(self._rng.uniform(0.0, self._link.dropout_max_s) * NS)
 
-    @property
-    def possible(self) -> bool:
-        """Whether the link can lose samples."""
-        return self._link.loss > 0.0 or self._drop_start_ns != NEVER_NS
+    def lost(self, measured_ns: I64) -> npt.NDArray[np.bool_]:
+        """Return for each of the next samples, in order, whether it is lost."""
+        if self._drop_start_ns != NEVER_NS:
+            return np.array([self._one_lost(time_ns) for time_ns in measured_ns.tolist()], dtype=np.bool_)
+        if self._link.loss == 0.0:
+            return np.zeros(len(measured_ns), np.bool_)
+        while len(self._chances) < len(measured_ns):
+            self._chances = np.concatenate((self._chances, self._rng.random(BLOCK)))
+        chances, self._chances = np.split(self._chances, [len(measured_ns)])
+        return chances < self._link.loss
 
-    def lost(self, measured_ns: int) -> bool:
-        """Whether the next sample is lost; call this once for each sample, in order."""
+    def _one_lost(self, measured_ns: int) -> bool:
+        """Whether the next sample is lost; drop-outs and single losses use the same random numbers."""
         while measured_ns >= self._drop_end_ns:
             self._draw_dropout(self._drop_end_ns)
-        by_chance = self._link.loss > 0.0 and self._chance() < self._link.loss
-        return by_chance or measured_ns >= self._drop_start_ns
-
-    def _chance(self) -> float:
-        if self._drop_start_ns != NEVER_NS:  # drop-outs also use this stream, so no block is drawn ahead
-            return float(self._rng.random())
-        if not self._chances:
-            self._chances = self._rng.random(BLOCK)[::-1].tolist()
-        return self._chances.pop()
+        by_chance = self._link.loss > 0.0 and self._rng.random() < self._link.loss
+        return bool(by_chance or measured_ns >= self._drop_start_ns)
 
 
 class MeasurementChannel:
@@ -149,7 +149,7 @@ class MeasurementChannel:
         self._losses, self._width = Losses(link, seed, purpose + ".loss"), len(sigmas)
         self._noise = NoiseRows(sigmas, seed, purpose + ".noise")
         self._rate, self._delay_ns = link.rate_hz, round(link.delay_s * NS)
-        self._queue: deque[tuple[int, tuple[float, ...]]] = deque()  # time of release, ns; row of the sample
+        self._waiting = np.empty((0, 1 + self._width))  # time of measurement, ns, and values
         self._taken = self._due_ns = 0  # number of measurements; time of the next one, ns
 
     def run(self, times_ns: Sequence[int], measure: Callable[[list[int]], F64]) -> tuple[list[int], F64]:
@@ -165,16 +165,14 @@ class MeasurementChannel:
                 due.append(n)
                 self._taken += 1
                 self._due_ns = round(self._taken * NS / self._rate)
-        noisy = (measure(due) + [self._noise.take() for _ in due]).tolist() if due else []
-        sent, queue = dict(zip(due, noisy, strict=True)), self._queue
-        released, rows = [], []
-        for n, now_ns in enumerate(times_ns):
-            if n in sent and not self._losses.lost(now_ns):
-                queue.append((now_ns + self._delay_ns, (now_ns, *sent[n])))
-            while queue and queue[0][0] <= now_ns:
-                released.append(n)
-                rows.append(queue.popleft()[1])
-        return released, np.array(rows, dtype=np.float64).reshape(len(rows), 1 + self._width)
+        times = np.array(times_ns, dtype=np.int64)
+        if due:
+            rows = np.column_stack((times[due], measure(due) + self._noise.take(len(due))))
+            self._waiting = np.concatenate((self._waiting, rows[~self._losses.lost(times[due])]))
+        released_ns = self._waiting[:, 0].astype(np.int64) + self._delay_ns
+        count = int(np.searchsorted(released_ns, times[-1], side="right"))
+        released, self._waiting = self._waiting[:count], self._waiting[count:]
+        return np.searchsorted(times, released_ns[:count]).tolist(), released
 
 
 class ImuRecord(Record):

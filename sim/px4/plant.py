@@ -189,14 +189,14 @@ class Px4Sensors:
     def _slow(self, body: Body) -> tuple[float, ...]:
         """Return magnetic field (3), G; pressure, differential pressure, hPa; altitude, m; temperature, C."""
         x, y, z = frd_from_flu(body_from_world(body.quaternion, enu_from_ned(FIELD_NED_GAUSS)))
-        nx, ny, nz = self._mag.take()
+        nx, ny, nz = self._mag.take(1)[0].tolist()
         height = body.position_enu_m[2]
-        hpa = pressure_hpa(height) + self._baro.take()[0]
+        hpa = pressure_hpa(height) + self._baro.take(1).item()
         temperature_c = temperature_k(height) - ZERO_CELSIUS_K
         return x + nx, y + ny, z + nz, hpa, 0.0, pressure_altitude_m(hpa), temperature_c
 
     def _fix(self, body: Body, now_us: int) -> Message:
-        nx, ny, nz, nu, nv, nw = self._gps.take()
+        nx, ny, nz, nu, nv, nw = self._gps.take(1)[0].tolist()
         x, y, z = body.position_enu_m
         vx, vy, vz = body.velocity_enu_m_s
         north, east, down = ned_from_enu((vx + nu, vy + nv, vz + nw))

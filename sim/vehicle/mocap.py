@@ -101,7 +101,6 @@ class MocapTape:
             self._errors, self._delay_ns = ErrorRows(error, seed, "own", link.rate_hz), 0
             record.recorded, record.past.rate = True, link.rate_hz
         self._losses = Losses(link, seed, "mocap.loss")
-        self._noise_left = np.empty((0, VALUES))
         self._noise = NoiseRows((noise, noise, noise, link.yaw_noise_rad), seed, "mocap.noise")
         self._record, self._body = record, body
         self._measured_ms, self._arrives_ms, self._values = (
@@ -129,12 +128,8 @@ class MocapTape:
         measured_ns = measured_ms * NS_PER_MS
         self._measured_ms[first:] = measured_ms
         self._arrives_ms[first:] = ms_from(measured_ns + self._delay_ns)
-        if self._losses.possible:
-            lost = [self._losses.lost(time_ns) for time_ns in measured_ns.tolist()]
-            self._arrives_ms[first:][lost] = LOST
-        while len(self._noise_left) < len(counts):
-            self._noise_left = np.concatenate((self._noise_left, self._noise.block()))
-        self._values[first:], self._noise_left = np.split(self._noise_left, [len(counts)])
+        self._arrives_ms[first:][self._losses.lost(measured_ns)] = LOST
+        self._values[first:] = self._noise.take(len(counts))
         if self._errors is not None:
             self._error_rows[first:] = self._errors.take(len(counts))
 
