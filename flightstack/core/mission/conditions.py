@@ -265,13 +265,7 @@ def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_
     )
 
 
-def check_fails(
-    s: Situation,
-    at: Relative,  # noqa: ARG001  # each check may use it
-    now_s: float,
-    over_pad: bool,
-    permitted: bool,
-) -> bool:
+def check_fails(s: Situation, at: Relative, now_s: float, over_pad: bool, permitted: bool) -> bool:  # noqa: ARG001
     """Whether a check aborts the flight in TAKEOFF, APPROACH, LAND or TOUCHDOWN; all inputs are good.
 
     A new check is one more ``if``: its phases, its test, and its text with two numbers. ``permitted``: the

@@ -18,12 +18,11 @@ from flightstack.common.strict_toml import ConfigError, meant
 from flightstack.common.text import FILTER_FAILED
 
 _PACKAGED = Path(__file__).parents[1] / "strategies" / "packaged"
-_NAMES = sorted(file.stem for file in _PACKAGED.glob("[a-z]*.py"))
 # class of each filter of the package: ``NameFilter`` in ``name.py``
 FILTERS: Mapping[str, str] = MappingProxyType(
     {
         name: f"flightstack.core.strategies.packaged.{name}:{name.title().replace('_', '')}Filter"
-        for name in _NAMES
+        for name in sorted(file.stem for file in _PACKAGED.glob("[a-z]*.py"))
     }
 )
 ALLOWED = f"{', '.join(FILTERS)}, or MODULE:NAME of a filter from outside the package"
