@@ -55,6 +55,8 @@ class Profile:
     # PARAM_ENCODE_BYTEWISE); if not, it carries the integer converted to a float
     bytewise: bool
     needs_origin: bool  # whether without satellites a position requires SET_GPS_GLOBAL_ORIGIN
+    pose_message: int  # id of the MAVLink message for poses of a motion capture
+    pose_settings: str  # parameters that the operator sets for these poses, as text
     rules: str | None  # name of the file of pre-flight rules in preflight/; None: no parameters to check
     prepare: tuple[Step, ...] = ()  # steps on the ground before the first request
     asked_hz: Mapping[int, float] = field(default_factory=dict)  # further requested rates, Hz, by message id
@@ -154,6 +156,8 @@ PX4 = Profile(
     unset=math.nan,
     bytewise=True,
     needs_origin=False,
+    pose_message=dialect.MAVLINK_MSG_ID_ODOMETRY,
+    pose_settings="EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5",
     rules="px4",
     prepare=(_HOLD,),
 )
@@ -211,6 +215,8 @@ ARDUPILOT = Profile(
     unset=0.0,
     bytewise=False,
     needs_origin=True,
+    pose_message=dialect.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE,
+    pose_settings="VISO_TYPE 1, GPS1_TYPE 0, EK3_SRC1_POSXY, EK3_SRC1_POSZ and EK3_SRC1_YAW 6",
     rules="ardupilot",
     # The pre-arm bit depends on the mode, so the mode is set first. ArduPilot acknowledges but drops a mode
     # change in the first seconds after boot, so the step repeats during the whole wait.

@@ -1,6 +1,6 @@
 """Process of the mocap bridge: receives poses from Zenoh, sends them to a MAVLink vehicle.
 
-The vehicle's autopilot determines the message: ODOMETRY or VISION_POSITION_ESTIMATE.
+The profile of the vehicle's autopilot has the message: ODOMETRY or VISION_POSITION_ESTIMATE.
 """
 
 from __future__ import annotations
@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -19,6 +18,7 @@ from bridge.mavlink.client.companion import Origin, OriginSender, companion_hear
 from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
+from bridge.mavlink.profiles import Profile, found, refusal
 from bridge.mocap.checks import Limits, MocapOptions, Passed, PoseChecks, PoseOptions
 from bridge.ros2.cdr import OdometryError, Pose
 from bridge.target.ros2_target import KeySearch, TargetSpec, TargetType
@@ -126,23 +126,9 @@ def odometry(passed: Passed, time_us: int) -> Message:
     )
 
 
-class PoseNeeds(NamedTuple):
-    title: str
-    message: Callable[[Passed, int], Message]
-    needs_origin: bool  # whether the autopilot has no position until it receives SET_GPS_GLOBAL_ORIGIN
-    settings: str  # autopilot parameters that the operator has to set, as text
-
-
-POSE_NEEDS = {
-    dialect.MAV_AUTOPILOT_PX4: PoseNeeds(
-        "PX4", odometry, False, "EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5"
-    ),
-    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: PoseNeeds(
-        "ArduPilot",
-        vision_position_estimate,
-        True,
-        "VISO_TYPE 1, GPS1_TYPE 0, EK3_SRC1_POSXY, EK3_SRC1_POSZ and EK3_SRC1_YAW 6",
-    ),
+POSES: Mapping[int, Callable[[Passed, int], Message]] = {  # by message id
+    dialect.MAVLINK_MSG_ID_ODOMETRY: odometry,
+    dialect.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE: vision_position_estimate,
 }
 
 
@@ -151,9 +137,11 @@ class MocapVehicle:
 
     def __init__(self, system_id: int, origin: Origin | None) -> None:
         """``origin`` is the position of the room's origin on earth, for an autopilot that needs it."""
-        self.needs: PoseNeeds | None = None  # needs of the vehicle's autopilot; None: unknown or unsupported
+        self.profile: Profile | None = (
+            None  # profile of the vehicle's autopilot; None: unknown or unsupported
+        )
         self._origin, self._origin_sender = origin, OriginSender(origin, system_id)
-        self._autopilot: int | None = None  # MAV_AUTOPILOT number of the newest heartbeat
+        self._autopilot = -1  # MAV_AUTOPILOT number of the newest heartbeat; -1: none has come
         self._origin_known = self._armed = False
         self._heard_s = self._beat_s = -math.inf
 
@@ -161,9 +149,9 @@ class MocapVehicle:
         """Return the reason why the vehicle does not use the poses, or None."""
         if not self.heard(now_s):
             return f"no message from the vehicle at {url}"
-        if self.needs is None:
-            return f"autopilot {self._autopilot} is unsupported: use PX4 (12) or ArduPilot (3)"
-        if self.needs.needs_origin and self._origin is None and not self._origin_known:
+        if self.profile is None:
+            return refusal(self._autopilot, dialect.MAV_TYPE_QUADROTOR, None)
+        if self.profile.needs_origin and self._origin is None and not self._origin_known:
             return "this vehicle has no position without an origin: give --origin LAT LON ALT"
         return None
 
@@ -181,7 +169,7 @@ class MocapVehicle:
             self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
             if message.autopilot != self._autopilot or not self.heard(now_s):  # perhaps another vehicle
                 self._autopilot, self._origin_known = message.autopilot, False
-                self.needs = POSE_NEEDS.get(message.autopilot)
+                self.profile = found(message.autopilot)
                 self._origin_sender.restart()
             self._heard_s = now_s
         elif id_ == dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
@@ -197,11 +185,11 @@ class MocapVehicle:
         if now_s - self._beat_s >= (_HEARTBEAT_S if self.heard(now_s) else _HELLO_S) - 1e-9:
             self._beat_s = now_s
             messages.append(companion_heartbeat())
-        needs = self.needs
-        if needs is None or not self.heard(now_s):
+        profile = self.profile
+        if profile is None or not self.heard(now_s):
             return messages
-        messages += [needs.message(p, round(p.measured_s * 1e6)) for p in poses]
-        lacks_origin = needs.needs_origin and not (self._armed or self._origin_known)
+        messages += [POSES[profile.pose_message](p, round(p.measured_s * 1e6)) for p in poses]
+        lacks_origin = profile.needs_origin and not (self._armed or self._origin_known)
         return messages + self._origin_sender.step(lacks_origin, now_s)
 
 
@@ -244,8 +232,8 @@ class Bridge:
         passed = self._source.poll(now_s, armed=vehicle.flies(now_s))
         self._endpoint.send(vehicle.step(passed, now_s))
         self._tell("poses", self._source.problem, now_s, good="mocap: poses are good")
-        problem, needs = vehicle.problem(now_s, options.vehicle_url), vehicle.needs
-        good = f"mocap: {needs.title} receives poses, needs {needs.settings}" if needs is not None else ""
+        problem, profile = vehicle.problem(now_s, options.vehicle_url), vehicle.profile
+        good = f"mocap: {profile.name} receives poses, needs {profile.pose_settings}" if profile else ""
         self._tell("vehicle", f"mocap: {problem}" if problem else None, now_s, good=good)
         return now_s
 

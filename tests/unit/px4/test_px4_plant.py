@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.mavlink.preflight.table import Needs, table
-from bridge.mocap.process import POSE_NEEDS
+from bridge.mavlink.profiles import PX4
 from flightstack.common.strict_toml import ConfigError
 from sim.firmware.mixer import OFF
 from sim.plant.params import load
@@ -185,5 +185,5 @@ def test_motion_capture_takes_the_place_of_satellites():
     found = parameters(load(), link)
     assert "EKF2_GPS_P_NOISE" not in found
     assert found["EKF2_EV_DELAY"] == 15.0
-    settings = dict(pair.rsplit(" ", 1) for pair in POSE_NEEDS[12].settings.split(", "))
+    settings = dict(pair.rsplit(" ", 1) for pair in PX4.pose_settings.split(", "))
     assert {name: found[name] for name in settings} == {name: int(value) for name, value in settings.items()}
