@@ -194,7 +194,7 @@ def test_a_full_disk_and_damaged_machine_code_only_cost_time(tmp_path):
         for content in (b"", damaged.read_bytes()[:-20], b"\xff" * 500):
             damaged.write_bytes(content)
             assert added() == ("1.0\n", "")
-            assert index.read_bytes() != content  # the machine code was compiled and stored again
+            assert damaged.read_bytes() != content  # the machine code was compiled and stored again
 
 
 def _twice(x):

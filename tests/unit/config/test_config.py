@@ -219,7 +219,7 @@ def test_every_configuration_that_comes_with_the_package_is_found_by_name_and_ma
     assert problems(load(name)) == []
 
 
-def test_no_margin_is_blown_up_by_more_than_half():
+def test_the_margin_is_at_most_1_6_times_the_one_without_fading():
     """The filter divides the margin by its fraction at the edge of the pad, which is at least 1 - 1/e."""
     for pad_m in (0.05, 0.1, 0.5):
         widest = config(

@@ -79,7 +79,7 @@ def test_a_tired_battery_saturates_in_both():
     assert 0.5 < tired.simulated.saturated / tired.recorded.saturated < 2.0
 
 
-def test_a_plant_of_less_thrust_is_named():
+def test_the_thrust_factor_shows_a_vehicle_file_with_a_wrong_mass():
     """With a vehicle file that is 10 % too heavy, the thrust factor of the flight is 10 % larger."""
     weak = replace(ROOM, body=replace(ROOM.body, mass_kg=1.1 * ROOM.body.mass_kg))
     assert fly(screen(recorded(AIRFRAME)), weak, 0).thrust == pytest.approx(1.1 * 0.97, abs=0.01)
