@@ -229,21 +229,22 @@ def read_config(data: bytes) -> FlightConfig:
 class Sizes(NamedTuple):
     barrier: Barrier | None  # None: unknown
     pad_radius_m: float
-    # semi-axes of the ellipsoid that separates two vehicles, m: horizontal, vertical; None: no fleet
-    ellipsoid_m: tuple[float, float] | None
+    # semi-axes, m (horizontal, vertical), of the ellipsoids that separate this vehicle from its neighbours
+    ellipsoids_m: frozenset[tuple[float, float]] = frozenset()
 
 
 def sizes_of(config: FlightConfig | None, run: Mapping[str, str]) -> Sizes:
-    """Return barrier, pad radius and separation ellipsoid of a flight.
+    """Return barrier, pad radius and separation ellipsoids of a flight.
 
     The metadata of a simulated run contain the pad radius.
     """
     radius_m = number(run, "pad_radius_m")
     if config is None:
-        return Sizes(None, PAD_RADIUS_M if radius_m is None else radius_m, None)
-    ellipsoid_m = (config.fleet.radius_xy_m, config.fleet.radius_z_m) if config.fleet.others else None
+        return Sizes(None, PAD_RADIUS_M if radius_m is None else radius_m)
+    fleet = config.fleet
+    ellipsoids_m = frozenset((fleet.radius_xy_m, fleet.radius_z_m) for _ in fleet.others)
     radius_m = config.touchdown.pad_radius_m if radius_m is None else radius_m
-    return Sizes(config.barrier, radius_m, ellipsoid_m)
+    return Sizes(config.barrier, radius_m, ellipsoids_m)
 
 
 def number(values: Mapping[str, str], key: str) -> float | None:

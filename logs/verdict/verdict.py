@@ -120,7 +120,7 @@ def fleet_verdict(
     found = list(judged.values())
     outcome = min((each.outcome for each in found), key=_WORST_FIRST.index)
     violations, safe = {each.violation for each in found}, {each.started_safe for each in found}
-    inside, complete = sum(pair.violations for pair in pairs), complete and len(pairs) > 0
+    inside, known = sum(pair.violations for pair in pairs), pairs if complete else ()
     return FleetVerdict(
         outcome=outcome,
         violation=True if True in violations else None if None in violations else False,
@@ -130,10 +130,10 @@ def fleet_verdict(
         started_safe=False if False in safe else None if None in safe else True,
         judged_from=", ".join(dict.fromkeys(each.judged_from for each in found)),
         members=judged,
-        collisions=len(struck) if struck or complete else None,
-        ellipsoid_violations=inside if inside or complete else None,
-        ellipsoid_min=_known(min, (pair.ellipsoid_min for pair in pairs)) if complete else None,
-        distance_min_m=_known(min, (pair.distance_min_m for pair in pairs)) if complete else None,
+        collisions=len(struck) if struck or known else None,
+        ellipsoid_violations=inside if inside or known else None,
+        ellipsoid_min=_known(min, (pair.ellipsoid_min for pair in known)),
+        distance_min_m=_known(min, (pair.distance_min_m for pair in known)),
     )
 
 

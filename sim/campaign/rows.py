@@ -112,8 +112,8 @@ def row_of(flown: Landing) -> Row:
     verdict, vehicles = judge_landing(flown), [_values(landing) for landing in flown.members]
     deepest = min(vehicles, key=lambda each: each["h_min_outside_pad_m"])
     known = {name: [each[name] for each in vehicles if each[name] is not None] for name in vehicles[0]}
-    waits_s = (each.wait_s for each in flown.members)
-    several: dict[str, Any] = {"outcomes": " ".join(verdict.outcomes), "wait_max_s": max(waits_s)}
+    # vehicles that had neighbours
+    paired = sorted({number - 1 for pair in flown.pairs for number in (pair.one, pair.other)})
     return Row(
         seed=flown.seed,
         outcome=verdict.outcome.value,
@@ -126,7 +126,8 @@ def row_of(flown: Landing) -> Row:
         simulated_s=max(each.simulated_s for each in flown.members),
         wall_s=flown.wall_s,
         cells=_cells(*map(np.concatenate, zip(*known["cells"], strict=True))),
-        **(several if flown.others else {}),
+        outcomes=" ".join(verdict.outcomes[n] for n in paired),
+        wait_max_s=max((flown.members[n].wait_s for n in paired), default=None),
     )
 
 
