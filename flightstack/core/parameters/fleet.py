@@ -70,6 +70,11 @@ class Fleet:
         """Growth rate of the ellipsoid around a neighbour whose message has the largest latency."""
         return self.acceleration_max_m_s2 * self.latency_max_s
 
+    @property
+    def slew_side_max_m_s2(self) -> float:
+        """Largest acceleration of the command on each horizontal axis; infinite without neighbours."""
+        return min((self.slew_xy_max_m_s2 / math.sqrt(2.0) for _ in self.others), default=math.inf)
+
     def check(self, lag_s: float, period_s: float, clearance_m: float) -> None:
         """Reject members or limits that contradict each other, the velocity loop, the tick or the retreat."""
         members = f"fleet.members: found {list(self.members)}"
@@ -95,12 +100,11 @@ class Fleet:
                 raise ConfigError(
                     f"fleet.{key}: found {found:g}; at least {least:.3g} {unit} is needed: {why}"
                 )
-        if self.rate_1_s * lag_s > PART_OF_LAG:
+        if max((self.rate_1_s * lag_s for _ in self.others), default=0.0) > PART_OF_LAG:
             raise ConfigError(
                 f"fleet.rate_1_s: found {self.rate_1_s:g}; with a lag of {lag_s:g} s at most "
                 f"{PART_OF_LAG / lag_s:.3g} 1/s come to rest without an overshoot: lower it"
             )
 
 
-# a vehicle without neighbours: these values limit neither its acceleration nor the lag of its velocity loop
-ALONE = Fleet(id=1, members=(1,), rate_1_s=0.05, speed_max_m_s=0.05, slew_xy_max_m_s2=math.inf)
+ALONE = Fleet(id=1, members=(1,))  # a vehicle without neighbours

@@ -6,7 +6,6 @@ The defaults are those of a Crazyflie on a pad of 20 cm; see docs/how_to/autopil
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Annotated
@@ -219,12 +218,10 @@ class FlightConfig:
     def slew_max_m_s2(self) -> Vec3:
         """Acceleration limit of the robust filter's velocity on each axis.
 
-        ``fleet.slew_xy_max_m_s2``, infinite without a table [fleet], limits both horizontal axes together:
-        each axis gets this limit divided by sqrt(2), since delayed motion reduces the distance to near
-        neighbours.
+        In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each axis gets this limit
+        divided by sqrt(2), since delayed motion reduces the distance to near neighbours.
         """
-        x, y, z = self.robust.acceleration_max_m_s2
-        side = self.fleet.slew_xy_max_m_s2 / math.sqrt(2.0)
+        (x, y, z), side = self.robust.acceleration_max_m_s2, self.fleet.slew_side_max_m_s2
         return min(x, side), min(y, side), z
 
     @property
