@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 
+from flightstack.core.numeric import STAND_INS
 from flightstack.core.types import Vec3
 
 
@@ -79,8 +80,14 @@ def _multiplier(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3, valu
 
 
 def _sort(events: list[tuple[float, float]]) -> None:
-    """Sort at most six events in place; numba compiles ``list.sort`` for 2 s."""
+    events.sort()
+
+
+def _sort_by_insertion(events: list[tuple[float, float]]) -> None:
     for first in range(1, len(events)):
         for n in range(first, 0, -1):
             if events[n] < events[n - 1]:
                 events[n], events[n - 1] = events[n - 1], events[n]
+
+
+STAND_INS[_sort] = _sort_by_insertion  # numba compiles ``list.sort`` for 2 s
