@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import fields
-from itertools import combinations
+from itertools import chain, combinations
 
 from flightstack.core.fleet.pair import barrier
 from flightstack.core.parameters.fleet import HOLD_LATENCIES, KEPT_PART, PART_OF_LAG, ZERO_LATENCIES, Fleet
@@ -32,12 +32,15 @@ LATE_TICKS = 1.0  # number of consecutive late ticks, in addition to the tick of
 
 
 def fleet_checks(config: FlightConfig) -> list[Check]:
-    """Return every check of the table [fleet]; none for a fleet of one."""
+    """Return every claim about the neighbours; claims that are equal for several of them appear once."""
+    return list(dict.fromkeys(claim for _ in config.fleet.others for claim in _about_a_neighbour(config)))
+
+
+def _about_a_neighbour(config: FlightConfig) -> list[Check]:
+    """Return the claims about any neighbour: the table [fleet] has the same numbers for all."""
     fleet, loop, touch, spread = (
         config.fleet, config.velocity_loop, config.touchdown, config.envelope.lag_spread,
     )  # fmt: skip
-    if not fleet.others:
-        return []
     if _is_robust(config):
         x, own = extremes(config), config.robust
         shape, climb_m_s, descent_s = x.shape, x.target_climb_m_s, touchdown.descent_time_s(config, x)
@@ -285,43 +288,36 @@ def _common_points(config: FlightConfig, slope: float, climb_m_s: float) -> list
 
 
 def team_checks(
-    configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3, pads_apart_m: float
+    configs: Sequence[FlightConfig],
+    starts_enu_m: Sequence[Vec3],
+    touch_m: Vec3,
+    pads_apart_m: Sequence[float],
 ) -> list[Check]:
-    """Return the checks that involve all members; none if a vehicle has no neighbours.
+    """Return the checks that involve all members, each for its worst pair of vehicles.
 
     ``configs``: configurations of the members; ``starts_enu_m``: known start places in the air; ``touch_m``:
-    largest offset of two vehicles at which they overlap; ``pads_apart_m``: smallest distance of any two pads.
+    largest offset of two vehicles at which they overlap; ``pads_apart_m``: smallest distances of two pads.
     """
-    fleets = [config.fleet for config in configs]
-    if not all(fleet.others for fleet in fleets):
-        return []
-    first, config, ids = fleets[0], configs[0], sorted(fleet.id for fleet in fleets)
-    keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
-    other = [k for k in keys if any(getattr(each, k) != getattr(first, k) for each in fleets)]
-    other += ["members"] if any(sorted(each.members) != ids for each in fleets) else []
-    if _is_robust(config):
-        x = extremes(config)
-        velocity_m_s, position_m = x.velocity_error_m_s, x.position_error_m
-    else:
-        factor, link = config.robust.sigma_factor, config.target
-        velocity_m_s, position_m = factor * link.velocity_noise_m_s, factor * link.position_noise_m
-    error_m = 2.0 * (position_m + velocity_m_s * first.descent_s)
-    paths = f"paths remain {pads_apart_m:.3g} m apart" if pads_apart_m > 0.0 else "paths may meet"
+    first, pairs = configs[0].fleet, list(combinations(configs, 2))
+    ids = sorted(config.fleet.id for config in configs)
+    tables = [_differences(one.fleet, other.fleet, ids) for one, other in pairs]
     starts = [
         (barrier((x - ox, y - oy, z - oz), first.radius_xy_m, first.radius_z_m)[0], i, j)
         for (i, (ox, oy, oz)), (j, (x, y, z)) in combinations(enumerate(starts_enu_m, 1), 2)
     ]
     rooms = []
-    for each in configs:
+    for each in chain.from_iterable(pairs):
         fleet, lost_m = each.fleet, max(0.0, errors_m(each) - each.fleet.margin_m)
         touch_h_m, _ = barrier(touch_m, fleet.radius_xy_m, fleet.radius_z_m)
         rooms.append((-touch_h_m - lost_m, touch_h_m, lost_m, fleet.rate_1_s * (fleet.margin_m - touch_h_m)))
-    room_m, touch_h_m, lost_m, allowed_m_s = min(rooms)
     return [
-        Check(
-            "one table", "all members have the same table [fleet], with exactly the members of the team",
-            0.0 - len(other), "keys", f"{len(fleets)} members; different keys: {', '.join(other) or 'none'}",
-            f"give all members the same fleet.{', fleet.'.join(other)}" if other else "", PROOF,
+        *(
+            Check(
+                "one table", "all members have the same table [fleet], with exactly the members of the team",
+                0.0 - len(keys), "keys", f"{len(ids)} members; different keys: {', '.join(keys) or 'none'}",
+                f"give all members the same fleet.{', fleet.'.join(keys)}" if keys else "", PROOF,
+            )
+            for keys in sorted(tables, key=len)[-1:]
         ),
         *(
             Check(
@@ -330,18 +326,42 @@ def team_checks(
             )
             for least_m, i, j in sorted(starts)[:1]
         ),
-        Check(
-            "pads", "no two pads are predicted to conflict, so no member waits",
-            pads_apart_m - error_m - first.pad_distance_m, "m",
-            f"{paths}, fleet.pad_distance_m is {first.pad_distance_m:g}; velocity errors of "
-            f"{velocity_m_s:.3g} m/s each add {error_m:.3g} m within fleet.descent_s",
-            "drive the robots farther apart, or lower fleet.pad_distance_m or fleet.descent_s", PROOF,
-        ),
-        Check(
-            "contact", "two vehicles that meet their rows do not touch, in spite of velocity errors", room_m,
-            "m",
-            f"errors of robust.tracking_error_m_s, in any direction, reduce h to -{lost_m:.3g} m; the shapes "
-            f"touch at {touch_h_m:.3g} m; together, errors of {allowed_m_s:.3g} m/s are allowed",
-            "raise fleet.margin_m, fleet.radius_xy_m or fleet.rate_1_s", PROOF,
+        *(_pads(configs[0], apart_m) for apart_m in sorted(pads_apart_m)[:1]),
+        *(
+            Check(
+                "contact", "two vehicles that meet their rows do not touch, in spite of velocity errors",
+                room_m, "m",
+                f"errors of robust.tracking_error_m_s, in any direction, reduce h to -{lost_m:.3g} m; the "
+                f"shapes touch at {touch_h_m:.3g} m; together, errors of {allowed_m_s:.3g} m/s are allowed",
+                "raise fleet.margin_m, fleet.radius_xy_m or fleet.rate_1_s", PROOF,
+            )
+            for room_m, touch_h_m, lost_m, allowed_m_s in sorted(rooms)[:1]
         ),
     ]  # fmt: skip
+
+
+def _differences(one: Fleet, other: Fleet, ids: Sequence[int]) -> list[str]:
+    """Return the keys that differ between the tables of two members; ``ids``: ids of all members, sorted."""
+    keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
+    found = [key for key in keys if getattr(one, key) != getattr(other, key)]
+    return found + ["members"] * any(sorted(each.members) != ids for each in (one, other))
+
+
+def _pads(config: FlightConfig, apart_m: float) -> Check:
+    """Return the check that no vehicle has to wait; ``apart_m``: smallest distance of two pads."""
+    fleet = config.fleet
+    if _is_robust(config):
+        x = extremes(config)
+        velocity_m_s, position_m = x.velocity_error_m_s, x.position_error_m
+    else:
+        factor, link = config.robust.sigma_factor, config.target
+        velocity_m_s, position_m = factor * link.velocity_noise_m_s, factor * link.position_noise_m
+    error_m = 2.0 * (position_m + velocity_m_s * fleet.descent_s)
+    paths = f"paths remain {apart_m:.3g} m apart" if apart_m > 0.0 else "paths may meet"
+    return Check(
+        "pads", "no two pads are predicted to conflict, so no member waits",
+        apart_m - error_m - fleet.pad_distance_m, "m",
+        f"{paths}, fleet.pad_distance_m is {fleet.pad_distance_m:g}; velocity errors of "
+        f"{velocity_m_s:.3g} m/s each add {error_m:.3g} m within fleet.descent_s",
+        "drive the robots farther apart, or lower fleet.pad_distance_m or fleet.descent_s", PROOF,
+    )  # fmt: skip

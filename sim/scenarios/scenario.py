@@ -165,10 +165,10 @@ class Scenario:
                 found.append((x + dx, y + dy, z + dz))
         return found
 
-    def pads_apart_m(self) -> float:
-        """Return the smallest possible distance of two pads, m; 0 if their paths may meet."""
+    def pads_apart_m(self) -> list[float]:
+        """Return the smallest possible distance of each two pads, m; 0 if their paths may meet."""
         lines = [each.target.line() for each in self.members]
-        return min((apart_m(*two) for two in combinations(lines, 2)), default=math.inf)
+        return [apart_m(*two) for two in combinations(lines, 2)]
 
     def target_seed(self, seed: int) -> int | None:
         """Return the seed of the common robot, the first member's; None: each robot has its own seed."""

@@ -125,14 +125,17 @@ STANDS = ROBOT + 'path = "still"\nspeed_m_s = 0.0\nturn_rate_rad_s = 0.0\n'
 @pytest.mark.parametrize(
     ("robots", "apart_m"),
     [
-        (STANDS + STANDS + "position_m = [3.0, 4.0]\n", 5.0),
-        (LANE + STANDS + "position_m = [3.0, 4.0]\n", 4.0),
-        (LANE + "heading_rad = 0.5\n" + LANE + "heading_rad = 0.5\nposition_m = [0.0, 2.0]\n", 1.755),
-        (LANE + LANE + "heading_rad = 3.14159265358979\nposition_m = [9.0, 2.0]\n", 2.0),
-        (LANE + LANE + "heading_rad = 0.1\nposition_m = [0.0, 2.0]\n", 0.0),  # the paths cross
-        (STANDS + LANE.replace("turn_rate_rad_s = 0.0", "turn_rate_rad_s = 0.1"), 0.0),
-        (STANDS + "pad_behind_axle_m = 0.1\n" + STANDS + "position_m = [3.0, 4.0]\n", 0.0),  # unknown heading
-        (STANDS, float("inf")),
+        (STANDS + STANDS + "position_m = [3.0, 4.0]\n", [5.0]),
+        (LANE + STANDS + "position_m = [3.0, 4.0]\n", [4.0]),
+        (LANE + "heading_rad = 0.5\n" + LANE + "heading_rad = 0.5\nposition_m = [0.0, 2.0]\n", [1.755]),
+        (LANE + LANE + "heading_rad = 3.14159265358979\nposition_m = [9.0, 2.0]\n", [2.0]),
+        (LANE + LANE + "heading_rad = 0.1\nposition_m = [0.0, 2.0]\n", [0.0]),  # the paths cross
+        (STANDS + LANE.replace("turn_rate_rad_s = 0.0", "turn_rate_rad_s = 0.1"), [0.0]),
+        (
+            STANDS + "pad_behind_axle_m = 0.1\n" + STANDS + "position_m = [3.0, 4.0]\n",
+            [0.0],
+        ),  # unknown heading
+        (STANDS, []),
     ],
 )
 def test_how_near_pads_can_come(written, robots, apart_m):

@@ -183,7 +183,7 @@ def test_all_members_together():
     assert starts == [(-1.0, 1.0, 1.2), (-1.5, 0.0, 1.2), (-1.0, -1.0, 1.2)]
 
     def found(configs=members, places=starts, touch=(0.14, 0.0, 0.05), apart_m=1.0):
-        return {each.name: each for each in team_checks(configs, places, touch, apart_m)}
+        return {each.name: each for each in team_checks(configs, places, touch, [apart_m])}
 
     assert found()["one table"].proven
     assert found()["starts"].room == pytest.approx(barrier((0.5, 1.0, 0.0), 0.25, 0.75)[0])
