@@ -56,13 +56,17 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
         name: target.with_name(f"{target.stem}_{name.replace('/', '_')}{target.suffix}")
         for name in fleet.flights
     }
+    whole = part("paragraph", part("link", target.name, "The whole fleet"))
     for name, place in pages.items():
-        write(place, _flight_page(fleet, verdict, name, whole=target.name))
+        write(place, _flight_page(fleet, verdict, name, label=name, top=whole))
     return {"": write(target, _fleet_page(fleet, verdict, pages)), **pages}
 
 
-def _flight_page(fleet: Fleet, verdict: FleetVerdict, name: str, whole: str = "") -> Page:
-    """Return the page of one flight; ``whole``: name of the page of all flights; empty: there is none."""
+def _flight_page(fleet: Fleet, verdict: FleetVerdict, name: str, label: str = "", top: str = "") -> Page:
+    """Return the page of one flight.
+
+    ``label``: name of the vehicle in title and replay command; ``top``: HTML above all panels.
+    """
     from logs.report.figures import panels
 
     flight, alone = fleet.flights[name], fleet_verdict({name: verdict.members[name]})
@@ -70,19 +74,19 @@ def _flight_page(fleet: Fleet, verdict: FleetVerdict, name: str, whole: str = ""
     title, about = _about(flight, fleet.path)
     picture, timeline, *figures = panels(side)
     return Page(
-        title if not whole or name in title else f"{title}, {name}",
+        title if label in title else f"{title}, {label}",
         tables.headline(alone),
         " · ".join([*about, alone.reason]),
         tables.key_numbers(alone, [side]),
         [
-            part("paragraph", part("link", whole, "The whole fleet")) if whole else "",
+            top,
             picture,
             Panel("result", "Result", _source(alone), tables.result_table(alone, [side], {})),
             part("bar", True),
             timeline,
             *figures,
             _events(flight, "landing", -side.offset_s),
-            repeat_section(flight, name if whole else ""),
+            repeat_section(flight, label),
             *_files(flight, [flight]),
         ],
         _warnings([flight], alone),
