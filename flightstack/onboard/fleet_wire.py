@@ -26,8 +26,7 @@ import math
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable
 from typing import NamedTuple
 
 from bridge.zenoh import zenoh_link
@@ -35,7 +34,7 @@ from flightstack.common.pacing import Tick
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.sender_clock import Reading, SenderClock
 from flightstack.core.types import MemberStatus
-from logs.schema.controller_rows import Echo, pack_neighbours, received_status, status_row
+from logs.schema.controller_rows import Echo, received_status, status_row
 from logs.schema.rows import MemberStatusRow
 from logs.schema.schemas import CONTROLLER_NEIGHBOURS, MEMBER_STATUS
 
@@ -120,7 +119,7 @@ class FleetWire:
     """Connection of this vehicle to the other members; this class is the one of a vehicle without any."""
 
     doubled = ""  # text about another process with this vehicle's id; empty: there is none
-    topics: Mapping[str, str] = MappingProxyType({})  # log topics of the messages, with their types
+    topics: tuple[tuple[str, str], ...] = ()  # log topics of the messages, with their types
 
     def __init__(self) -> None:
         self._texts: list[str] = []  # texts for the operator since the last call of ``texts``
@@ -147,11 +146,6 @@ class FleetWire:
         del message
         return None
 
-    def received(self, tick: Tick, messages: Sequence[MemberStatus]) -> bytes | None:
-        """Return the received messages of a tick for the log; None: no others can send messages."""
-        del tick, messages
-        return None
-
     def texts(self) -> list[str]:
         """Return the texts for the operator since the last call."""
         texts, self._texts = self._texts, []
@@ -161,7 +155,7 @@ class FleetWire:
         """Undeclare publisher and subscriber."""
 
 
-FLEET_TOPICS = MappingProxyType({NEIGHBOURS: CONTROLLER_NEIGHBOURS, KEY: MEMBER_STATUS})
+FLEET_TOPICS = ((NEIGHBOURS, CONTROLLER_NEIGHBOURS), (KEY, MEMBER_STATUS))
 
 
 class LiveStatuses(FleetWire):
@@ -192,9 +186,6 @@ class LiveStatuses(FleetWire):
             if row.id == self._fleet.id and row.process != self._process:
                 self._hear_namesake()
         return self.doubled
-
-    def received(self, tick: Tick, messages: Sequence[MemberStatus]) -> bytes:
-        return pack_neighbours(tick, messages)
 
     def statuses(self) -> tuple[MemberStatus, ...]:
         rows = self._rows()

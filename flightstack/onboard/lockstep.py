@@ -8,7 +8,7 @@ arrived (docs/how_it_works/lockstep.md).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from msgspec import msgpack
 
@@ -189,9 +189,6 @@ class LockstepStatuses(FleetWire):
             return ()
         found = [message for each in self._inbox.pop(tick.number, ()) for message in unpack_neighbours(each)]
         return tuple(message._replace(arrival_s=tick.now_s) for message in found)
-
-    def received(self, tick: Tick, messages: Sequence[MemberStatus]) -> bytes:
-        return pack_neighbours(tick, messages)
 
     def say(self, message: MemberStatus | None) -> bytes | None:
         """Send the message of this tick; without a message, send an empty one."""

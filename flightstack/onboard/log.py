@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 
 from bridge.mavlink.client.vehicle_state import Battery
 from bridge.mavlink.endpoint import Direction
@@ -22,6 +21,7 @@ from logs.schema import Names, schemas
 from logs.schema.controller_rows import (
     TickInputs,
     pack_controller_input,
+    pack_neighbours,
     power_row,
     step_row,
 )
@@ -41,7 +41,7 @@ class OnboardLog:
 
     def __init__(
         self, feed: Feed, session: zenoh_link.Session, names: Names, config: FlightConfig,
-        of_fleet: Mapping[str, str] = MappingProxyType({}), *, lockstep: bool,
+        of_fleet: Sequence[tuple[str, str]] = (), *, lockstep: bool,
     ) -> None:  # fmt: skip
         """Open the channels.
 
@@ -70,7 +70,7 @@ class OnboardLog:
         self._power = None
         if config.reserve is not None:
             self._power = topic("controller/power", schemas.CONTROLLER_POWER)
-        self._of_fleet = {name: topic(name, schema) for name, schema in of_fleet.items()}
+        self._of_fleet = {name: topic(name, schema) for name, schema in of_fleet}
         self._state = topic("controller/state", schemas.CONTROLLER_STATE)
         self._timing = topic("loop/timing", schemas.LOOP_TIMING)
         self._rosout = feed.channel("/rosout", schemas.LOG)
@@ -124,21 +124,16 @@ class OnboardLog:
         self._unix_ns += 1
         self.frames()
 
-    def step(
-        self, tick: Tick, taken: Taken, out: Outputs, controller: Controller, heard: bytes | None = None
-    ) -> ControllerStepRow:
-        """Write frames, inputs, events and outputs of a tick, once a second the state; return its row.
-
-        ``heard``: messages of the other fleet members; None: there are none.
-        """
+    def step(self, tick: Tick, taken: Taken, out: Outputs, controller: Controller) -> ControllerStepRow:
+        """Write frames, inputs, events and outputs of a tick, once a second the state; return its row."""
         unix_ns = self._unix_ns = tick.unix_ns
         self.frames()
         given = TickInputs(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)
         self._put(self._input, tick, pack_controller_input(given))
         if self._power is not None:
             self._put(self._power, tick, power_row(tick, taken.inputs.power, out.reserve).pack())
-        if heard is not None:
-            self._put(self._of_fleet[NEIGHBOURS], tick, heard)
+        if NEIGHBOURS in self._of_fleet:
+            self._put(self._of_fleet[NEIGHBOURS], tick, pack_neighbours(tick, taken.inputs.neighbours))
         for event in out.events:
             self.event(unix_ns, event.level, event.text, CONTROLLER)
         row = step_row(tick, out)

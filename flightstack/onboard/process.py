@@ -113,8 +113,7 @@ class Onboard(Leaving):
             report = None
         if report is not None:
             self.log.event(tick.unix_ns, WARN, report)
-        heard = self.fleet.received(tick, taken.inputs.neighbours)
-        row = self.log.step(tick, taken, out, self.controller, heard)
+        row = self.log.step(tick, taken, out, self.controller)
         self.log.timing(tick, out, exec_s, self.feed.dropped)
         if out.transition is not None and out.transition.reason.startswith((DISARMED, MODE_CHANGED)):
             self.cause = f"; {self.waiting.cause(tick.now_s)}"

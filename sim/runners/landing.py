@@ -113,16 +113,13 @@ class Companion(Leaving, FleetEnd):
 
     @property
     def left(self) -> bool:
-        """Whether the controller has ended its flight."""
         return self._stop.is_set
 
     def take(self, stop: Stop) -> MemberStatus | None:
-        """Return the controller's message of this tick."""
         del stop
         return self._message
 
     def hear(self, words: Sequence[MemberStatus]) -> None:
-        """Receive the messages of other vehicles for the next tick."""
         arrival_s = self._grid.ns(self.tick + 1) / NS_PER_S
         self._wires.neighbours = tuple(word._replace(arrival_s=arrival_s) for word in words)
 
