@@ -10,7 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
+from flightstack.common.options import declared
 from flightstack.config import load, path_of
+from flightstack.config.options import Repeated
 from flightstack.core.safety.barrier import RobustBarrier
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus, Phase
@@ -127,7 +129,8 @@ def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
         "accept_release": True, "config_file": Path("paper"), "px4": Path("px4"), "mocap": True, "speed": 2.0,
     }  # fmt: skip
     options = RunOptions(scenario="room", **given)
-    assert given.keys() == {field.name for field in dataclasses.fields(RunOptions)} - NOT_TOLD
+    told = given.keys() | {each.name for each in declared(Repeated)}
+    assert told == {field.name for field in dataclasses.fields(RunOptions)} - NOT_TOLD
     assert RunOptions(scenario="room").described() == {}
     names = {"config_file": "config", "px4": "program"}
     assert options.described().keys() - {"vehicle"} == {names.get(name, name) for name in given}
