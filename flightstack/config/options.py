@@ -204,10 +204,6 @@ class Repeated(Piloted):
     signing_key: SigningKey = None
     mocap: Mocap = False
 
-    def described(self) -> dict[str, str]:
-        """Return the values for the log, without defaults."""
-        return described(self, Repeated)
-
 
 def described(options: object, cls: type[Piloted]) -> dict[str, str]:
     """Return the values of the options that ``cls`` declares, for the log, without defaults."""

@@ -11,7 +11,7 @@ from typing import Annotated
 from flightstack.common.options import BadOptionError, Option
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config import options as shared
-from flightstack.config.options import FlightOptions
+from flightstack.config.options import FlightOptions, described
 
 _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and ArduPilot only"
 
@@ -77,29 +77,31 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
     zenoh_config: shared.ZenohConfig = None
 
     @property
-    def _programs(self) -> Mapping[Flies, Path]:
-        given = {flies: getattr(self, flies.name.lower()) for flies in Flies if flies.value}
-        return {flies: program for flies, program in given.items() if program is not None}
+    def _given(self) -> list[Flies]:
+        return [each for each in Flies if getattr(self, each.name.lower(), None) is not None]
 
     @property
     def flies(self) -> Flies:
         """Autopilot of the run, which for some values also simulates the physics."""
-        return next(iter(self._programs), Flies.OWN)
+        return next(iter(self._given), Flies.OWN)
 
     @property
     def program(self) -> Path | None:
         """Path of the autopilot's program; None if the run starts no such program."""
-        return self._programs.get(self.flies)
+        return getattr(self, self.flies.name.lower(), None)
 
     def described(self) -> dict[str, str]:
         """Return the options for the log; the filter is left out, as the logged scenario contains it."""
         vehicle = self.flies.value.removeprefix("--")
         own = {"vehicle": vehicle, "program": self.program, "config": self.config_file}
-        return {**{name: str(value) for name, value in own.items() if value}, **super().described()}
+        return {
+            **{name: str(value) for name, value in own.items() if value},
+            **described(self, shared.Repeated),
+        }
 
     def check(self, vehicles: int) -> None:
         """Raise ConfigError if options cannot be combined with each other or with this number of vehicles."""
-        if len(self._programs) > 1:
+        if len(self._given) > 1:
             raise ConfigError(
                 f"only one of {', '.join(flies.value for flies in Flies if flies.value)} can be flown"
             )
