@@ -62,13 +62,13 @@ class Watch:
             zenoh_link.ring_subscriber(session, f"{namespace}/{name}", _RING)
             for name in ("controller/step", "loop/timing", "health")
         )
-        self.step: ControllerStepRow | None = None  # newest controller step; ``None`` before the first
+        self.step: ControllerStepRow | None = None  # newest controller step; None before the first
         self.health: HealthRow | None = None  # newest health message; None before the first
         self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)  # loop timings of the last second
         self.new_steps: list[ControllerStepRow] = []  # steps of the last poll
         self.new_timings: list[LoopTimingRow] = []  # loop timings of the last poll
         self.refused = 0  # number of samples with a type that is wrong for their key
-        self._step_s, self._health_s = clock(), -math.inf  # arrival times; before a first step: start time
+        self._step_s, self._health_s = clock(), -math.inf  # arrival times, s; before the first step: now
 
     def poll(self) -> None:
         """Read the samples that have arrived."""
@@ -86,7 +86,7 @@ class Watch:
         for sample in zenoh_link.drain(subscriber):
             try:
                 row = unpack(sample.payload.to_bytes())
-            except ValueError:  # the publisher is foreign or has another version: count and report this
+            except ValueError:  # the publisher is another program or version: the sample is counted
                 self.refused += 1
                 continue
             if last is None or row.tick != last.tick:
@@ -151,7 +151,7 @@ def name_of(kind: type[IntEnum], number: int) -> str:
 
 
 def draw(watches: Mapping[str, Watch], title: str, whom: str = "") -> Panel:
-    """Return a table with a column of newest values for each vehicle, below warnings about old data."""
+    """Return a table whose columns are the newest values of each vehicle, below warnings about old data."""
     old = {namespace: watch for namespace, watch in watches.items() if not watch.fresh}
     lines = [Text.assemble(f"{namespace} ", _no_news(watch, whom)) for namespace, watch in old.items()]
     columns = [_column(watch) for watch in watches.values()]
@@ -163,7 +163,7 @@ def draw(watches: Mapping[str, Watch], title: str, whom: str = "") -> Panel:
 
 
 def _no_news(watch: Watch, whom: str) -> Text:
-    """Return why no recent data are shown; the text is highlighted unless the flight is over."""
+    """Return the reason why no recent data is shown; it is highlighted unless the flight is over."""
     refused = f"   {watch.refused} samples not readable" if watch.refused else ""
     if watch.step is not None and watch.step.finished:
         phase = name_of(Phase, watch.step.phase)

@@ -74,7 +74,7 @@ _STREAMS: StreamTable[Vehicle] = {
 
 
 class Node(Server[Vehicle]):
-    """MAVLink server of a Crazyflie: ``take`` events, ``handle`` messages, then ``step``."""
+    """MAVLink server of a Crazyflie: call ``take`` per event, ``handle`` per message, then ``step``."""
 
     def __init__(self, options: CrazyflieOptions, drag_1_s: Vec3 | None) -> None:
         self.clock = BootClock()  # converts the firmware's time stamps

@@ -29,7 +29,7 @@ from flightstack.common.text import pip_install
 from flightstack.core.types import Vec3
 
 if TYPE_CHECKING:
-    from bridge.crazyflie.link import CrazyflieLink  # a late import, because it needs cflib
+    from bridge.crazyflie.link import CrazyflieLink  # for type checking only, because it needs cflib
     from bridge.mocap.process import MocapSource
 
 INITIAL = "kalman.initial"

@@ -256,7 +256,10 @@ class _Generator:
 
 
 def _layout(codes: Sequence[str], at: int) -> struct.Struct:
-    """Return the layout of numbers that start ``at`` bytes (modulo 8) from the payload's start."""
+    """Return the struct of these numbers with CDR padding.
+
+    ``at``: offset of the first number from the payload's start, bytes; only its value modulo 8 matters.
+    """
     out = "<"
     for code in codes:
         size = struct.calcsize("<" + code)

@@ -1,1 +1,1 @@
-"""Library that ``import flightstack as fs`` provides."""
+"""Public Python interface, which ``import flightstack as fs`` provides."""

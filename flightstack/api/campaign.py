@@ -158,8 +158,8 @@ def campaign(
         workers: number of processes; None: one for each core.
 
     Raises:
-        ConfigError: a scenario, key, value or filter is wrong, or the configuration must not fly.
-        WorkersError: no worker keeps running.
+        ConfigError: a scenario, key, value or filter is wrong, or the certificate refuses the configuration.
+        WorkersError: no worker process could be started.
     """
     return _flown([_checked(name, changes, filter)], seeds, workers)[0]
 
@@ -182,8 +182,8 @@ def sweep(
         workers: number of processes; None: one for each core.
 
     Raises:
-        ConfigError: a scenario, key, value or filter is wrong, or a point must not fly.
-        WorkersError: no worker keeps running.
+        ConfigError: a scenario, key, value or filter is wrong, or the certificate refuses a point.
+        WorkersError: no worker process could be started.
     """
     values = grid.values() if isinstance(grid, Mapping) else ()
     usable = values and all(isinstance(each, Iterable) and not isinstance(each, str) for each in values)
@@ -194,19 +194,19 @@ def sweep(
 
 
 def _values(row: Row) -> dict[str, Any]:
-    """Return the columns of a landing in a table: all fields of its row except the map of h."""
+    """Return a landing's table columns by name: all fields of its row except ``cells``, the map of h."""
     return {name: value for name, value in asdict(row).items() if name != "cells"}
 
 
 def _checked(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:
-    """Return a checked scenario with changes of each vehicle."""
+    """Return a scenario with the changes made for each vehicle, after a check of its configurations."""
     made = scenario(name, changes, filter=filter)
     refuse((each.onboard for each in made.members), made.name)
     return made
 
 
 def _flown(points: Sequence[Scenario], given: Iterable[int], workers: int | None) -> list[Campaign]:
-    """Fly the seeds with each scenario; return their campaigns."""
+    """Fly the seeds in each scenario; return one campaign per scenario."""
     if not isinstance(given, Iterable) or not (seeds := [whole("seeds", seed) for seed in given]):
         raise ConfigError(f"seeds: found {given!r:.60}; whole numbers from 0 on are needed, one at least")
     if twice := [seed for seed, times in Counter(seeds).items() if times > 1]:

@@ -45,8 +45,8 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     The stack flies take-off, touchdown, go-around and aborts itself, between two steps or in the last one.
 
     Observation, (13,), SI, ENU: position of the vehicle minus landing spot (3), velocity of the vehicle minus
-    that of the landing spot (3), velocity of the landing spot (3), value of the paper's barrier (1), velocity
-    command of the last tick (3); positions in m, velocities in m/s, as the controller estimates them.
+    that of the landing spot (3), velocity of the landing spot (3), value h of the paper's barrier (1),
+    velocity command of the last tick (3); positions and h in m, velocities in m/s, from the estimated states.
 
     Action, (3,): nominal velocity of the vehicle, m/s ENU, within ``limits.velocity_max_m_s``. The stack
     limits the velocity and its rate of change and, with a ``filter``, enforces the barrier. The robust filter
@@ -78,7 +78,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
             raise ConfigError(f"filter: found {filter!r}, allowed: None, {', '.join(map(repr, FILTERS))}")
         self.render_mode = render_mode
         self.scenario = single(scenario, changes, filter or "paper")
-        self._enforces = filter is not None  # whether the barrier is enforced, besides the limits
+        self._enforces = filter is not None  # whether the barrier is enforced, in addition to the limits
         most = np.array(self.scenario.onboard.limits.velocity_max_m_s)
         self.action_space = spaces.Box(-most, most, dtype=np.float64)
         self.observation_space = spaces.Box(-_SPEED_FAR_M, _SPEED_FAR_M, (13,), np.float64)
@@ -164,7 +164,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         """True states of the finished flight, as in ``Landing.truth``.
 
         Raises:
-            RuntimeError: no flight is over.
+            RuntimeError: no flight has ended yet.
         """
         if self._companion is None or self._flight is not None:
             raise RuntimeError("truth: no flight is over; step until terminated or truncated")

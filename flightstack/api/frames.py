@@ -36,7 +36,7 @@ def frame(columns: Any) -> Any:
 
     Raises:
         ModuleNotFoundError: neither pandas nor polars is installed; the text names the extra.
-        TypeError: ``columns`` is none of these.
+        TypeError: ``columns`` has another type.
     """
     if isinstance(columns, list | tuple) and all(is_dataclass(row) for row in columns) and columns:
         columns = {f.name: [getattr(row, f.name) for row in columns] for f in fields(columns[0])}

@@ -79,7 +79,7 @@ def _changed(member: Scenario, changes: Changes) -> Scenario:
 
 
 def whole(what: str, found: object, low: int = 0) -> int:
-    """Return a Python or numpy integer as int. Raises ConfigError: no integer, or one below ``low``."""
+    """Return a Python or numpy integer as int. Raises ConfigError: not an integer, or below ``low``."""
     number = None if isinstance(found, bool) or not hasattr(found, "__index__") else index(found)
     if number is None or number < low:
         raise ConfigError(f"{what}: found {found!r:.60}, a whole number from {low} on is needed")
@@ -87,7 +87,7 @@ def whole(what: str, found: object, low: int = 0) -> int:
 
 
 def filter_name(filter: str | type[Any]) -> str:
-    """Return the name of a filter for the configuration. Raises ConfigError: it is no filter."""
+    """Return the name of a filter for the configuration. Raises ConfigError: ``filter`` is not a filter."""
     name = filter if isinstance(filter, str) else give(filter)
     look_here(name)
     strategy_class(name)
@@ -173,10 +173,10 @@ def read_log(path: Path | str, member: str | None = None) -> Landing:
 
     Args:
         path: path of the log, ``flight.mcap``.
-        member: name of a fleet member; None for the log of one flight.
+        member: name of a fleet member; None: the log contains only one vehicle.
 
     Raises:
-        LogError: the file is no log, or there is no such member.
+        LogError: the file is not a log, or the log has no such member.
     """
     flight = load_flight(path, member)
     return Landing(judge(flight), flight)

@@ -97,7 +97,7 @@ def world(options: WorldOptions) -> None:
 @click.command()
 @takes(VehicleOptions)
 def vehicle(options: VehicleOptions) -> None:
-    """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's true pose on Zenoh.
+    """Run the simulated Crazyflie as a MAVLink vehicle; the simulated pad follows the target's true pose.
 
     With a scenario of several vehicles the command runs all of them, each with its own port and namespace, or
     with --member one of them.
@@ -123,7 +123,7 @@ def _run_world(options: VehicleOptions) -> None:
 def target(options: TargetOptions) -> None:
     """Run the simulated ground robot: it drives the scenario's path and publishes its odometry on Zenoh.
 
-    With a scenario of several vehicles the command runs the robots of all.
+    With a scenario of several vehicles the command runs the robots of all vehicles.
     """
     from flightstack.compiled.jit import OFF
 
@@ -139,7 +139,7 @@ def target(options: TargetOptions) -> None:
 @click.command("px4-sim")
 @takes(Px4SimOptions)
 def px4_sim(options: Px4SimOptions) -> None:
-    """Simulate body, rotors, wind and moving deck for PX4, which runs as the autopilot (SITL).
+    """Simulate body, rotors, wind and moving pad for PX4, which runs as the autopilot (SITL).
 
     PX4 connects over TCP, and both run in lockstep. Exit status: 0 normal end, 1 PX4 no longer replies, 2
     wrong input.

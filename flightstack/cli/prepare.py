@@ -104,7 +104,7 @@ def router(
     from bridge.zenoh import zenoh_link
 
     ends = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # Zenoh's threads, which start later, inherit this
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # Zenoh's threads start later and inherit this mask
     role = zenoh_link.Role.ROUTER
     try:
         if (

@@ -57,8 +57,8 @@ class PreflightOptions(shared.Signing, shared.Piloted, shared.Vehicle):
 def preflight(options: PreflightOptions) -> None:
     """Read the vehicle's safety parameters and print what is unsafe, why, and what to set.
 
-    Nothing is changed on the vehicle except its signing key, if one of the two options requests that. Exit
-    status: 0 it may arm, 1 it must not arm, 2 wrong input.
+    The command changes nothing on the vehicle except its signing key, and that only with one of the two
+    options for the key. Exit status: 0 the vehicle is safe to arm, 1 it is not safe to arm, 2 wrong input.
     """
     config = load(options.config_file) if options.config_file is not None else _PAPER
     if options.provision_signing or options.remove_signing:

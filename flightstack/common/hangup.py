@@ -111,7 +111,7 @@ class Stream(io.FileIO):
     """Standard stream that never raises an exception."""
 
     waits = True  # whether to wait for a slow reader; False in flight
-    lost: OSError | None = None  # error by which standard output was lost; None: none was lost
+    lost: OSError | None = None  # newest error that lost standard output; None: no output was lost
 
     def write(self, data: Any) -> int:
         """Write or drop bytes; return their number."""

@@ -1,8 +1,8 @@
 """Options of the commands: an annotated dataclass field, or function argument, declares one completely.
 
 ``seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0`` has name, help, range,
-type and default. ``takes`` makes the dataclass from a command line, ``arguments`` those of a function;
-``argv`` writes the command line of a child process; ``shared`` copies equally named fields to other options.
+type and default. ``takes`` passes a command line to a function as one dataclass, ``arguments`` as separate
+arguments; ``argv`` writes a child's command line; ``shared`` copies equally named fields to other options.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class BadOptionError(ValueError):
 
 @dataclass(frozen=True)
 class Option:
-    """Option of a command: one of type ``bool`` is a flag; ``tuple[T, ...]`` or ``Mapping``: repeatable."""
+    """Option of a command: a ``bool`` is a flag; a ``tuple[T, ...]`` or ``Mapping`` is repeatable."""
 
     # --name, or --name/--no-name for a flag that is on by default; a name without dashes is the name of a
     # positional argument in the help
@@ -92,7 +92,7 @@ def declared(source: Callable[..., Any]) -> tuple[Declared, ...]:
 
 
 def shared(source: object, cls: type[T], **others: Any) -> T:
-    """Return an object of ``cls``: ``source`` gives the fields of equal name, ``others`` the others."""
+    """Return an object of ``cls`` with the equally named fields of ``source`` and the values ``others``."""
     both = {f.name: getattr(source, f.name) for f in fields(cls) if hasattr(source, f.name)}  # type: ignore[arg-type]
     return cls(**{**both, **others})
 

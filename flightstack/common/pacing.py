@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 from flightstack.common.hangup import never_wait
 
-EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, Unix time at zero of simulated clocks
+EPOCH_NS = 1_577_836_800_000_000_000  # Unix time at zero of simulated clocks, ns: 2020-01-01T00:00:00Z
 RUN_AHEAD_TICKS = 20  # maximum number of ticks by which a robot is simulated ahead of its vehicle
 NO_GO = -1  # second value of a credit: the robot must not drive yet
 # wall time without a message after which the onboard process counts as dead in lockstep, s: on a busy
@@ -39,11 +39,11 @@ _LOOK_MAX_S = 0.1  # maximum time between two polls that counts as waiting time,
 # priority under SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's threads
 PRIORITY = 10
 _DAY_NS = 86_400_000_000_000
-_LOCK_WHAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of Linux's mlockall(2)
+_LOCK_WHAT_IS_USED = 1 | 2 | 4  # flags MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of Linux's mlockall(2)
 _ZERO, _NOW, _FIRST = 0, 1, 2  # positions of the integers in the clock's file
 _ABSENT = -1  # value of a follower that has not started or is ignored
 _NS = 1_000_000_000
-_ROUNDING_NS = 1_000  # larger than the rounding of seconds as float, smaller than any step
+_ROUNDING_NS = 1_000  # margin, ns: larger than the rounding of a time in seconds, smaller than any step
 _YIELDS = 20  # number of polls without a sleep
 _PAUSE_S = 50e-6  # time between two polls, s; the system's timer slack makes it 0.1 ms
 _FOLLOWER_MAX_S = 0.5  # maximum wall time of a wait for a follower, which may have been killed, s
@@ -76,10 +76,10 @@ class Tick(NamedTuple):
     """Number and time of one controller tick, and how late it started."""
 
     number: int
-    now_s: float  # time on the stack's clock
+    now_s: float  # time on the stack's clock, s
     unix_ns: int  # time on the system clock, ns since 1970
-    period_s: float  # time since the previous tick (in lockstep: wall time); 0 for the first tick
-    lateness_s: float  # delay of the start of the tick after its deadline; 0 in lockstep
+    period_s: float  # time since the previous tick (in lockstep: wall time), s; 0 for the first tick
+    lateness_s: float  # delay between the tick's deadline and its start, s; 0 in lockstep
     overruns: int = 0  # number of missed deadlines so far
 
 
@@ -184,7 +184,7 @@ class SimulationClock:
         return self._cells[_ZERO] + self._cells[_NOW]
 
     def advance(self, now_ns: int, stopped: Callable[[], bool]) -> None:
-        """Set the simulated time, then wait until each follower sleeps until a later time, or ``stopped``.
+        """Set the simulated time; wait until each follower sleeps until a later time or ``stopped()`` holds.
 
         A follower that needs more than 0.5 s of wall time is ignored until it writes its next time.
         """
@@ -205,7 +205,7 @@ class FollowedClock:
     """The clock in a follower.
 
     After 2.5 s without a step the simulator counts as stopped. Time then passes as wall time, so that
-    time-outs of the follower still end. The same applies if ``stopped`` says that this process ends.
+    time-outs of the follower still end. The same applies while ``stopped()`` is true: this process ends.
     """
 
     def __init__(self, path: Path, follower: Follower, stopped: Callable[[], bool] = lambda: False) -> None:
@@ -214,8 +214,8 @@ class FollowedClock:
             raise ValueError(f"{path} is not a simulator's clock: it has {size} bytes, a clock has {_SIZE}")
         self._cells, self._place, self._stopped = _opened(path), _FIRST + follower, stopped
         self._seen_ns, self._moved_s = self._cells[_NOW], time.monotonic()
-        self._ahead_s = 0.0  # sum of the time that passed during past stalls of the simulator
-        self._stall_s = 0.0  # time that has passed during the current stall of the simulator
+        self._ahead_s = 0.0  # total time that passed during past stalls of the simulator, s
+        self._stall_s = 0.0  # time that has passed during the current stall of the simulator, s
         self._least_s = 0.0  # smallest time that the clock returns, s: the end of the last sleep
 
     def monotonic(self) -> float:

@@ -1,4 +1,4 @@
-"""Worker processes whose results are returned as they arrive; a worker that dies or hangs loses none.
+"""Worker processes whose results are returned as they arrive; none is lost if a worker dies or hangs.
 
 The processes are forked and use the modules and code that this process has loaded and compiled; if it has
 other threads, they are spawned.

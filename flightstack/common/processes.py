@@ -24,7 +24,7 @@ from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import IO, Any
 
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_PR_SET_PDEATHSIG = 1  # number of a prctl operation (linux/prctl.h)
 _PR_SET_NAME = 15
 _NAME_BYTES = 15  # maximum length of a thread name that Linux stores, bytes
 _LAST_STREAM = 2  # file descriptor of standard error
@@ -247,7 +247,7 @@ class Forked(ForkProcess):
             os._exit(1)
         leave_parent(self._output, self._errors)
         signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
-        gc.freeze()  # the collector does not scan shared memory, so it is not copied
+        gc.freeze()  # the collector then does not scan memory shared with the parent, so it is not copied
         super().run()
 
     @property

@@ -90,9 +90,9 @@ class Files(Generic[T]):
         return over(self.over_base(base, read_toml(base), (*above, path.resolve())), table)
 
     def named(self, path: Path, key: str, name: object) -> Path:
-        """Return the file that ``name``, the value of ``key`` in the file ``path``, means.
+        """Return the file to which ``name``, the value of ``key`` in the file ``path``, refers.
 
-        It is a file in the folder of ``path``, a file of the package, or a path.
+        ``name``: file in the folder of ``path``, file of the package, or path.
         """
         if not isinstance(name, str):
             raise ConfigError(
@@ -139,7 +139,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(data: bytes) -> dict[str, Any]:
-    """Parse TOML in UTF-8, or as its byte order mark says. Raises ConfigError: no TOML, or wrong encoding."""
+    """Parse TOML in UTF-8 or the encoding of its byte order mark. Raises ConfigError: not TOML, not text."""
     try:
         return tomllib.loads(decoded(data))
     except (ValueError, RecursionError) as error:  # raised by tomllib or by the decoding
@@ -199,7 +199,7 @@ def _places(
         raise ConfigError(f"{at}: found {value!r}, a finite number is needed")
     yield at, (kind, value)
     if isinstance(kind, inspect.DataclassType) and isinstance(value, dict):
-        if hasattr(kind.cls, "other_keys"):  # replaces other forms of the fields, in place
+        if hasattr(kind.cls, "other_keys"):  # this function replaces alternative keys in the table, in place
             try:
                 kind.cls.other_keys(value)
             except ConfigError as error:

@@ -47,7 +47,7 @@ def needed_by(what: str) -> Iterator[None]:
 
 
 def failed_code(reason: str) -> str:
-    """Return the part of a reason about failed code of the user; empty: no such code failed."""
+    """Return the part of a reason that describes failed user code; empty: no user code failed."""
     found = [at for what in (ROBOT_FAILED, FILTER_FAILED) if (at := reason.find(what)) >= 0]
     return reason[min(found) :] if found else ""
 

@@ -89,7 +89,7 @@ def _encode_float(value: float) -> float | str:
 
 
 def _tuple(hints: tuple[Any, ...], where: str) -> _Plan:
-    """Return the plan of a tuple: one type per value, or any number of values of one type (``...``)."""
+    """Return the encoder of a tuple: one type per value, or any number of values of one type (``...``)."""
     is_row = hints[-1] is Ellipsis
     plans = [_plan(each, where) for each in hints if each is not Ellipsis]
 
@@ -101,7 +101,7 @@ def _tuple(hints: tuple[Any, ...], where: str) -> _Plan:
 
 
 def _named(cls: Any, given: Mapping[str, Any] = MappingProxyType({})) -> _Plan:
-    """Return the plan of a dataclass or named tuple."""
+    """Return the encoder of a dataclass or named tuple."""
     hints = {**get_type_hints(cls), **given}
     names = cls._fields if hasattr(cls, "_fields") else [f.name for f in dataclasses.fields(cls)]
     plans = {name: _plan(hints[name], f"{cls.__name__}.{name}") for name in names}

@@ -18,7 +18,7 @@ from logs.schema.events import pack_string
 from logs.schema.rows import ControllerStepRow
 
 FLOAT64 = "std_msgs/msg/Float64"
-PLAIN_HZ = 20.0  # rate of the topics h, phase and step; the topics for viewers have other rates
+PLAIN_HZ = 20.0  # rate of h, phase and controller/step, Hz; ``Deriver`` sets the rates of ``_DERIVED``
 NODE = "flightstack_onboard"
 _DERIVED = {
     "/pose": schemas.POSE_STAMPED,

@@ -132,7 +132,7 @@ class LogFile:
 
     @property
     def names(self) -> Names:
-        """Names of the records of this part's vehicle."""
+        """Record names of the vehicle whose part of the log this reader reads."""
         return next(Names(name, number) for number, name in self.ids.items() if name == self.member)
 
     @property

@@ -19,7 +19,7 @@ SCENARIO = "scenario.toml"  # attachment with the scenario of all vehicles
 
 
 class Names(NamedTuple):
-    """Names of the records of a flight."""
+    """Record names of one vehicle in a flight."""
 
     member: str  # namespace of the vehicle
     system_id: int  # MAVLink system id, part of the topics of its frames

@@ -142,7 +142,7 @@ def mavlink_class(message_id: int) -> tuple[str, Any] | None:
 
 @cache
 def _mavlink_classes() -> dict[int, tuple[str, Any]]:
-    from bridge.mavlink.codec.messages import MESSAGES  # a late import, because it is slow
+    from bridge.mavlink.codec.messages import MESSAGES  # imported on first use, because the import is slow
 
     def schema(message: str) -> str:
         return _MAVLINK_MSGS + "".join(word.capitalize() for word in message.split("_"))

@@ -37,7 +37,8 @@ from logs.verdict.types import (
 
 REST_SPEED_MAX_M_S = 0.10  # maximum estimated speed relative to the pad at rest, m/s; estimates are noisy
 REST_HEIGHT_MAX_M = 0.05  # maximum distance of feet and pad beyond the contact gap, m; estimates drift
-# maximum time to the nearest valid state, s: at rest, states rounded to mm repeat and count as stuck
+# maximum time between the check at rest and the nearest valid state, s; at rest the states, rounded to mm,
+# repeat, so they are marked invalid
 REST_SEEN_S = 0.5
 _SAME_S = 1e-6  # tolerance of equal times, s; much shorter than a tick
 BEFORE_S = 0.3  # time before phase TOUCHDOWN, s: a gust may press the vehicle onto the pad before that phase

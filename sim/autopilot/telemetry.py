@@ -1,4 +1,4 @@
-"""Telemetry of the simulated autopilot besides the messages of all vehicles; origin of the room (WGS84)."""
+"""Telemetry that only the simulated autopilot sends, and the room's WGS84 origin; see server/telemetry.py."""
 
 from __future__ import annotations
 

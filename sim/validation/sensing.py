@@ -23,7 +23,7 @@ from sim.scenarios.tables import StateError
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # edges of the speed bands around 0.2, 0.5, 0.75 and 1 m/s
 DELAY_S = (-0.1, 0.2)  # range of an estimate's delay; outside it the clocks differ
 DRAWS = 6  # number of simulated estimates per flight; the model's errors differ between flights
-SLOWEST = 10.0  # percentage of the samples, the slowest ones, that determine the offset
+SLOWEST = 10.0  # percentage of samples, those with the lowest speeds, from which the offset is computed
 
 
 @dataclass(frozen=True, slots=True)

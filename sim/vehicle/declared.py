@@ -27,7 +27,7 @@ from sim.scenarios.tables import PathKind, StartKind, TargetSpec
 from sim.vehicle.judge import Shape
 from sim.world.step import DIAGONAL
 
-DELAY_M_S = 0.02  # allowed difference between declared and simulated delay, s; noise causes larger errors
+DELAY_M_S = 0.02  # allowed difference between declared and simulated delay, s; less effect than the noise
 NOISE_SHARE = 0.5  # smallest declared fraction of a link's noise; an estimator filters the noise
 SPEED_SHARE = 0.01  # allowed relative excess of the target's acceleration over the declared one
 # smallest ratio of the declared vertical velocity error to the gusts' rms; tier lab has the lowest ratio

@@ -23,7 +23,7 @@ NAMES = [
 
 @cache
 def scenario(name: str) -> Scenario:
-    """Return the scenario ``TIER_FILTER``; its code is compiled before the function returns."""
+    """Return the scenario ``TIER_FILTER``; the function also compiles the simulator code for it."""
     tier, _, kind = name.rpartition("_")
     found = load(tier).with_filter(kind)
     warm_up(found)

@@ -29,11 +29,11 @@ def take_pose(vehicle, position, quaternion):
 
 
 class SimPlant:
-    """A ``VehicleSim`` with the interface of ``plant.Point``; its deck follows the robot's true pose.
+    """A ``VehicleSim`` with the interface of ``plant.Point``; its pad follows the true pose of the robot.
 
-    Only new set-points are passed to it, because its simulated firmware has its own set-point watchdog.
+    Only new set-points reach the vehicle, because its simulated firmware has its own set-point watchdog.
 
-    ``session``: Zenoh session that receives the robot's pose in ``namespace``; None: the deck does not move;
+    ``session``: Zenoh session that receives the robot's pose in ``namespace``; None: the pad does not move;
     ``by_poses``: the vehicle receives external poses instead of the scenario's motion capture.
     """
 

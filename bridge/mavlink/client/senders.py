@@ -111,7 +111,7 @@ class Senders:
         return False
 
     def _repeats(self, message: Message) -> bool:
-        """Whether a frame of the known sender is a repetition; lockstep requests may be repeated."""
+        """Whether a frame of the known sender is a repetition; never for TIMESYNC, which lockstep repeats."""
         header, newest = message.get_header(), self._newest
         frame = (header.seq, header.msgId, message.get_crc())
         # a message without a checksum was never on a wire; some senders give all frames the same number

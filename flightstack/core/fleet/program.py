@@ -101,7 +101,7 @@ class FleetProgram:
         """Return the OSQP result clipped to the box, its residual (inf if not solved) and the iterations."""
         infinity, unused = self._solver.infinity, [0.0] * (_ROWS - len(rows))
         (nx, ny, nz), (px, py, pz) = nominal, start
-        x, y, z = nx - px, ny - py, nz - pz  # gradient of the objective, balanced by the box multipliers
+        x, y, z = nx - px, ny - py, nz - pz  # negative gradient; after the loop: multipliers of the box
         for ((gx, gy, gz), _), multiplier in zip(rows, multipliers, strict=True):
             x, y, z = x + multiplier * gx, y + multiplier * gy, z + multiplier * gz
         point, solved, iterations = self._solver.solve(

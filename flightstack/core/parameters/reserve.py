@@ -1,15 +1,16 @@
 """Thrust reserve of the vehicle, computed from the battery voltage, and the use of this reserve.
 
 The reserve is the largest thrust divided by the weight. Thrust grows with (throttle x voltage)^p, so the
-throttle of level flight grows as the voltage falls. At the voltage of level flight the largest thrust is
+throttle t of level flight grows as the voltage falls. At constant voltage the largest thrust is r times the
+weight, with
 
-    r = (throttle_max / hover throttle)^p,    hover throttle = hover_throttle hover_voltage_v / voltage
+    r = (throttle_max / t)^p,    t = hover_throttle hover_voltage_v / voltage
 
-times the weight. But the current grows with the thrust to the power 1.5 and lowers the voltage, by sag_v from
-rest to level flight. To first order the share 1 / (1 + 1.5 p sag_v / voltage) of r - 1 remains.
+But the current grows with the thrust to the power 1.5 and lowers the voltage, by sag_v from rest to level
+flight. To first order the fraction 1 / (1 + 1.5 p sag_v / voltage) of r - 1 remains.
 
-A firmware that compensates the battery limits its thrust command at a fixed motor voltage, so a full battery
-gives no more thrust: the largest throttle is then motor_voltage_max_v / voltage, if that is less.
+If the firmware compensates the battery voltage, a fixed motor voltage limits its thrust command. The largest
+throttle is then the lower one of throttle_max and motor_voltage_max_v / voltage.
 
 Recorded Crazyflies 2.1 with markers hover at 0.78 of full PWM at 3.7 V and at 0.90 at 3.1 V, with p = 1.5;
 their motors differ by 9 %, so the first motor saturates at a mean of about 0.95.

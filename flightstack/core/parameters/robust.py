@@ -42,8 +42,8 @@ class VelocityLoop:
     def rate_max_1_s(self, period_s: float) -> float:
         """Return the natural frequency below which the model, stepped with this period, is stable.
 
-        One step (velocity_tracking.py) has the trace 2 - (wT)^2 - 2 z wT and the determinant 1 - 2 z wT: by
-        Jury's criterion it is stable for (wT)^2 + 4 z wT < 4.
+        The matrix of one step (velocity_tracking.py) has the trace 2 - (wT)^2 - 2 z wT and the determinant
+        1 - 2 z wT (w: natural frequency, z: damping, T: period). Jury's criterion: (wT)^2 + 4 z wT < 4.
         """
         return 2.0 * (math.hypot(self.damping, 1.0) - self.damping) / period_s
 
@@ -139,7 +139,7 @@ class Robust:
     commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # largest distance for the final descent
     commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # largest relative speed for the final descent
     corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # radius of the corridor; outside: go-around
-    descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # final descent relative to the pad, until contact
+    descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # final descent: speed relative to the pad
     descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # final descent: limit of set-point lead
     touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # height below which a stop means contact
 

@@ -51,7 +51,7 @@ def dot(a, b):
 
 
 def by_active_sets(nominal, g, b, lower, upper):
-    """Return the best point of all 54 sets of active bounds, which is an independent projection."""
+    """Return the permitted point nearest to ``nominal``, from a search of all 54 sets of active bounds."""
     best, least = None, math.inf
     for states in itertools.product((FREE, LOW, HIGH), repeat=3):
         for on_barrier in (False, True):

@@ -194,7 +194,7 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
     assert auto.state.status.mode is Mode.TAKEOFF
     auto.command(Request.EXTERNAL, 4.0)
     assert auto.send_setpoint(still, 4.0)
-    assert auto.state.status.mode is Mode.EXTERNAL  # the mode is not from the heartbeat
+    assert auto.state.status.mode is Mode.EXTERNAL  # changed by the first set-point, without a heartbeat
     shows(5.0, 1)  # on the pad, set-points still press the vehicle down
     assert auto.send_setpoint(still, 5.0)
     assert auto.state.status.mode is Mode.EXTERNAL
