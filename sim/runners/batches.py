@@ -89,7 +89,7 @@ class Batches:
         self._ages = np.zeros(TICKS)
         # views of fields, because access to an attribute of a record is slow
         self._plan, self._own_sent, self._setpoint = batch.plan, batch.own_sent, batch.setpoint
-        (self._stream_until_s,) = scalars(batch, "stream_until_s")
+        self._stream_until_s, self._status_s = scalars(batch, "stream_until_s", "status_s")
         self._flies, self._yaw_rad = False, 0.0
         self._off = False  # whether Python runs all ticks from now on
         self._asked_s = math.nan  # time of the newest tick that called an agent or a user's filter, s
@@ -170,7 +170,7 @@ class Batches:
         status = self._link.state.status
         if status is None:
             return False
-        self._batch.status_s = status.arrival_s
+        self._status_s[0] = status.arrival_s
         return self._controller.ordinary(status)
 
     def _prepare(self) -> bool:

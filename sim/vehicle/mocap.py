@@ -110,6 +110,11 @@ class MocapTape:
         self._count = 0  # number of samples whose random numbers are drawn
         self._fill(0)
 
+    @property
+    def drawn_until_ms(self) -> int:
+        """Time of the last measurement whose random numbers are drawn, ms."""
+        return int(self._measured_ms[-1])
+
     def top_up(self) -> None:
         """Fill the rows for at least the next half second and at most ten minutes."""
         if self._measuring[0] < ROWS // 2:

@@ -129,8 +129,7 @@ class VehicleSim(Physics):
     def _supply(self) -> int:
         self._imu.top_up()
         self._mocap.top_up()
-        drawn_until_ms = int(self.record.mocap.measured_ms[-1])
-        return min(super()._supply(), drawn_until_ms)
+        return min(super()._supply(), self._mocap.drawn_until_ms)
 
     def _fail(self) -> int:
         """Apply the faults that are due; return the time of the next call, ms."""

@@ -242,8 +242,7 @@ class Streams(Generic[V]):
 
         The bound is -inf unless exactly position and attitude, of these messages, are sent at every tick.
         """
-        busy = {stream.message_id for stream in self._busy}
-        if not busy.issuperset(EVERY_TICK) or busy & message_ids - set(EVERY_TICK):
+        if not self._busy_ids.issuperset(EVERY_TICK) or (self._busy_ids & message_ids).difference(EVERY_TICK):
             return -_OFF
         due_s = [
             stream.due_s
@@ -276,5 +275,6 @@ class Streams(Generic[V]):
     def _sort(self) -> None:
         streams = [stream for id_, stream in self._streams.items() if id_ not in self._hidden]
         self._busy = [stream for stream in streams if stream.interval_s <= self._period_s]
+        self._busy_ids = {stream.message_id for stream in self._busy}
         self._lazy = [stream for stream in streams if stream.interval_s > self._period_s]
         self._lazy_due_s = 0.0
