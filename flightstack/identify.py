@@ -2,12 +2,12 @@
 
 The model of one axis of the velocity loop has a gain, a second-order low-pass and a dead time:
 
-    v(s) = gain exp(-theta s) w^2 / (s^2 + 2 zeta w s + w^2) u(s) + disturbance.
+    v(s) = gain exp(-theta s) w^2 / (s^2 + 2 zeta w s + w^2) u(s) + disturbance
 
-One high-pass filters both command and velocity; it removes wind and weight and does not change the model
-between them. The initial state of each segment is free. The parameters minimise the squared difference of
-model and flight. Their standard errors are computed from blocks of one second, since gusts correlate
-neighbouring differences.
+(v: velocity, u: command, theta: dead time, w: natural frequency, zeta: damping). The same high-pass filter is
+applied to command and velocity: it removes wind and weight and does not change the model. The initial state
+of each segment is free. The fit minimises the squared difference between model and flight. The standard
+errors are computed from blocks of one second, since gusts correlate neighbouring differences.
 
 Noise is the residual of a parabola in a short window; the parabola follows any real motion. Correlated noise
 (of an estimator, or a slow drift) has no residual, so the values are lower bounds.
@@ -128,8 +128,8 @@ def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
     ticks = np.arange(count, dtype=np.float64)
     late = np.interp(ticks - dead_time / period_s, ticks, passed.command_m_s, left=0.0)
     left = passed.velocity_m_s - gain * signal.lfilter(numerator.ravel(), denominator, late)
-    responses = [signal.lfilter(numerator.ravel(), denominator, np.ones(count))]  # to earlier commands
-    # to initial speed and acceleration
+    # responses to earlier commands, then to initial speed and acceleration
+    responses = [signal.lfilter(numerator.ravel(), denominator, np.ones(count))]
     responses += [signal.lfilter([1.0], denominator, kick) for kick in np.eye(2, count)]
     past = np.apply_along_axis(_high_pass, 0, np.column_stack(responses), period_s)
     explained = past @ np.linalg.lstsq(past, left, rcond=None)[0]
@@ -149,7 +149,7 @@ def _covariance(jacobian: Floats, difference: Floats, block: int) -> Floats:
 NOISE_SAMPLES = 9  # number of samples in a window for the noise
 MOTION_S = 0.6  # length of a window for velocity and acceleration, s
 SAMPLES_MIN = 100  # minimum number of samples for the noise
-OFTEN = 99.0  # percentile that counts as the largest value, since single windows contain noise
+OFTEN = 99.0  # percentile that replaces the largest value, since single windows contain noise
 MAD_TO_SIGMA = 1.4826  # ratio of standard deviation and median absolute value of a normal distribution
 
 
@@ -160,16 +160,16 @@ class Link(NamedTuple):
     loss: float  # fraction of missing samples
     delay_spread_s: float  # 95th percentile of the delay minus its minimum
     delay_s: float | None  # minimum delay; None: it is not between 0 and 0.5 s, so the clocks differ
-    position_noise_m: float  # standard deviation on each axis
+    position_noise_m: float  # standard deviation of the position noise on each axis, m
     velocity_noise_m_s: float
 
 
 class Motion(NamedTuple):
     """Largest speeds and acceleration of a motion."""
 
-    speed_m_s: float  # horizontal speed
+    speed_m_s: float  # horizontal speed, m/s
     climb_m_s: float
-    acceleration_m_s2: float  # horizontal acceleration
+    acceleration_m_s2: float  # horizontal acceleration, m/s^2
 
 
 def noise(time_s: Floats, values: Floats) -> float:
@@ -213,7 +213,7 @@ def motion(time_s: Floats, position_m: Floats) -> Motion:
 def link(stamp_s: Floats, arrival_s: Floats, position_m: Floats, velocity_m_s: Floats) -> Link:
     """Return the statistics of the samples of a link.
 
-    ``stamp_s``: (n,) times of measurement, increasing; ``arrival_s``: (n,) arrivals on this clock;
+    ``stamp_s``: (n,) times of measurement, increasing; ``arrival_s``: (n,) arrival times, local clock;
     ``position_m``: (n, 3); ``velocity_m_s``: (n, 3), in any frame that turns slowly.
     Raises ValueError: there are too few samples.
     """

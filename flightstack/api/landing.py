@@ -43,7 +43,7 @@ def scenario(
     Args:
         name: name of a packaged scenario, path of a file, or scenario object.
         changes: values by key, e.g. ``{"wind.mean_m_s": 1.0, "barrier.omega_1_s": 0.7}``; keys of the flown
-        configuration need no ``onboard.`` unless the scenario has a table of the same name.
+        configuration need no prefix ``onboard.`` unless the scenario has a table of the same name.
         filter: ``"paper"``, ``"robust"``, ``MODULE:NAME`` or a class; None: that of the scenario.
 
     Raises:

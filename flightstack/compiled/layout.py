@@ -98,7 +98,7 @@ def fields_of(cls: Any) -> dict[str, tuple[Kind, int]]:
     for name, hint in get_type_hints(cls, include_extras=True).items():
         kind = kind_of_hint(hint)
         if kind is None or not (kind.is_object or is_state(cls) or get_origin(hint) not in _UNIONS):
-            continue  # a constant that may be None has no type
+            continue  # a constant that can be None has no type in compiled code
         found[name] = (kind, at)
         at += len(kind.format)
     return found

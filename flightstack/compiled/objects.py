@@ -2,8 +2,8 @@
 
 Compiled code gets the address of an object, and reads and writes its annotated fields there: numbers, tuples
 of numbers, named tuples, texts (as numbers), and other objects. It calls compiled forms of the methods of the
-object's class. Fields of any other kind do not exist for compiled code; a field that may be ``None`` is never
-``None`` there. Dataclasses that are not frozen are state: ``Objects.write`` copies it from Python's objects
+object's class. Compiled code cannot access fields of any other kind, and never finds ``None`` in a field.
+Dataclasses that are not frozen contain the state: ``Objects.write`` copies the state from Python's objects
 and ``Objects.read`` copies it back. Everything else is copied once.
 """
 
@@ -39,7 +39,7 @@ from flightstack.core.numeric import MARKED, RARE, STAND_INS, NotOrdinary, scope
 class Objects:
     """An object, and all objects that its fields refer to, in memory that compiled code can use.
 
-    As an argument of compiled code it stands for the object.
+    It represents the object when it is passed to compiled code as an argument.
     """
 
     def __init__(self, root: object) -> None:
@@ -160,7 +160,7 @@ else:
     def _register(made: Any, cls: type) -> None:
         for name in dir(cls):
             one = getattr(cls, name)
-            if name.startswith("__") or name in fields_of(cls):  # a property may have a field's name
+            if name.startswith("__") or name in fields_of(cls):  # a property can have a field's name
                 continue
             if isinstance(one, property):
                 overload_attribute(made, name, strict=False)(_chooser(one.fget))

@@ -112,7 +112,7 @@ class Answer:
     """Result of a compiled tick."""
 
     landing: Landing
-    reserve: float = math.nan  # thrust reserve
+    reserve: float = math.nan  # thrust reserve: largest thrust divided by the weight
 
 
 @jitted
@@ -221,7 +221,7 @@ class CompiledController(Controller):
         return self._outputs(inputs, took_s)
 
     def _holds(self, status: VehicleStatus) -> bool:
-        """Whether compiled memory holds the state, and the tick may be ordinary with this status."""
+        """Whether compiled memory holds the state, and an ordinary tick is possible with this status."""
         known = status.armed, status.mode, status.landed
         if self._held and known == self._status:
             return True

@@ -197,7 +197,7 @@ class Ros2:
 
 @dataclass(frozen=True, kw_only=True)
 class Repeated(Piloted):
-    """Options of ``sitl`` that change bytes or timing: the log contains them, and the report prints them."""
+    """Options of ``sitl`` that change sent bytes or their timing; the log and the report contain them."""
 
     speed: Speed = 1.0
     duration_s: Duration = None

@@ -1,4 +1,4 @@
-"""One flight of ``fly``: it starts recorder, onboard process and live view; vehicle and target must run."""
+"""One flight of ``fly``: start of recorder, onboard process and live view; vehicle and target already run."""
 
 from __future__ import annotations
 

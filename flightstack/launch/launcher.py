@@ -45,16 +45,16 @@ class Followed:
 
 
 def _verb(child: Child) -> str:
-    """Return the command of a child: its name without the vehicle's name that may follow."""
+    """Return the command of a child: its name up to the hyphen before the vehicle's name, if there is one."""
     return child.name.partition("-")[0]
 
 
 class Launcher(contextlib.ExitStack):
     """Context manager that owns the child processes and ends all of them on exit.
 
-    ``tells``: whether the output of the onboard process is printed; ``real``: whether the vehicle is real:
-    then Ctrl-C, SIGTERM and a closed terminal are forwarded to the onboard process, which lands the vehicle,
-    and the run ends with that process.
+    ``tells``: whether the output of the onboard process is printed; ``real``: whether the vehicle is real. If
+    it is, Ctrl-C, SIGTERM and a closed terminal are forwarded to the onboard process. This process lands the
+    vehicle, and the run ends with it.
     """
 
     def __init__(self, folder: Path, console: Terminal, *, tells: bool, real: bool = False) -> None:
@@ -91,7 +91,7 @@ class Launcher(contextlib.ExitStack):
         return child
 
     def hint(self, line: str, style: str | None = "dim") -> None:
-        """Print a line for the operator; by default dim, because it is no event of the flight."""
+        """Print a line for the operator; the default style is dim, since the line is not an event."""
         self.console.print(line, style=style, soft_wrap=True)
 
     def record(self, log: Path) -> None:
@@ -115,7 +115,7 @@ class Launcher(contextlib.ExitStack):
         self, flights: Sequence[Followed], title: str | None, limit_s: float = math.inf,
         teller: Child | None = None, *, lockstep: bool = False,
     ) -> tuple[str | None, float]:  # fmt: skip
-        """Wait for the onboard processes, watch the flights, end all processes; return problem and wall time.
+        """Wait for the onboard processes, watch the flights, end all; return problem and wall time, s.
 
         ``title``: title of the live view (None: no view); ``teller``: see ``Flying``.
         """
@@ -132,7 +132,7 @@ class Launcher(contextlib.ExitStack):
         problem = self._watch(flights, title, limit_s, teller, lockstep=lockstep)
         wall_s = time.monotonic() - started_s
         self.end_all()
-        if problem is None and self._recorder is not None:  # only now may the recorder end
+        if problem is None and self._recorder is not None:  # an end of the recorder is expected only now
             problem = end_recorder(self._recorder)
         return problem, wall_s
 

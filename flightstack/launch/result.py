@@ -96,7 +96,7 @@ class Flown:
     about: Mapping[str, object]  # scenario, seed, filter, configuration: first keys of the JSON output
     folder: Path  # folder of the run's files
     log: Path | None  # path of the log; None: the run was not recorded
-    wall_s: float  # wall time from the first tick to the end
+    wall_s: float  # wall time from the first tick to the end, s
     flights: Sequence[Followed]  # onboard processes, one for each vehicle
     problem: str | None  # error of a process, interruption or time-out; None: the run ended in order
 
@@ -104,7 +104,7 @@ class Flown:
 def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
     """Judge a run, write its report, print the result; return the exit status.
 
-    0: landed; 1: not landed, or a problem; 2: code of the user failed.
+    Exit status 0: landed; 1: not landed, or a problem; 2: user code failed.
     """
     values = _concluded(flown, with_report=with_report)
     if as_json:

@@ -68,7 +68,7 @@ def _ids(found: Iterable[int]) -> str:
 
 
 def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
-    """Return a scenario with the options applied. Raises ConfigError: it must not fly."""
+    """Return a scenario with the options applied. Raises ConfigError: the certificate refuses the flight."""
     name = options.config_file or VEHICLES[options.flies].configuration(scenario, options.program)
     if name is not None:  # the start point and fleet are the scenario's unless the configuration sets them
         config, own = load_config(name), scenario.onboard
@@ -156,7 +156,7 @@ def _fly(run: Run, vehicle: _Vehicle, own: Mapping[str, Any], connect: Sequence[
         target_key=f"{name}/target/odom", connect=(run.robots_at, *connect), namespace=name,
         listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
         duration_s=vehicle.scenario.duration_max_s, recorder=run.launcher.socket,
-        unproven=True,  # a simulated vehicle may fly an unproven configuration
+        unproven=True,  # in simulation an unproven configuration is allowed
     )  # fmt: skip
     return Followed(run.launcher.start("onboard", onboard, of=name), name, onboard.listen)
 

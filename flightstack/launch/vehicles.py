@@ -33,7 +33,7 @@ from sim.vehicle.vehicle import compile_first
 T = TypeVar("T")
 _EAST_DEG = 90.0  # heading of the nose at the start, degrees from north
 SIMULATOR_PORT = 4560  # port to which PX4 of instance 0 connects
-_ARDUPILOT_TCP = 5760  # TCP port of SERIAL0 of instance 0; the next instance has this number plus 10
+_ARDUPILOT_TCP = 5760  # TCP port for SERIAL0 of instance 0; each further instance adds 10
 
 
 class Run(NamedTuple):
@@ -45,7 +45,7 @@ class Run(NamedTuple):
     robots_at: str  # Zenoh endpoint of the robots
 
     def start(self, verb: str, cls: type[Any], **own: Any) -> Child:
-        """Start a simulator process; ``own``: its options besides those of the run."""
+        """Start a simulator process; ``own``: its options in addition to those of the run."""
         launcher, options = self.launcher, self.options
         both = {"scenario": launcher.folder / SCENARIO, "recorder": launcher.socket, "zenoh_config": None}
         return launcher.start(verb, shared(options, cls, **both, **own))
@@ -178,12 +178,12 @@ ARDUPILOT_PARAMETERS: Mapping[str, float] = {
 }
 
 
-_FIRMWARE = re.compile(rb"ArduCopter V(\d+)\.(\d+)")  # THISFIRMWARE of ArduCopter/version.h
+_FIRMWARE = re.compile(rb"ArduCopter V(\d+)\.(\d+)")  # pattern of THISFIRMWARE in ArduCopter/version.h
 _DEAD_TIME_SINCE = (4, 7)  # first release whose velocity loop has a dead time (ATC_INPUT_TC)
 
 
 def _ardupilot_configuration(scenario: Scenario, program: Path | None) -> str:
-    """Return the name of the configuration for the program's release; for the newest if it is unknown."""
+    """Return the name of the configuration for the program's release; for an unknown one, of the newest."""
     del scenario
     release = _DEAD_TIME_SINCE
     if program is not None and program.is_file() and program.stat().st_size:
