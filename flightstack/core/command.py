@@ -74,7 +74,7 @@ class VelocityCommand(Situation):
         self.slew_step, self.up_step_m_s = (x * t, y * t, self.slew_step[2]), z * t
 
     def base(self, velocity_enu_m_s: Vec3) -> Vec3:
-        """Return the last command, or without one the measured velocity; the slew limit is relative to it."""
+        """Return the base of the slew limit: the last command or, without one, the measured velocity."""
         if self.memory.commanding or self.memory.lifting:
             return self.memory.command
         return limit(velocity_enu_m_s, self.config.limits.velocity_max_m_s)
@@ -89,7 +89,7 @@ class VelocityCommand(Situation):
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def bounds(self, at: Relative, active_m: float, gradient: Vec3, base: Vec3) -> tuple[Vec3, Vec3]:
-        """Return the box, with the minimum vertical velocity that the filter requires besides its program."""
+        """Return the box; its lower side includes the minimum vertical velocity that the filter requires."""
         lower, upper = self.box(base)
         climb_m_s = self.strategy.climb_m_s(active_m, gradient, base, at)
         if climb_m_s > lower[2]:
@@ -97,9 +97,9 @@ class VelocityCommand(Situation):
         return lower, upper
 
     def least_z_m_s(self, target_m_s: Vec3) -> float:
-        """Return the lowest vertical velocity that a set-point may cause if it is the last one sent, m/s.
+        """Return the lowest vertical velocity that a set-point is allowed to cause, m/s.
 
-        If the companion process ends near the pad, only the pad stops the vehicle.
+        Each set-point can be the last one: if this process ends near the pad, only the pad stops the vehicle.
         """
         if self.memory.phase is not Phase.TOUCHDOWN:
             return -math.inf

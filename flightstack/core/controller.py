@@ -289,7 +289,7 @@ class Controller:
         return self.memory.commanding and self.memory.phase is not Phase.TOUCHDOWN
 
     def ordinary(self, status: VehicleStatus) -> bool:
-        """Whether ``land`` may run the next tick: inputs are trusted, and the vehicle follows set-points."""
+        """Whether ``land`` can run the next tick: inputs are trusted, and the vehicle follows set-points."""
         memory, track = self.memory, self.track.memory
         if track.run_since_s < math.inf or track.distrusted or self.plausibility.memory.distrusted:
             return False

@@ -49,8 +49,8 @@ class Memory:
     command: Vec3 = ZERO
     commanding: bool = False  # whether the last tick sent a velocity command, and the vehicle follows it
     lifting: bool = False  # whether the last tick sent a take-off climb, which takes effect after lift-off
-    target_position_enu_m: Vec3 | None = None  # last known position of the target
-    target_velocity_enu_m_s: Vec3 | None = None  # last known velocity of the target
+    target_position_enu_m: Vec3 | None = None  # last known position of the target, m
+    target_velocity_enu_m_s: Vec3 | None = None  # last known velocity of the target, m/s
     abort_way: AbortWay = AbortWay.NONE
     reason: Annotated[str, UNSEEN] = ""
 
@@ -81,7 +81,7 @@ class TrackMemory(ClockMemory):
     elsewhere: Annotated[TargetSample | None, UNSEEN] = None
     elsewhere_since_s: float = 0.0  # arrival time of the first of these samples, s
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain, m
-    drift_smooth_m: Vec3 = ZERO  # ``drift_m`` without the noise of single samples
+    drift_smooth_m: Vec3 = ZERO  # ``drift_m`` without the noise of single samples, m
     distrusted: bool = False  # whether positions and velocity contradict each other
     distrusts: int = 0  # number of times in this flight that positions contradicted the velocity
     parted_m: float = 0.0  # largest smoothed drift since the target was distrusted, m
@@ -91,7 +91,8 @@ class TrackMemory(ClockMemory):
     refusal: str = ""  # reason why the newest sample was rejected; empty if it was accepted
 
 
-Covariance = tuple[float, float, float, float, float, float]  # pp, pv, pa, vv, va, aa
+# entries pp, pv, pa, vv, va, aa; p: position, v: velocity, a: acceleration of one axis
+Covariance = tuple[float, float, float, float, float, float]
 
 
 @dataclass(slots=True)
@@ -99,11 +100,11 @@ class MotionMemory:
     """State of the estimator of the target's motion."""
 
     time_s: float = nan  # stamp of the newest sample, on the sender's clock; NaN before the first
-    position_enu_m: Vec3 = ZERO  # position at ``time_s``, like all fields below
+    position_enu_m: Vec3 = ZERO  # estimated position at ``time_s``, m
     velocity_enu_m_s: Vec3 = ZERO
     acceleration_enu_m_s2: Vec3 = ZERO
     yaw_rad: float | None = None  # newest measured heading, rad; None: unknown
-    turn_rate_rad_s: float = 0.0  # turn rate of the velocity and acceleration vectors
+    turn_rate_rad_s: float = 0.0  # turn rate of the velocity and acceleration vectors, rad/s
     innovation2: float = 1.0  # mean normalised innovation squared of x and y; 1 is expected
     covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # covariance of x, which equals that of y
     covariance_z: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -113,11 +114,11 @@ class MotionMemory:
 class TrackingMemory:
     """State of the corrections for the vehicle's velocity loop."""
 
-    slope_m_s2: Vec3 = ZERO  # smoothed derivative of the velocity command
-    setpoint_m_s: Vec3 = ZERO  # last set-point sent
-    model_m_s: Vec3 = ZERO  # velocity that the model of the velocity loop predicts
-    model_m_s2: Vec3 = ZERO  # derivative of ``model_m_s``
-    disturbance_m_s: Vec3 = ZERO  # velocity error of the model due to wind, drag or wrong weight
+    slope_m_s2: Vec3 = ZERO  # smoothed derivative of the velocity command, m/s^2
+    setpoint_m_s: Vec3 = ZERO  # last set-point sent, m/s
+    model_m_s: Vec3 = ZERO  # velocity that the model of the velocity loop predicts, m/s
+    model_m_s2: Vec3 = ZERO  # derivative of ``model_m_s``, m/s^2
+    disturbance_m_s: Vec3 = ZERO  # velocity error of the model due to wind, drag or wrong weight, m/s
 
 
 @dataclass(slots=True)
@@ -125,8 +126,8 @@ class PlausibilityMemory:
     """State of the plausibility checks of vehicle state and set-points."""
 
     last: OwnState | None = None  # newest vehicle state that is a new measurement
-    moved_s: float = 0.0  # arrival time of the newest state with a changed position or not in flight, s
-    drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
+    moved_s: float = 0.0  # arrival time of the newest state that has a new position or is not in flight, s
+    drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain, m
     distrusted: bool = False
     missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity, m
 
@@ -136,8 +137,8 @@ class ReserveMemory:
     """State of the estimate of the thrust reserve."""
 
     effort: float = nan  # smoothed vertical part of (throttle / maximum)^p; NaN before the first sample
-    rise_m_s: float = 0.0  # vertical velocity, smoothed like ``effort``; its change is the mean acceleration
-    tired: bool = False  # whether the battery is too low: before take-off its voltage, in flight the reserve
+    rise_m_s: float = 0.0  # vertical velocity, smoothed like ``effort``, m/s
+    tired: bool = False  # whether the voltage (before take-off) or the reserve (in flight) is too low
 
 
 # position, m; velocity, m/s; acceleration by the velocity loop, m/s^2; error of the reported velocity, m/s;
@@ -154,10 +155,10 @@ class OwnMemory:
     x: AxisState = AT_REST  # state of the x axis at ``time_s``, like y and z below
     y: AxisState = AT_REST
     z_m: float = 0.0
-    z_error_m_s: float = 0.0  # error of the reported vertical velocity
+    z_error_m_s: float = 0.0  # error of the reported vertical velocity, m/s
     x_now: AxisState = AT_REST  # state of the x axis, predicted over the delay to now
     y_now: AxisState = AT_REST
-    sent_m_s: Vec3 = ZERO  # newest set-point that was sent
+    sent_m_s: Vec3 = ZERO  # newest set-point that was sent, m/s
     # set-points of the last ticks, oldest first; the newest sample does not reflect all of them
     pending: tuple[Vec3, Vec3, Vec3, Vec3] = (ZERO, ZERO, ZERO, ZERO)
 
@@ -169,7 +170,7 @@ Level = tuple[float, float]  # horizontal velocity on x and y, m/s
 class LateMemory:
     """Set-points of a vehicle whose velocity loop has a dead time."""
 
-    sent_m_s: tuple[Level, ...] = ()  # horizontal set-points that have no effect yet, oldest first
+    sent_m_s: tuple[Level, ...] = ()  # horizontal set-points that have no effect yet, m/s, oldest first
 
 
 @dataclass(slots=True)
@@ -181,14 +182,14 @@ class FilterMemory:
 
 @dataclass(slots=True)
 class Heard:
-    """State of one other member, from the messages of that member."""
+    """State of another fleet member, from the messages of this member."""
 
     message: MemberStatus | None = None  # newest message of the neighbour; None before the first
     yields: bool = False  # whether this vehicle has announced that it yields to the neighbour
     claim_s: float = nan  # time stamp of the neighbour's claim for which ``yields`` was decided, s
     yielded_s: float = -inf  # time of the last announcement of yielding, s
     on_pad: bool = False  # whether the neighbour stands on this vehicle's pad, by its newest message
-    faster_m_s2: Vec3 = ZERO  # smoothed rate of change of the neighbour's velocity command
+    faster_m_s2: Vec3 = ZERO  # smoothed derivative of the neighbour's velocity command, m/s^2
     jumped_m: Vec3 = ZERO  # sum of the neighbour's position jumps beyond the reachable set, m
 
 
@@ -206,7 +207,7 @@ class FleetMemory:
     crowded_s: float = -inf  # time at which constraints of neighbours were last relaxed, s
     left: bool = False  # whether the vehicle has left its pad for another vehicle, or has tried to
     stays: bool = False  # whether the event "vehicle does not leave its pad" was sent
-    place_enu_m: Vec3 | None = None  # place where the vehicle lands after leaving its pad
+    place_enu_m: Vec3 | None = None  # place where the vehicle lands after leaving its pad, m
 
 
 @dataclass(slots=True)
@@ -226,4 +227,4 @@ class State:
     late: LateMemory = field(default_factory=LateMemory)
     fleet: FleetMemory = field(default_factory=FleetMemory)
     filter: FilterMemory = field(default_factory=FilterMemory)
-    filter_state: Any = None  # state of a user's filter, ``Filter.State``; None: it has none
+    filter_state: Any = None  # state of a user's filter, ``Filter.State``; None: the filter has no state

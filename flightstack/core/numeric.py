@@ -1,9 +1,9 @@
-"""Functions of the core that may also be compiled; both forms agree to the last bit.
+"""Support for functions of the core that are also compiled; both forms agree to the last bit.
 
 A compiled function takes and returns numbers, tuples of numbers, and objects of the core. It calls functions
-of this project, ``exp``, ``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. On
-these and on + - * / compiled code equals Python to the last bit; on ``math.hypot``, ``math.remainder`` and
-``**`` it may differ.
+of this project, ``exp``, ``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. In
+these and in + - * / compiled code equals Python to the last bit; the results of ``math.hypot``,
+``math.remainder`` and ``**`` can differ.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ RARE: set[Callable[..., Any]] = set()
 _OURS = ("flightstack.", "bridge.", "sim.")  # prefixes of the modules whose functions are compiled
 # functions of ``math`` whose machine code differs in the last bits
 _INEXACT = {"hypot", "dist", "remainder", "fsum", "pow"}
-_SPLIT = 134217729.0  # 2^27 + 1: splits a double into two halves (Veltkamp)
+_SPLIT = 134217729.0  # factor 2^27 + 1, which splits a double into two halves (Veltkamp)
 
 
 def numeric(cls: C) -> C:
-    """Mark a named tuple whose methods compiled code may call."""
+    """Mark a named tuple whose methods compiled code can call."""
     MARKED.add(cls)
     return cls
 
@@ -152,7 +152,7 @@ def hypot_is_known() -> bool:
     return all(_hypot(x, y) == math.hypot(x, y) for x in numbers for y in numbers)
 
 
-# replacements, in compiled code, of functions that cannot be compiled or have other last bits there
+# functions that compiled code uses in place of those that cannot be compiled, or differ in the last bits
 STAND_INS: dict[Callable[..., Any], Callable[..., Any]] = {
     math.hypot: _hypot,
     norm: _length,

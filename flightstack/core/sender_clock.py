@@ -30,7 +30,7 @@ FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the fastest 
 ELAPSED_MAX_S = 1.0  # longest part of a pause between messages in which a minimum rises, s
 FLOOR_MAX_S = 0.2  # largest difference of fast and slow minimum, s; a larger one means that clocks drift
 GRAIN_S = 1e-6  # tolerance for Unix times as doubles, s; their rounding error is 2.4e-7 s
-AHEAD_S = 0.03  # largest time by which a delay may be shorter than all before, s; one tick is added
+AHEAD_S = 0.03  # allowed difference between the shortest earlier delay and a shorter one, s, plus one tick
 AGREE_S = 0.1  # largest difference of arrival minus stamp between messages of one clock, s
 GAP_MAX_S = 0.5  # longest pause between two messages whose times agree, s
 PATIENCE_S = 10.0  # time for which late messages must agree, s; queues of some seconds change meanwhile
@@ -64,7 +64,7 @@ class Reading(IntEnum):
 
     @property
     def good(self) -> bool:
-        """Whether the message may be used."""
+        """Whether the message is accepted."""
         return self is Reading.FRESH or self is Reading.STEPPED
 
 
@@ -72,9 +72,9 @@ class SenderClock:
     """Estimate of a sender's clock; ``memory`` is its complete state."""
 
     memory: ClockMemory
-    ahead_max_s: float  # ``AHEAD_S`` plus one tick
-    _late_max_s: float  # lateness above which a message is rejected
-    _proof_s: float  # time for which rejected messages must agree until their clock is adopted
+    ahead_max_s: float  # ``AHEAD_S`` plus one tick, s
+    _late_max_s: float  # lateness above which a message is rejected, s
+    _proof_s: float  # time for which rejected messages must agree until their clock is adopted, s
     # smallest step back after a pause for which a clock is adopted immediately, s: the sender has restarted
     _reboot_s: float
 
@@ -99,7 +99,7 @@ class SenderClock:
         if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also rejects NaN
             return Reading.UNUSABLE
         if stamp_s > memory.stamp_s:
-            # before this time, samples may come from a queue that is being emptied
+            # before this time, samples can come from a queue that is being emptied
             known = arrival_s - memory.began_s >= self._proof_s
             if known and transit_s < memory.floor_s - self.ahead_max_s:
                 reading = Reading.AHEAD
@@ -141,7 +141,7 @@ class SenderClock:
         return stepped
 
     def lateness_s(self, stamp_s: float, now_s: float) -> float:
-        """Return how late a message with this stamp is at the time ``now_s`` of this process's clock, s."""
+        """Return the lateness of a message with this stamp, s; ``now_s``: time of this process's clock."""
         return max(0.0, now_s - stamp_s - self.memory.offset_s)
 
     def _goes_on_late(self, transit_s: float, arrival_s: float) -> bool:
@@ -156,7 +156,7 @@ class SenderClock:
 
     @rare
     def _noted(self, reading: Reading, stamp_s: float, arrival_s: float) -> bool:
-        """Store a rejected message; return whether only a changed clock explains the current run of them."""
+        """Store a rejected message; return whether only a changed clock explains the run of rejections."""
         m, transit_s = self.memory, arrival_s - stamp_s
         if stamp_s > m.run_stamp_s and self._agrees(transit_s, arrival_s):
             m.run_way_s = min(m.run_way_s, transit_s)

@@ -20,7 +20,7 @@ class Relative(NamedTuple):
     own: OwnState
     target: TargetState
     e_m: Vec3  # position of the vehicle minus landing spot, ENU, m
-    d_m: float  # horizontal length of ``e_m``
+    d_m: float  # horizontal length of ``e_m``, m
 
     @property
     def slip_m_s(self) -> tuple[float, float]:
@@ -47,8 +47,8 @@ class Snapshot(NamedTuple):
     relative: Relative | None  # vehicle relative to target; ``None`` unless both are known
     follows: bool = True  # whether the vehicle follows the commanded velocity
     charge: Charge = Charge.FIT  # state of the battery; FIT without a table [reserve]
-    permissions: Permissions = ALONE  # permissions by the fleet; a vehicle alone has all
-    # whether ``target`` has the velocity of its positions, because its reported velocity is not trusted
+    permissions: Permissions = ALONE  # permissions by the fleet; a single vehicle has all of them
+    # whether the velocity of ``target`` comes from its positions, since its reported velocity is not trusted
     target_placed: bool = False
 
     @property
@@ -67,7 +67,7 @@ def snapshot_of(
     follows: bool = True, charge: Charge = Charge.FIT, permissions: Permissions = ALONE,
     target_trusted: bool = True,
 ) -> Snapshot:  # fmt: skip
-    """Check the ages of this tick's inputs."""
+    """Return the inputs of this tick with the results of the checks of their age."""
     checks, own, status = config.checks, inputs.own, inputs.status
     own_ok = trusted and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
     target_fresh = target is not None and target.age_s <= checks.target_age_max_s

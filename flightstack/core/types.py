@@ -95,17 +95,17 @@ class Operator(IntEnum):
     LAND = 3  # abort with a landing by the autopilot, because the stack is about to exit
     TIME_OVER = 4  # abort: the time of the flight is over
 
-    __hash__ = int.__hash__  # see ``Phase``
+    __hash__ = int.__hash__  # faster, as in ``Phase``
 
 
 class OwnState(NamedTuple):
     """Vehicle state estimate, as received over the link."""
 
     arrival_s: float
-    source_time_s: float  # time on the vehicle's boot clock
+    source_time_s: float  # time on the vehicle's boot clock, s
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
-    yaw_rad: float  # heading of the nose, counter-clockwise from east
+    yaw_rad: float  # heading of the nose, counter-clockwise from east, rad
 
     @property
     def is_finite(self) -> bool:
@@ -118,15 +118,15 @@ class TargetSample(NamedTuple):
     """One odometry sample of the target, with velocities rotated into the world frame."""
 
     arrival_s: float
-    source_time_s: float  # header stamp of the sender, Unix time or simulated time
+    source_time_s: float  # header stamp of the sender, Unix time or simulated time, s
     frame_id: str
     child_frame_id: str
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     yaw_rad: float
     yaw_rate_rad_s: float
-    position_sigma_m: float = 0.0  # larger one of the reported sigmas of x and y; 0: not reported
-    velocity_sigma_m_s: float = 0.0  # larger one of the reported sigmas of vx and vy; 0: not reported
+    position_sigma_m: float = 0.0  # larger one of the reported sigmas of x and y, m; 0: not reported
+    velocity_sigma_m_s: float = 0.0  # larger one of the reported sigmas of vx and vy, m/s; 0: not reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +149,8 @@ class VehicleStatus:
 class Power:
     """Reported state of battery and motors; a number that is not reported is NaN."""
 
-    arrival_s: float  # arrival time of the newest message with data of battery or motors
-    voltage_v: float  # voltage of the battery under the current load
+    arrival_s: float  # arrival time of the newest message with data of battery or motors, s
+    voltage_v: float  # voltage of the battery under load, V
     throttle: float  # mean of the motor commands, 0 to 1
     cos_tilt: float  # cosine of the angle between the body's z axis and up
 
@@ -170,17 +170,17 @@ class MemberStatus(NamedTuple):
     """Message of a fleet member; all times are on the receiver's stack clock."""
 
     id: int  # id of the member, 1 to 250
-    stamp_s: float  # time of the message, corrected for the difference of the clocks
-    arrival_s: float  # arrival time of the message
-    position_enu_m: Vec3  # position of the member at ``stamp_s``
-    velocity_enu_m_s: Vec3  # measured velocity of the member
-    wanted_enu_m_s: Vec3  # velocity command of the member
-    position_sigma_m: float = 0.0  # standard deviation of the position on each axis
-    clock_bound_s: float = 0.0  # largest error of the stamp
+    stamp_s: float  # time of the message, corrected for the difference of the clocks, s
+    arrival_s: float  # arrival time of the message, s
+    position_enu_m: Vec3  # position of the member at ``stamp_s``, m
+    velocity_enu_m_s: Vec3  # measured velocity of the member, m/s
+    wanted_enu_m_s: Vec3  # velocity command of the member, m/s
+    position_sigma_m: float = 0.0  # standard deviation of the position on each axis, m
+    clock_bound_s: float = 0.0  # largest error of the stamp, s
     intent: Intent = Intent.STANDING  # announced intention of the member
-    claim_s: float = math.nan  # time at which the member claimed the right of way; NaN: no claim
-    pad_position_enu_m: Vec3 | None = None  # position of the member's landing spot; ``None``: unknown
-    pad_velocity_enu_m_s: Vec3 | None = None  # velocity of the landing spot; ``None``: unknown
+    claim_s: float = math.nan  # time at which the member claimed the right of way, s; NaN: no claim
+    pad_position_enu_m: Vec3 | None = None  # position of the member's landing spot, m; None: unknown
+    pad_velocity_enu_m_s: Vec3 | None = None  # velocity of the landing spot, m/s; None: unknown
     yields_to: tuple[int, ...] = ()  # ids of the members to which this member yields
 
 

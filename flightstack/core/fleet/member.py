@@ -151,7 +151,7 @@ class FleetMember:
         return ""
 
     def over(self, since_s: float, now_s: float) -> bool:
-        """Whether this vehicle may stop sending: all others are down or silent, or its phase is too long."""
+        """Whether this vehicle can stop sending: all others are down or silent, or its phase lasts too long."""
         fleet = self._fleet
         if since_s > FLIGHTS_OF_OTHERS * fleet.wait_max_s:
             return True
@@ -245,7 +245,7 @@ class FleetMember:
         return found.filter
 
     def texts(self, permissions: Permissions, in_phase_s: float, why: str, now_s: float) -> list[str]:
-        """Return the event texts after the filter; ``why``: reason why the vehicle cannot take off again."""
+        """Return event texts on relaxed constraints and a blocked pad; ``why``: reason against a take-off."""
         return self._crowded(now_s) + self.remains_on_pad(permissions, in_phase_s, why)
 
     def _crowded(self, now_s: float) -> list[str]:
@@ -264,7 +264,7 @@ class FleetMember:
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
     ) -> MemberStatus | None:  # fmt: skip
-        """Return the message to the other members after this tick; None: there are none."""
+        """Return the message to the other members after this tick; None: there are no other members."""
         if self._is_alone:
             return None
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND

@@ -2,15 +2,15 @@
 
     h(p) = r_xy (rho - 1),   rho = sqrt((dx^2 + dy^2) / r_xy^2 + dz^2 / r_z^2)
 
-``p`` is the position of this vehicle minus that of the other one. h is convex in p, and its gradient has at
-most length 1 if r_xy is the smaller semi-axis: a motion never reduces h more than the linear prediction. The
-ellipsoid grows with the uncertainty of the other vehicle's position.
+p = (dx, dy, dz) is the position of this vehicle minus that of the other one; r_xy and r_z are the semi-axes
+of the ellipsoid. h is convex in p, and its gradient has at most length 1 if r_xy is the smaller semi-axis: a
+motion never reduces h more than the linear prediction. The ellipsoid grows with the uncertainty of the other
+vehicle's position.
 
 This vehicle takes a share of the avoidance: none, half or all. The shares of two vehicles always sum to at
 least 1, also with late or lost messages; docs/how_it_works/fleet.md proves this from the order of the rules
 in ``share``: first the announcements of this vehicle, then the reasons why the other one cannot give way,
-then the latest announcements of the other one. Two vehicles that meet head-on would
-block each other, so each steps aside to its right.
+then the latest announcements of the other one. Vehicles that meet head-on each step aside to the right.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from flightstack.core.types import ZERO, Intent, MemberStatus, Vec3
 
 LEAST_M = 1e-6  # distance from the ellipsoid's centre below which the gradient has no direction, m
 # After its companion fails, a vehicle follows its last set-point until its autopilot lands it.
-LEAD_S = 0.2  # a set-point is the velocity command plus this time, s, multiplied by its rate of change
-SMOOTH_S = 0.03  # time constant of the low-pass of the velocity command's rate of change, s
+LEAD_S = 0.2  # lead time of a set-point, s: set-point = command + lead time * derivative of the command
+SMOOTH_S = 0.03  # time constant of the low-pass filter for the velocity command's derivative, s
 DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # silent vehicle's drift: rate, maximum (docs/design_notes/0004-fleet.md)
 SINK_M_S = 0.5  # largest sink rate of an autopilot's landing, m/s
 RIDES_S = 3.0  # time for which a silent vehicle on a pad is assumed to move with the pad, s
@@ -37,15 +37,15 @@ class Estimate(NamedTuple):
     """Current estimate of the position and velocity of another vehicle."""
 
     age_s: float  # age of the vehicle's newest message plus the clock error, s
-    # position extrapolated from the stamp; if messages are late: highest possible position
+    # position extrapolated from the stamp, m; if messages are late: highest possible position
     position_enu_m: Vec3
-    velocity_enu_m_s: Vec3  # reported or commanded velocity; 0 after the extrapolation ends
-    grown_m: float  # addition to both semi-axes of the ellipsoid: margin, errors and motion since the message
-    growth_m_s: float  # growth rate of both semi-axes of the ellipsoid
+    velocity_enu_m_s: Vec3  # reported or commanded velocity, m/s; 0 after the extrapolation ends
+    grown_m: float  # addition to both semi-axes of the ellipsoid, m: margin, errors, motion since the message
+    growth_m_s: float  # growth rate of both semi-axes of the ellipsoid, m/s
     late: bool  # whether the newest message is older than ``latency_max_s`` and does not announce DOWN
-    anywhere_m: float  # addition to both semi-axes that covers each position that it can have reached
-    depth_m: float = 0.0  # largest descent below ``position_enu_m`` if the autopilot lands the vehicle
-    sink_m_s: float = 0.0  # rate at which ``depth_m`` grows
+    anywhere_m: float  # addition to both semi-axes that covers every position within the vehicle's reach, m
+    depth_m: float = 0.0  # largest descent below ``position_enu_m`` if the autopilot lands the vehicle, m
+    sink_m_s: float = 0.0  # rate at which ``depth_m`` grows, m/s
 
     def beside(self, place_enu_m: Vec3) -> tuple[Vec3, Vec3]:
         """Return ``place_enu_m`` minus the vehicle's nearest possible position, and its velocity there."""
@@ -81,9 +81,9 @@ def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
 def jump(before: MemberStatus, message: MemberStatus, fleet: Fleet) -> Vec3:
     """Return the offset of a reported position from the predicted one; zero if the position is reachable.
 
-    The velocity may have changed with the fleet's maximum acceleration. Both messages may err by their
-    reported standard deviations and clock errors, and by the margin of the ellipsoid, because a landing stops
-    a vehicle immediately.
+    A velocity change with the fleet's maximum acceleration is allowed, and errors of both messages by their
+    reported standard deviations and clock errors. The margin of the ellipsoid is also allowed, because a
+    landing stops a vehicle immediately.
     """
     gone_s = message.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = message.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
@@ -112,9 +112,9 @@ def estimate(
     """Estimate the current position of another vehicle, and the largest error of this estimate.
 
     A vehicle whose messages are late is extrapolated for ``CARRIED_AGES`` with its last possible set-point,
-    about as long as an autopilot continues without its companion. It may drift from this path and sink to the
+    about as long as an autopilot continues without its companion. It can drift from this path and sink to the
     ground. Its region grows until ``silent_flight_s``, when its own fail-safe has ended the flight. A vehicle
-    that is down stands still, or moves with a pad that may have stopped since.
+    that is down stands still, or moves with a pad that can have stopped since the message.
     """
     v, p = message.velocity_enu_m_s, message.position_enu_m
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
@@ -197,8 +197,8 @@ def row(
 ) -> Row:  # fmt: skip
     """Return the constraint on this vehicle's velocity; ``part``: its share (result of ``share``).
 
-    With the whole share, the constraint uses the other vehicle's velocity. With half of it, it uses the mean
-    of both announced velocity commands: if both vehicles follow them, h falls no faster than the rate
+    With the share ALL, the constraint uses the other vehicle's velocity. With the share HALF, it uses the
+    mean of both announced velocity commands: if both vehicles follow them, h falls no faster than the rate
     allows. Possible changes of the other vehicle's velocity since its message tighten the constraint.
     """
     if part == ALL:
@@ -211,11 +211,11 @@ def row(
 
 
 def wider(basic: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
-    """Tighten ``basic`` for a vehicle with late messages, which may be anywhere in a wider ellipsoid.
+    """Tighten ``basic`` for a vehicle with late messages, which can be anywhere in a wider ellipsoid.
 
-    As long as the other vehicle may fly, this vehicle remains outside the wider ellipsoid or, inside it, does
-    not approach its centre. After that the other vehicle has landed inside: a vehicle outside remains
-    outside, and a vehicle inside has only the constraint ``basic``, since it also has to land.
+    While a flight of the other vehicle is possible, this vehicle remains outside the wider ellipsoid or, if
+    it is inside, does not approach the centre. After that time the other vehicle has landed inside. If this
+    vehicle is outside, it remains outside; inside it has only the constraint ``basic``, since it must land.
     """
     bound_m_s = -fleet.rate_1_s * outer_m
     if now.age_s <= fleet.silent_flight_s:
@@ -230,8 +230,8 @@ class Near(NamedTuple):
 
     h_m: float  # value of the barrier function between the two vehicles, m
     gradient: Vec3  # gradient of ``h_m`` with respect to this vehicle's position
-    away_m: Vec3  # position of this vehicle minus that of the neighbour, ENU
-    velocity_enu_m_s: Vec3  # velocity of the neighbour
+    away_m: Vec3  # position of this vehicle minus that of the neighbour, ENU, m
+    velocity_enu_m_s: Vec3  # velocity of the neighbour, m/s
 
 
 def sidestep(nominal: Vec3, near: Sequence[Near], rate_1_s: float) -> Vec3:

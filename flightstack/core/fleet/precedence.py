@@ -5,8 +5,8 @@ member with a conflicting pad has sent a message later than claim plus latency, 
 names this vehicle in ``yields_to`` (the reply of Ricart and Agrawala's algorithm). The older claim is first,
 or the claim of the lower id if both are equally old. A member yields until the other member's claim ends.
 
-Clocks may disagree on the order of two claims. If both members then yield, the lower id stops yielding; if
-neither yields, the higher id starts to. If three or more members wait in a circle, one makes a new claim.
+Clocks can disagree on the order of two claims. If both members then yield, the one with the lower id stops
+yielding; if neither yields, the one with the higher id starts. A new claim ends a circle of waiting members.
 
 A vehicle that frees its pad lands beside the paths of all pads, away from landed vehicles (``place_beside``).
 """
@@ -36,7 +36,7 @@ class Permissions(NamedTuple):
     waited: bool = False  # whether this vehicle has waited too long for the right of way
     text: str = ""  # reason with member ids: no message, no right of way, or a request for the pad
     pad_wanted: bool = False  # whether this vehicle must leave the pad, because another member waits for it
-    place_enu_m: Vec3 | None = None  # landing place after this vehicle has left the pad
+    place_enu_m: Vec3 | None = None  # landing place after this vehicle has left the pad, m
     cut_off: bool = False  # whether this vehicle receives messages from too few members and must land
 
 
@@ -44,14 +44,14 @@ ALONE = Permissions()
 
 
 class Pad(NamedTuple):
-    """Motion of the landing spot of a vehicle."""
+    """Position and velocity of a vehicle's landing spot."""
 
-    position_enu_m: Vec3  # position of the landing spot
-    velocity_enu_m_s: Vec3  # velocity of the landing spot
+    position_enu_m: Vec3  # position of the landing spot, m
+    velocity_enu_m_s: Vec3  # velocity of the landing spot, m/s
 
 
 def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float, since_s: float = 0.0) -> float:
-    """Return the smallest horizontal distance of pad and place, m, both moved with constant velocities.
+    """Return the smallest horizontal distance between pad and place, m, if both velocities are constant.
 
     The interval is from ``since_s`` before now to ``ahead_s`` after now.
     """
@@ -131,7 +131,7 @@ def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> 
 
 
 def _present(message: MemberStatus | None, now_s: float, fleet: Fleet) -> bool:
-    """Whether a member sends messages or is down; a landed member may stop sending."""
+    """Whether a member sends messages or is down; a landed member is allowed to stop sending."""
     return message is not None and (message.intent is Intent.DOWN or is_recent(message, now_s, fleet))
 
 
@@ -155,7 +155,7 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
         slot.yields = slot.on_pad = False
         return True
     if message.intent is not Intent.DOWN and now_s - message.stamp_s > fleet.silent_flight_s:
-        slot.yields = False  # the flight of this member has ended; it may stand on the same pad
+        slot.yields = False  # the flight of this member has ended, possibly on the same pad
         return _conflict(message, pad, 0.0, fleet)
     ahead_s = fleet.descent_s * (KEPT_PART if memory.granted else 1.0)
     if not (slot.yields and slot.claim_s == message.claim_s) and not _conflict(message, pad, ahead_s, fleet):
@@ -175,7 +175,7 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
 
 
 def _distance_m(pad: Pad, message: MemberStatus) -> float:
-    """Return the horizontal distance of a vehicle from a pad, m."""
+    """Return the horizontal distance between a vehicle and a pad, m."""
     return nearest_m(pad, message.position_enu_m, message.velocity_enu_m_s, 0.0)
 
 
@@ -207,8 +207,8 @@ def _yields(
 def _conflict(message: MemberStatus, pad: Pad, ahead_s: float, fleet: Fleet) -> bool:
     """Whether two pads are too near to each other for two landings; a claim for an unknown pad conflicts.
 
-    The horizon is shorter for a vehicle with the right of way: velocities of pads have errors, and an aborted
-    descent costs more than a delayed one.
+    The horizon is shorter for a vehicle with the right of way: pad velocities have errors, and an aborted
+    descent costs more time than a delayed one.
     """
     place = message.pad_position_enu_m
     if place is None:
@@ -231,12 +231,12 @@ KEPT_M = 0.2  # reduction of the required distances for the place chosen earlier
 def place_beside(
     kept: Vec3 | None, own_enu_m: Vec3, pad: Pad, messages: Sequence[MemberStatus], fleet: Fleet
 ) -> Vec3:
-    """Return the chosen place on the ground, or a new one if pads or vehicles come too near to it.
+    """Return the landing place chosen earlier, or a new one if pads or vehicles come too near to it.
 
     The path of a pad is straight: from its position ``wait_max_s`` ago to its position in ``wait_max_s``. The
     free place nearest to this vehicle is chosen; if none is free, the one with the most room. A chosen place
-    remains as long as it is clear of shorter paths, from ``descent_s`` ago to ``descent_s`` ahead: errors of
-    a pad's velocity rotate the longer path too much.
+    remains as long as it is clear of shorter paths, from ``descent_s`` ago to ``descent_s`` ahead, because
+    errors of a pad's velocity rotate the longer path too much.
     """
     pads = [pad]
     for message in messages:

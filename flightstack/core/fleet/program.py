@@ -7,7 +7,7 @@ neighbours are relaxed by the smallest common slack. The landing barrier and the
 never relaxed.
 
 Over the pad, ``Cone`` first reduces the box. A single vehicle flies inwards, where the boundary is lower; a
-vehicle that gives way may fly outwards or past the centre, where the boundary may rise faster than it climbs.
+vehicle that gives way can fly outwards or past the centre, where the boundary can rise faster than it climbs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FIRM_MAX = 2  # largest number of constraints that are never relaxed
 AGREES_M_S = 1e-6  # largest difference between the solver's result and the exact solution, m/s
 _ROWS = FIRM_MAX + OTHERS_MAX
 INWARD_RATE_1_S = 2.5  # ratio of allowed horizontal velocity to distance from the pad's centre, 1/s
-OUTWARD_PART = 0.5  # fraction of the allowed decay of the landing barrier that horizontal motion may use
+OUTWARD_PART = 0.5  # fraction of the landing barrier's allowed decay that is available to horizontal motion
 RELAXED_M_S = 1e-8  # addition to the smallest slack, m/s, so that the feasible set is more than one point
 
 
@@ -51,7 +51,7 @@ class FleetProgram:
         self, nominal: Vec3, firm: Sequence[Row], neighbours: Sequence[Row], lower: Vec3, upper: Vec3,
         basic: Sequence[Row] = (),
     ) -> FleetResult:  # fmt: skip
-        """Return the velocity nearest to ``nominal`` within all constraints; neighbours' may be relaxed.
+        """Return the velocity nearest to ``nominal`` within the constraints; ``neighbours`` relax if needed.
 
         ``firm``: constraints that are never relaxed, the landing barrier first; ``basic``: constraints of the
         neighbours without the reachable sets of vehicles with late messages.
@@ -125,15 +125,15 @@ class FleetProgram:
 class Cone(NamedTuple):
     """Limits of this vehicle's velocity over the pad."""
 
-    rate_1_s: float  # omega of eq. 11: h may fall by this fraction of h per second
-    slope_max: float  # steepest slope of the boundary of the safe set
-    lag_s: float  # time until a climb command takes effect
-    period_s: float  # period of a tick
+    rate_1_s: float  # omega of paper eq. 11, 1/s: largest allowed decay rate of h
+    slope_max: float  # steepest slope of the safe set's boundary
+    lag_s: float  # time until a climb command takes effect, s
+    period_s: float  # period of a tick, s
 
     def outward(self, h_m: float, gradient: Vec3, before_m_s: Vec3, target_m_s: Vec3) -> Row:
         """Return the constraint that limits the growth of outward velocity, so that a climb can restore h.
 
-        An inward motion may always be stopped.
+        The constraint always allows a stop of an inward motion.
         """
         gx, gy, _ = gradient
         used_m_s = self.period_s * self.rate_1_s * max(0.0, h_m) / self.lag_s
@@ -146,9 +146,9 @@ class Cone(NamedTuple):
     ) -> tuple[Vec3, Vec3]:
         """Return the velocity limits: avoidance must not add sink rate, or cross the pad's centre fast.
 
-        Beyond the centre an inward velocity becomes an outward one. A climb may always be stopped. The
+        Beyond the centre an inward velocity becomes an outward one. A stop of a climb is always allowed. The
         vehicle sinks no faster than h alone allows: on an inward path, where the boundary falls, a neighbour
-        may reverse the motion sooner than the climb can follow.
+        can reverse the motion before a climb takes effect.
         """
         most = INWARD_RATE_1_S * d_m + OUTWARD_PART * max(0.0, h_m) / (self.slope_max * self.lag_s)
         (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = target_m_s, lower, upper

@@ -1,4 +1,4 @@
-"""Exact solution of the quadratic program with several constraints (``Row``).
+"""Exact velocity u nearest to the nominal velocity u' under several constraints (``Row``).
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 
@@ -26,7 +26,7 @@ from flightstack.core.types import ZERO, Vec3
 TOLERANCE_M_S = 1e-9  # allowed violation of a constraint, m/s
 STEPS_MAX = 60  # maximum number of steps; after it the search ends without a result
 _CONFIRMED_M_S = 2e-9  # allowed violation of an optimality condition, m/s
-_DEPENDS = 1e-12  # squared length of its orthogonal part below which a unit vector depends on others
+_DEPENDS = 1e-12  # squared length of a unit vector's orthogonal part below which it depends on the others
 _PARALLEL = 1e-10  # determinant below which constraints count as dependent: they have no common vertex
 _MULTIPLIER_LEAST = -1e-9  # multipliers above this value count as positive
 _LEAST_LENGTH = 1e-9  # length of a gradient below which it has no direction
@@ -40,7 +40,7 @@ class Row(NamedTuple):
     """A linear constraint g . u >= b on the velocity u."""
 
     g: Vec3  # gradient g of the constraint, without unit
-    bound_m_s: float  # bound b of the constraint
+    bound_m_s: float  # bound b of the constraint, m/s
 
     def missing_m_s(self, u: Vec3) -> float:
         """Return the violation of the constraint by a velocity, m/s; 0 or less: it is satisfied."""
@@ -57,7 +57,7 @@ class Found(NamedTuple):
     # multipliers, in the order of the input; if point is None: multipliers of contradictory
     # constraints, whose gradients times these multipliers sum to 0
     multipliers: tuple[float, ...]
-    lacking_m_s: float = 0.0  # violation of the contradictory constraints if point is None
+    lacking_m_s: float = 0.0  # violation of the contradictory constraints if point is None, m/s
 
 
 def by_active_set(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found | None:
@@ -237,11 +237,11 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Return the smallest common slack of the soft constraints, and a velocity that satisfies all with it.
+    """Return the smallest common slack of the soft constraints, m/s, and a velocity that satisfies them.
 
     Each set of contradictory constraints gives a lower bound of the slack. The search is repeated with this
-    bound as slack until no such set is left: the slack is then the smallest sufficient one. It is infinite if
-    no slack is sufficient.
+    bound as slack until no such set is left: the slack is then the smallest sufficient one. The slack is
+    infinite if none is sufficient.
     """
     slack_m_s, middle, free = 0.0, clip_to_box(ZERO, lower, upper), len(firm)
     for _ in range(STEPS_MAX):
@@ -259,8 +259,8 @@ def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Ve
 def _lowest_vertex(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
     """Return the result of ``least_slack`` if rounding hides the bounds, as with nearly parallel constraints.
 
-    It is the lowest vertex of a linear program in four variables; each vertex is the intersection of four
-    constraints. The function tries all vertices, which takes some milliseconds.
+    The result is the lowest vertex of a linear program in four variables. Each vertex is the intersection of
+    four constraints; the function tries all vertices, which takes some milliseconds.
     """
     sides = zip(_SIDES, (*lower, *(-side for side in upper)), strict=True)
     given = [(row, 1.0) for row in soft] + [(row, 0.0) for row in (*firm, *sides)]

@@ -17,7 +17,7 @@ from flightstack.core.strategies.strategy import Filter
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3, VehicleStatus
 
-OVER_PAD_LEFT = 1.5  # phase LAND continues within this multiple of the pad's radius
+OVER_PAD_LEFT = 1.5  # ratio of the distance at which phase LAND ends to the pad's radius
 TAKEOFF_DONE = 0.85  # fraction of the take-off height at which the take-off climb ends
 LANDED_SETTLE_S = 2.2  # time at rest on the pad that ends the flight, s; the verdict requires 2 s
 _SWINGING = (
@@ -37,7 +37,7 @@ PhaseTimes = tuple[float, float, float, float, float, float, float, float, float
 
 
 def phase_times_s(config: FlightConfig) -> PhaseTimes:
-    """Return the longest time allowed in each phase."""
+    """Return the longest time allowed in each phase, s."""
     most_s = dict.fromkeys(Phase, math.inf)
     most_s |= {
         Phase.WAIT: config.checks.wait_time_max_s,
@@ -182,7 +182,7 @@ def time_flags(s: Situation, now_s: float) -> int:
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
-    """Whether, since all inputs are good, states arrived for ``recovery_time_s`` and a heartbeat arrived.
+    """Whether states have arrived for ``recovery_time_s``, and a heartbeat, since all inputs became good.
 
     An input that arrives rarely, or in bursts, counts as good until it is too old.
     """
@@ -268,8 +268,8 @@ def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_
 def check_fails(s: Situation, at: Relative, now_s: float, over_pad: bool, permitted: bool) -> bool:  # noqa: ARG001
     """Whether a check aborts the flight in TAKEOFF, APPROACH, LAND or TOUCHDOWN; all inputs are good.
 
-    A new check is one more ``if``: its phases, its test, and its text with two numbers. ``permitted``: the
-    neighbours permit to land and to touch.
+    To add a check, write one more ``if`` with its phases, its test, and its text with two numbers.
+    ``permitted``: whether the fleet permits the landing and the touchdown.
     """
     memory, checks = s.memory, s.config.checks
     if memory.phase is Phase.LAND and permitted and s.strategy.watches_swinging:
@@ -295,7 +295,7 @@ def _sets_off(s: Situation, at: Relative, now_s: float) -> bool:
 
 
 def waits_for_calm(s: Situation, at: Relative, now_s: float) -> bool:
-    """Whether the target is fast now and may become slower soon; False for a vehicle on the pad."""
+    """Whether the target is too fast, and the time for it to become slower is not over; False on the pad."""
     touchdown, wait_s = s.config.touchdown, s.config.touchdown.calm_wait_s
     if wait_s == 0.0 or now_s - s.memory.started_s >= wait_s:
         return False

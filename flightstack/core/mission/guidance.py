@@ -18,7 +18,7 @@ from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
 CLIMB_OVER = 0.5  # fraction of the climb margin that a climb adds to the required height
-CLEAR_BELOW = 0.25  # fraction of the climb margin by which the vehicle may be too low while it flies clear
+CLEAR_BELOW = 0.25  # fraction of the climb margin that a vehicle is allowed to lose while it flies clear
 
 
 class NominalCommand(NamedTuple):
@@ -74,7 +74,7 @@ def _land(s: Situation, seen: Snapshot) -> NominalCommand:
 
 
 def towards_pad(s: Situation, at: Relative) -> Vec3:
-    """Return the nominal velocity of APPROACH and LAND; the vehicle may wait above a target that is fast."""
+    """Return the nominal velocity of APPROACH and LAND; the vehicle waits above a target that is too fast."""
     x, y, z = s.strategy.choose(at, s.strategy.approach_m_s(at, s.memory.phase is Phase.LAND))
     if waits_for_calm(s, at, at.own.arrival_s):
         below_m = s.config.touchdown.calm_height_m - at.e_m[2]

@@ -251,7 +251,7 @@ class Mission(Situation):
         return standing or now_s - memory.contact_since_s >= config.contact.time_s
 
     def _slides(self, at: Relative) -> bool:
-        """Whether the vehicle is low over the pad and will slide off it before the motors stop."""
+        """Whether the vehicle is low over the pad and will leave it by sliding before the motors stop."""
         contact, gap_m = self.config.contact, at.e_m[2] - self.config.touchdown.feet_below_reference_m
         if contact.sliding_gap_m <= max(0.0, gap_m):  # 0 disables this check, even for feet below the pad
             return False
@@ -272,7 +272,7 @@ class Mission(Situation):
             memory.swings += snapshot.permissions.may_land
         if after is Phase.APPROACH and memory.started_s == math.inf:
             memory.started_s = now_s
-        if after is Phase.TOUCHDOWN:  # the contact timers may have values of an earlier descent
+        if after is Phase.TOUCHDOWN:  # the contact timers can have values of an earlier descent
             memory.contact_since_s = memory.stopped_since_s = math.inf
             memory.swings = 0
         if after is Phase.LEAVE:  # a new take-off follows
@@ -283,7 +283,7 @@ class Mission(Situation):
         return Transition(before, after, why, memory.abort_way)
 
     def _abort(self, flags: int) -> Transition | None:
-        """Choose how the abort ends the flight; a stronger command of the operator may replace the choice."""
+        """Choose how the abort ends the flight; a stronger command of the operator replaces the choice."""
         memory = self.memory
         rule = first(ABORT_TABLE[memory.abort_way], flags)
         if rule is None:

@@ -4,7 +4,7 @@
 none of ``unless`` are set. Nothing else changes a phase.
 
 A go-around is a change to APPROACH or TAKEOFF that uses a retry: from TOUCHDOWN (DRIFTED), or from HOLD or
-CLIMB (RECOVERED). LAND -> APPROACH is no go-around: the vehicle left the cone, and a check limits how often.
+CLIMB (RECOVERED). LAND -> APPROACH is not a go-around: the vehicle left the cone; a check counts these cases.
 
 The kinds of abort (``AbortWay``) have their own table: the rules of ``AbortWay.NONE`` choose the kind when an
 abort starts. No rule leaves ABORT. Phase LANDED is left at most once, to free the pad for another fleet
@@ -42,7 +42,7 @@ class Condition(IntEnum):
     STARTED = 1 << 12  # the landing has started
     OVER_PAD = 1 << 13  # the vehicle is inside the descending cone
     TOUCH = 1 << 14  # the touchdown rule is met
-    RECOVERED = 1 << 15  # inputs were good for ``recovery_time_s``; in WAIT, each was also renewed in it
+    RECOVERED = 1 << 15  # inputs were good for ``recovery_time_s``; in WAIT, new ones also arrived meanwhile
     RETRIES_LEFT = 1 << 16  # a go-around is allowed
     HIGH_ENOUGH = 1 << 17  # the vehicle is above every part of the target
     PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase is over
@@ -56,7 +56,7 @@ class Condition(IntEnum):
     LAND_ASKED = 1 << 24  # abort with a landing by the autopilot, requested by the operator
     TARGET_KNOWN = 1 << 25  # a target position was received, possibly long ago
     ON_PAD = 1 << 26  # contact with the pad was detected in phase TOUCHDOWN
-    PAD_WANTED = 1 << 27  # another vehicle waits for this pad, and the landed vehicle may take off again
+    PAD_WANTED = 1 << 27  # another vehicle waits for this vehicle's pad; inputs and battery are good
     CLEAR = 1 << 28  # the vehicle has flown clear of the target, and lands beside the target
     CUT_OFF = 1 << 29  # too few fleet members send messages, and the pad is not the shortest way down
     CHECK_FAILED = 1 << 30  # a check of ``conditions.check_fails`` ends the flight; it has its own text
@@ -66,7 +66,7 @@ class Condition(IntEnum):
 C = Condition
 NONE = 0
 FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
-ORDINARY = FLYING | {Phase.LANDED}  # phases that ``Controller.land`` may run
+ORDINARY = FLYING | {Phase.LANDED}  # phases that ``Controller.land`` can run
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ DISARMED, MODE_CHANGED = (
 )
 _IN_FLIGHT = (
     *_OPERATOR,
-    # after a jump of its estimate the autopilot may land the vehicle itself, so the reason names the jump
+    # after a jump of its estimate the autopilot can land the vehicle itself, so the reason names the jump
     Rule(C.WAS_ARMED, Phase.ABORT, DISARMED, unless=C.ARMED | C.LINK_LOST, about=C.OWN_LOST),
     Rule(C.WAS_EXTERNAL, Phase.ABORT, MODE_CHANGED, unless=C.EXTERNAL | C.LINK_LOST, about=C.OWN_LOST),
     Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
