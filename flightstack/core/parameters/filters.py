@@ -66,7 +66,7 @@ def failed_in(name: str, error: BaseException) -> str:
 
 
 def give(found: Any) -> str:
-    """Register a class that may not be importable, such as one of a notebook; return its name."""
+    """Register a class, also one that cannot be imported, such as one of a notebook; return its name."""
     place = f"{getattr(found, '__module__', '')}:{getattr(found, '__name__', found)}"
     name = next((short for short, long in FILTERS.items() if long == place), place)
     if name not in FILTERS:

@@ -13,12 +13,12 @@ from typing import Annotated
 from flightstack.common.strict_toml import ConfigError, span
 
 ID_MAX = 250
-OTHERS_MAX = 8  # largest number of other members; each may add a constraint to the program
+OTHERS_MAX = 8  # largest number of other members; each can add a constraint to the program
 PART_OF_LAG = 0.25  # largest rate_1_s * lag of the velocity loop for which h of two vehicles cannot overshoot
 # time after its last announcement for which a yielding vehicle takes the whole share, in latencies
 HOLD_LATENCIES = 3.0
-ZERO_LATENCIES = 2.0  # time for which a neighbour relies on it, in latencies; shorter, to cover delays
-DECIDE_LATENCIES = 4.0  # time until the higher id yields if two members assume to be first, in latencies
+ZERO_LATENCIES = 2.0  # time for which a neighbour relies on such an announcement, in latencies; shorter
+DECIDE_LATENCIES = 4.0  # time until the higher id yields if two members both claim to be first, in latencies
 CARRIED_AGES = 2.2  # ratio of a silent vehicle's extrapolation time to ``age_max_s``
 KEPT_PART = 0.2  # ratio of the horizon of a vehicle with the right of way to ``descent_s``
 CIRCLE_LATENCIES = 8.0  # time until a cycle is broken, in latencies times (1 + number of higher ids)
@@ -32,7 +32,7 @@ class Fleet:
     members: tuple[Annotated[int, span(1, ID_MAX)], ...]  # ids of all members, including this one
     radius_xy_m: Annotated[float, span(0.05, 10.0)] = 0.25  # horizontal semi-axis of the ellipsoid
     radius_z_m: Annotated[float, span(0.05, 10.0)] = 0.75  # vertical semi-axis of the ellipsoid
-    rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # allowed decay rate of the distance
+    rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # allowed decay rate of h between two vehicles
     margin_m: Annotated[float, span(0.0, 5.0)] = 0.08  # margin for velocity errors of two vehicles
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # number of covered standard deviations of positions
     speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # largest speed of another vehicle
@@ -48,11 +48,11 @@ class Fleet:
     wait_max_s: Annotated[float, span(1.0, 3600.0)] = 30.0
     # distance between pads below which only one vehicle lands at a time
     pad_distance_m: Annotated[float, span(0.1, 50.0)] = 0.8
-    descent_s: Annotated[float, span(0.0, 60.0)] = 5.0  # horizon in which two pads may approach
+    descent_s: Annotated[float, span(0.0, 60.0)] = 5.0  # horizon for the predicted distance of two pads
     # horizontal distance of the waiting place from the pad
     wait_distance_m: Annotated[float, span(0.1, 50.0)] = 1.2
     wait_height_m: Annotated[float, span(0.1, 50.0)] = 1.0  # height of the waiting place above the pad
-    # a landed vehicle takes off again if another member waits for its pad, and lands beside the target
+    # whether a landed vehicle takes off again for a member that waits for its pad, and lands beside the pad
     frees_pad: bool = False
 
     @property
@@ -67,12 +67,12 @@ class Fleet:
 
     @property
     def growth_m_s(self) -> float:
-        """Growth rate of the ellipsoid around a neighbour whose message has the largest latency."""
+        """Growth rate of the ellipsoid around a neighbour whose message has the largest latency, m/s."""
         return self.acceleration_max_m_s2 * self.latency_max_s
 
     @property
     def slew_side_max_m_s2(self) -> float:
-        """Largest acceleration of the command on each horizontal axis; infinite without neighbours."""
+        """Largest acceleration of the command on each horizontal axis, m/s^2; infinite without neighbours."""
         return min((self.slew_xy_max_m_s2 / math.sqrt(2.0) for _ in self.others), default=math.inf)
 
     def check(self, lag_s: float, period_s: float, clearance_m: float) -> None:

@@ -30,21 +30,21 @@ class TouchdownRule(Enum):
     """Condition under which the motors stop."""
 
     PAPER = "paper"  # the vehicle is below touchdown.height_m inside the descending cone (paper V)
-    CONTACT = "contact"  # the vehicle reports ground contact
+    CONTACT = "contact"  # contact with the pad was detected (table [contact])
 
 
 @dataclass(frozen=True, slots=True)
 class Takeoff:
     """Flight from the ground to the place where the landing starts."""
 
-    height_m: Annotated[float, span(0.2, 10.0)] = 0.5  # height of the take-off
+    height_m: Annotated[float, span(0.2, 10.0)] = 0.5  # height of the take-off above the ground
     # start position relative to the landing spot, ENU; None: start from the hover position
     start_offset_m: Vec3 | None = None
     # largest height difference to the start at which the vehicle moves horizontally
     level_first_m: Annotated[float, span(0.02, 2.0)] = 0.1
     arrival_radius_m: Annotated[float, span(0.02, 0.5)] = 0.05  # largest distance from the start on arrival
     arrival_speed_m_s: Annotated[float, span(0.01, 0.5)] = 0.05  # largest speed on arrival
-    timeout_s: Annotated[float, span(5.0, 300.0)] = 60.0  # longest take-off with the flight to the start
+    timeout_s: Annotated[float, span(5.0, 300.0)] = 60.0  # time limit of take-off and flight to the start
 
 
 PAD_RADIUS_M = span(0.05, 2.0)  # range of a pad's radius, also in a scenario
@@ -57,8 +57,8 @@ class Touchdown:
     rule: TouchdownRule = TouchdownRule.CONTACT  # `contact`: until contact; `paper`: motors off at height_m
     height_m: Annotated[float, span(0.01, 1.0)] = 0.05  # paper filter: height of the touchdown (section V)
     pad_radius_m: Annotated[float, PAD_RADIUS_M] = 0.10  # radius of the pad
-    feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # height of centre of mass on feet, CAD
-    target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # fastest target; TurtleBot3 Burger's limit
+    feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # height of centre of mass above feet
+    target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # target's top speed (TurtleBot3 Burger)
     # maximum wait for a slow target after the landing starts; at low speed a delayed vehicle state has
     # smaller errors
     calm_wait_s: Annotated[float, span(0.0, 60.0)] = 0.0
@@ -74,9 +74,9 @@ class Touchdown:
 class Contact:
     """Criteria for the contact of the vehicle with the pad."""
 
-    # largest height of the feet at contact, for noise of two positions and tilt of the pad
+    # largest height of the feet at contact; it covers the noise of two positions and the tilt of the pad
     gap_m: Annotated[float, span(0.001, 0.5)] = 0.01
-    # tolerance beyond the pad's edge, for errors of two positions
+    # tolerance beyond the pad's edge; it covers the errors of two positions
     beyond_m: Annotated[float, span(0.0, 0.5)] = 0.0
     # height below which a sliding vehicle counts as in contact, before the other criteria apply
     sliding_gap_m: Annotated[float, span(0.0, 0.1)] = 0.0
@@ -132,23 +132,23 @@ class Limits:
     velocity_max_m_s: Each[Annotated[float, span(0.05, 5.0)]] = (0.2, 0.2, 0.5)  # largest commanded velocity
     # paper filter: largest rate of change of the command
     slew_max_m_s2: Each[Annotated[float, span(0.2, 50.0)]] = (4.0, 4.0, 4.0)
-    altitude_max_m: Annotated[float, span(0.5, 100.0)] = 3.0  # largest height of the flight above the pad
+    altitude_max_m: Annotated[float, span(0.5, 100.0)] = 3.0  # height (z) above which no climb is allowed
 
 
 @dataclass(frozen=True, slots=True)
 class Checks:
     """Limits of the received data, and waiting times after a loss."""
 
-    own_age_max_s: Annotated[float, span(0.02, 0.4)] = 0.2  # oldest vehicle state that is used
-    target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25  # oldest target state that is used
+    own_age_max_s: Annotated[float, span(0.02, 0.4)] = 0.2  # largest accepted age of a vehicle state
+    target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25  # largest accepted age of a target state
     # largest difference between position and integrated velocity of the vehicle
     own_drift_max_m: Annotated[float, span(0.05, 2.0)] = 0.15
     own_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of the position difference
     # largest lag behind the set-points, at the highest velocity
     follow_lag_max_s: Annotated[float, span(0.1, 5.0)] = 0.45
     follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # decay time of the tracking lag
-    status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # oldest heartbeat (1 Hz) that is used
-    target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5  # fastest target that is accepted
+    status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # largest accepted age of a heartbeat (1 Hz)
+    target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest accepted speed of a target sample
     target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # largest jump of the target that is accepted
     # largest difference between position and integrated velocity of the target
     target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1
@@ -194,7 +194,7 @@ class FlightConfig:
     """Complete configuration of the onboard process."""
 
     barrier: Barrier
-    filter: str = "robust"  # name: `paper`, `robust`, or MODULE:NAME of a class
+    filter: str = "robust"  # name of the safety filter: `paper`, `robust`, or MODULE:NAME of a class
     loop: Loop = field(default_factory=Loop)
     position_loop: PositionLoop = field(default_factory=PositionLoop)
     limits: Limits = field(default_factory=Limits)
@@ -212,11 +212,11 @@ class FlightConfig:
     envelope: Envelope = field(default_factory=Envelope)  # range that the certificate of `check` covers
     vehicle: VehicleSide = field(default_factory=VehicleSide)
     reserve: Reserve | None = None  # None: the battery sets no limits, and its state is not requested
-    fleet: Fleet = ALONE  # a fleet of one without the table
+    fleet: Fleet = ALONE  # without this table, a fleet of one vehicle
 
     @property
     def slew_max_m_s2(self) -> Vec3:
-        """Acceleration limit of the robust filter's velocity on each axis.
+        """Acceleration limit of the robust filter's velocity on each axis, m/s^2.
 
         In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each axis gets this limit
         divided by sqrt(2), since delayed motion reduces the distance to near neighbours.
@@ -226,12 +226,12 @@ class FlightConfig:
 
     @property
     def descending(self) -> FlightConfig:
-        """This configuration with the gain of the final descent as gain over the pad."""
+        """This configuration with the gain of the final descent as its gain over the pad."""
         return replace(self, robust=replace(self.robust, gain_over_pad_1_s=self.robust.to_contact_1_s))
 
     @property
     def far(self) -> FlightConfig:
-        """This configuration with feedback and gain for far from the pad; unchanged without far values."""
+        """This configuration with feedback and gain as far from the pad; unchanged if ``far_m`` is 0."""
         if not self.velocity_feedback.far_m:
             return self
         robust = replace(self.robust, gain_over_pad_1_s=self.robust.gain_1_s)

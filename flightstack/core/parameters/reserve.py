@@ -36,12 +36,12 @@ class Reserve:
     hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # voltage in level flight at `hover_throttle`
     lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # lowest voltage in flight that is certified
     sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # voltage drop from rest to hover
-    start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # landing starts this far above lowest_voltage_v
+    start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # start of a landing: margin to lowest_voltage_v
     throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # highest mean throttle; single motors saturate
     # mean motor voltage at the highest thrust command, if the firmware compensates the battery
     motor_voltage_max_v: Annotated[float, span(0.1, 100.0)] | None = None
     thrust_exponent: Annotated[float, span(0.5, 3.0)] = 1.5  # exponent p of the thrust
-    share: Annotated[float, span(0.1, 1.0)] = 0.5  # fraction of the reserve for commands; wind has the rest
+    share: Annotated[float, span(0.1, 1.0)] = 0.5  # fraction of the reserve for commands; the rest: for wind
     smoothing_s: Annotated[float, span(0.2, 20.0)] = 1.0  # time constant of the estimate in flight
 
     def __post_init__(self) -> None:
@@ -87,7 +87,7 @@ class Reserve:
 
     @property
     def start_voltage_v(self) -> float:
-        """Lowest voltage in flight at which a landing may start."""
+        """Lowest voltage in flight at which the start of a landing is allowed, V."""
         return self.lowest_voltage_v + self.start_margin_v
 
 

@@ -1,6 +1,6 @@
 """Assumptions of the robust filter about vehicle, target and links; each of them is a number with a unit.
 
-docs/how_it_works/robust_filter.md derives the margin from them. Logs identify the vehicle's values.
+docs/how_it_works/robust_filter.md derives the margin from these; `identify` measures the vehicle's from logs.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class VelocityLoop:
     # largest difference of horizontal set-point and velocity: it bounds the tilt
     error_max_m_s: Annotated[float, span(0.05, 10.0)] = 0.6
     slope_time_s: Annotated[float, span(0.01, 1.0)] = 0.05  # time constant of the smoothed acceleration
-    disturbance_time_s: Annotated[float, span(0.1, 10.0)] = 0.6  # time constant of wind, drag, weight error
-    disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # largest disturbance; 2 m/s of wind is 0.25
+    disturbance_time_s: Annotated[float, span(0.1, 10.0)] = 0.6  # time constant of the disturbance estimate
+    disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # largest disturbance; wind of 2 m/s: 0.25
 
     def late_ticks(self, period_s: float) -> int:
         """Return the number of ticks from a horizontal set-point to its first effect."""
@@ -59,7 +59,7 @@ class VelocityFeedback:
     error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # correction rate of a velocity error
     tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # response rate of the tilt to its command
     observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # rate of the disturbance estimate
-    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # largest command; 3.5: tilt of 20 degrees
+    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # largest commanded acceleration
     # distance from the landing spot beyond which the far rates apply (slower tilt saves thrust); 0: never
     far_m: Annotated[float, span(0.0, 100.0)] = 0.0
     far_error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 4.0  # error_rate_1_s beyond far_m
@@ -149,6 +149,6 @@ class Robust:
         return self.gain_descent_1_s or self.gain_over_pad_1_s
 
     def margin_m(self, slope: float, sigma_xy_m: float, sigma_z_m: float) -> float:
-        """Return the margin on h that covers tracking and position errors."""
+        """Return the margin on h that covers tracking and position errors, m."""
         position_m = self.sigma_factor * hypot(slope * sigma_xy_m, sigma_z_m)
         return self.tracking_error_m_s / self.rate_1_s + position_m

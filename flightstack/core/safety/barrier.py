@@ -58,11 +58,11 @@ def problem_of(boundary: Any, e_m: Vec3) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """Highest ring of the boundary, which a configuration may give in place of alpha and beta (eq. 7)."""
+    """Highest ring of the boundary, which a configuration can contain instead of alpha and beta (eq. 7)."""
 
     peak_height_m: Annotated[float, span(0.05, 10.0)]
     peak_distance_m: Annotated[float, span(0.05, 20.0)] | None = None  # radius of the ring
-    # angle at the landing spot between the vertical and the ring, in place of the radius
+    # angle at the landing spot between the vertical and the ring, instead of the radius
     cone_half_angle_rad: Annotated[float, span(0.05, 1.5)] | None = None
 
     def __post_init__(self) -> None:
@@ -80,18 +80,18 @@ class Peak:
 
 @dataclass(frozen=True, slots=True)
 class Barrier:
-    """Landing barrier: the table [barrier] of a configuration, which may also give a ``Peak``."""
+    """Landing barrier: the table [barrier] of a configuration, in which a ``Peak`` is also allowed."""
 
-    # horizontal shape: the peak is 1/alpha from the landing spot
+    # inverse of the peak's horizontal distance from the landing spot
     alpha_1_m: Annotated[float, span(0.05, 20.0)]
-    beta_m: Annotated[float, span(0.05, 20.0)]  # vertical shape: the peak is beta/e high
-    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper filter: relative rate at which h may fall
+    beta_m: Annotated[float, span(0.05, 20.0)]  # height of the peak above the landing spot, times e
+    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper filter: largest decay rate of h
     # radius around the landing spot within which the gradient fades to vertical
     apex_smoothing_m: Annotated[float, span(0.001, 0.02)] = 0.005
 
     @staticmethod
     def other_keys(table: dict[str, Any]) -> None:
-        """Replace the keys of a ``Peak`` in a table by alpha and beta. Raises ConfigError: it has both."""
+        """Replace the keys of a ``Peak`` by alpha and beta. Raises ConfigError: the table has both."""
         given = {each.name: table.pop(each.name) for each in fields(Peak) if each.name in table}
         if not given:
             return
@@ -133,7 +133,7 @@ class Barrier:
         return barrier_h(self.alpha_1_m, self.beta_m, e_m)
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Return how far h may fall below its linear prediction in a horizontal motion from ``e_m``, m.
+        """Return how far h can fall below its linear prediction in a horizontal motion from ``e_m``, m.
 
         docs/how_it_works/robust_filter.md, *The tolerance of the gate*, derives the bound.
 
@@ -189,11 +189,11 @@ class RobustBarrier(NamedTuple):
     """Barrier with a margin; gate and filter use it like ``Barrier``."""
 
     barrier: Barrier
-    margin_m: float  # margin m far from the landing spot
-    fade_radius_m: float  # radius w within which the margin fades
+    margin_m: float  # margin m at a large distance from the landing spot, m
+    fade_radius_m: float  # radius w within which the margin fades, m
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Return how far h may fall below its linear prediction; see ``Barrier.linearisation_bound_m``.
+        """Return how far h can fall below its linear prediction, as ``Barrier.linearisation_bound_m``, m.
 
         The curvature of the margin is at most 2 m / w^2 exp(-(d/w)^2), with the smallest d of the motion.
         """

@@ -1,6 +1,6 @@
 """OSQP, called through addresses of its C functions, so that Python and compiled code use the same solver.
 
-    min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
+    min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k     (u': nominal velocity)
 
 The module ``osqp.ext_builtin`` is loaded without the package ``osqp``, whose import takes a tenth of a
 second. The memory offsets belong to the release that ``pyproject.toml`` names; to check them, each new solver
@@ -24,13 +24,13 @@ import numpy as np
 from flightstack.core.types import Vec3
 
 _NAME = "osqp.ext_builtin"
-DOUBLE = 8  # bytes of a double
+DOUBLE = 8  # size of a double, bytes
 _STATUS_AT, _ITERATIONS_AT = 32, 80  # byte offsets in OSQPInfo (osqp_api_types.h)
 # With this tolerance the first iteration confirmed all of 100,000 random programs with one constraint.
 EPS = 1e-9  # absolute (m/s) and relative tolerance of the solver's test
 RHO = 1.0
 RELAXATION = 1.5
-ITERATIONS_MAX = 200  # about 50 us; after these iterations the exact solution is used
+ITERATIONS_MAX = 200  # maximum number of iterations (about 50 us); then the exact solution is used
 _KNOWN: Vec3 = (0.25, -0.5, 0.125)  # nominal velocity inside the box, which is then the solution
 
 

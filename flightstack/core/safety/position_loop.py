@@ -8,7 +8,7 @@ from flightstack.core.types import Vec3
 
 
 def nominal_velocity(e_m: Vec3, gain_1_s: Vec3, target_velocity_enu_m_s: Vec3) -> Vec3:
-    """Return the nominal velocity u' = -K_p e + dp_d/dt, m/s ENU."""
+    """Return the nominal velocity u' = target velocity - K_p e, m/s ENU (K_p: ``gain_1_s``, e: ``e_m``)."""
     return (
         target_velocity_enu_m_s[0] - gain_1_s[0] * e_m[0],
         target_velocity_enu_m_s[1] - gain_1_s[1] * e_m[1],
@@ -17,7 +17,7 @@ def nominal_velocity(e_m: Vec3, gain_1_s: Vec3, target_velocity_enu_m_s: Vec3) -
 
 
 def clip(value: float, low: float, high: float) -> float:
-    """Return ``max(low, min(high, value))``, three times faster than these calls."""
+    """Return ``max(low, min(high, value))``; this function is three times as fast."""
     value = value if value < high else high
     return value if value > low else low
 

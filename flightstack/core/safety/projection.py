@@ -1,6 +1,6 @@
 """Exact projection onto a box cut by one half-space: the closed form of the landing quadratic program.
 
-    min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= b
+    min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= b     (u': nominal velocity)
 
 The minimiser is ``clip(u' + lambda g)`` with the smallest multiplier lambda >= 0 that satisfies the
 half-space. g . clip(u' + lambda g) never falls with lambda and is linear between the values at which an axis
@@ -90,4 +90,4 @@ def _sort_by_insertion(events: list[tuple[float, float]]) -> None:
                 events[n], events[n - 1] = events[n - 1], events[n]
 
 
-STAND_INS[_sort] = _sort_by_insertion  # numba compiles ``list.sort`` for 2 s
+STAND_INS[_sort] = _sort_by_insertion  # numba needs 2 s to compile ``list.sort``

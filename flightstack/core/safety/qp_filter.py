@@ -1,14 +1,14 @@
 """Quadratic program of the control barrier function (paper eq. 11): OSQP solves it, each result is checked.
 
-    min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= -omega h - dh/dt
+    min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= -omega h - dh/dt     (u': nominal velocity)
 
-The program has one barrier row and three box rows; the solver is set up once and updated each tick. It starts
-from the exact projection of this tick (``projection.py``), which its optimality test usually confirms
-immediately; otherwise it iterates. Therefore a result depends only on the data of this tick, and the time is
-bounded. (From zero the solver takes hundreds of iterations where the barrier's gradient is nearly the normal
-of a side of the box and both are active.) A result is used only if it has the status solved and satisfies
-box and barrier; otherwise the exact projection is used. If no point of the box satisfies the barrier, the
-command is the corner of the box that raises h fastest, with status INFEASIBLE.
+The program has one constraint for the barrier and three for the box; the solver is set up once and updated
+each tick. It starts from the exact projection of this tick (``projection.py``), which its optimality test
+usually confirms immediately; otherwise it iterates. Therefore a result depends only on the data of this tick,
+and the time is bounded. (From zero the solver needs hundreds of iterations if the barrier's gradient is
+nearly normal to a side of the box and both are active.) A result is used only if it has the status solved and
+satisfies box and barrier; otherwise the exact projection is used. If no point of the box satisfies the
+barrier, the command is the corner of the box that raises h fastest, with status INFEASIBLE.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def data_and_start(
     nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, infinity: float, point: Vec3,
     multiplier: float,
 ) -> tuple[float, ...]:  # fmt: skip
-    """Return the data of the program that change per tick, and start point and multipliers of the solver.
+    """Return the program's data that change in each tick, and the solver's start point and multipliers.
 
     The start is optimal if u - u' - multiplier g + y = 0; y are the multipliers of the active box sides.
     """
@@ -103,7 +103,7 @@ def data_and_start(
 
 
 def clipped(point: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
-    """Return a solution clipped to the box, and its largest violation of box or barrier."""
+    """Return a solution clipped to the box, and its largest violation of box or barrier, m/s."""
     (x, y, z), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = point, gradient, lower, upper
     if lx <= x <= hx and ly <= y <= hy and lz <= z <= hz:  # usual, and faster than the general case
         return point, max(0.0, bound - (gx * x + gy * y + gz * z))

@@ -1,4 +1,4 @@
-"""Interface of a safety filter: the methods in which filters may differ.
+"""Interface of a safety filter: the methods in which filters can differ.
 
 The base class is complete: the paper's barrier and program, the position loop as approach, a straight
 descent. A filter overrides what it does differently; one method, ``filter``, is enough. The class attribute
@@ -47,7 +47,7 @@ class Filter:
     Write one method in a subclass: ``filter``, which returns the velocity. All other methods and attributes
     have defaults. Velocities are ENU, m/s; positions ENU, m.
 
-    A filter may store data for later ticks only in ``state`` and, as the package's filters do, in ``motion``,
+    A filter must store data for later ticks only in ``state`` or, as the package's filters do, in ``motion``,
     ``tracking``, ``own`` and ``late``. A log contains these five attributes, and a replay compares them.
 
     Args:
@@ -63,9 +63,9 @@ class Filter:
         watches_swinging: whether a vehicle that oscillates over the pad must abort (``checks.swings_max``).
         ignores: keys of the configuration that the filter does not read, with the key that it reads instead.
         waits_filtered: whether the barrier also holds for a vehicle that waits in the air before the flight.
-        rate_1_s: largest relative rate at which h may fall.
-        acceleration_max_m_s2: largest rate of change of the commanded velocity, on each axis.
-        contact_speed_max_m_s: largest speed relative to the pad that a set-point of the touchdown may cause.
+        rate_1_s: largest decay rate of h, 1/s.
+        acceleration_max_m_s2: largest rate of change of the commanded velocity on each axis, m/s^2.
+        contact_speed_max_m_s: largest allowed speed relative to the pad by a set-point of the touchdown, m/s.
         stopped_below_m: height above the pad below which a stopped descent counts as contact; 0: never.
         motion: state of the estimator of the target.
         tracking: state of the corrections of the set-point.
@@ -139,7 +139,7 @@ class Filter:
     ) -> FilterResult:  # fmt: skip
         """Filter a velocity with the user's method ``filter``, which is called once per tick.
 
-        Return REJECTED, with a recorded reason, if the result is no valid velocity.
+        Return REJECTED, with a recorded reason, if the result is not a valid velocity.
         """
         given, self.own_result = self.own_result, None
         if given is not None:
@@ -210,7 +210,7 @@ class Filter:
         return (x, y, t[2] - self._config.touchdown.descent_m_s)
 
     def may_touch(self, at: Relative) -> bool:
-        """Whether the touchdown may start at this position and velocity.
+        """Whether the start of the touchdown is allowed at this position and velocity.
 
         Default: below the touchdown height in the descending cone (paper V).
         """
@@ -279,7 +279,7 @@ class Filter:
             wanted_m_s: commanded velocity of this tick.
             velocity_m_s: velocity of the vehicle.
             d_m: horizontal distance from the landing spot; NaN: unknown.
-            least_z_m_s: lowest vertical velocity that the set-point may cause if it is the last one.
+            least_z_m_s: lowest allowed vertical velocity of the vehicle if the set-point is the last one.
         """
         return wanted_m_s
 
@@ -308,7 +308,7 @@ def ignored(config: FlightConfig) -> list[str]:
 
 
 def own_boundary(name: str) -> str:
-    """Return a warning if verdicts judge by another boundary than this filter's, else an empty text."""
+    """Return a warning if verdicts judge by a boundary other than this filter's, else an empty text."""
     if strategy_class(name).barrier.__module__.startswith("flightstack."):
         return ""
     return f"judged by the paper's barrier; {name} flies a boundary of its own, which no verdict knows"

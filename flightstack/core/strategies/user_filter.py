@@ -26,19 +26,19 @@ class At(NamedTuple):
     """Data of a tick for ``Filter.filter``; vectors are arrays (3,) in ENU.
 
     Attributes:
-        t_s: time of the vehicle state, on the stack's clock.
-        position_enu_m: current position of the vehicle, as the filter estimates it.
-        velocity_enu_m_s: velocity of the vehicle.
-        target_position_enu_m: position of the landing spot.
-        target_velocity_enu_m_s: velocity of the landing spot.
-        e_m: position of the vehicle minus landing spot.
-        d_m: horizontal length of ``e_m``.
-        h_m: value of the barrier; a negative value is unsafe.
+        t_s: time of the vehicle state on the stack's clock, s.
+        position_enu_m: current position of the vehicle, as the filter estimates it, m.
+        velocity_enu_m_s: velocity of the vehicle, m/s.
+        target_position_enu_m: position of the landing spot, m.
+        target_velocity_enu_m_s: velocity of the landing spot, m/s.
+        e_m: position of the vehicle minus landing spot, m.
+        d_m: horizontal length of ``e_m``, m.
+        h_m: value of the barrier, m; a negative value is unsafe.
         gradient: gradient of the barrier with respect to the vehicle's position.
-        dh_dt_m_s: partial time derivative of the barrier, because the target moves.
-        rate_1_s: largest relative rate at which h may fall.
-        lower_m_s: lowest velocity that may be commanded in this tick, by limits and slew.
-        upper_m_s: highest velocity that may be commanded in this tick.
+        dh_dt_m_s: partial time derivative of the barrier due to the target's motion, m/s.
+        rate_1_s: largest decay rate of h, 1/s.
+        lower_m_s: lowest allowed velocity command in this tick, by limits and slew, m/s.
+        upper_m_s: highest allowed velocity command in this tick, m/s.
         permitted: function that limits a velocity to the assumptions of the barrier's margin; it raises
         ValueError as ``enforced`` does.
     """
@@ -113,11 +113,11 @@ class Exchange:
     function: int = 0  # address of the C function that calls the agent or the filter
     at: Relative = NOWHERE
     nominal: Vec3 = ZERO  # nominal velocity of the stack, m/s ENU
-    h_m: float = math.nan  # value of the active barrier
+    h_m: float = math.nan  # value of the active barrier, m
     gradient: Vec3 = ZERO  # gradient of the active barrier with respect to position
-    dh_dt_m_s: float = math.nan  # partial time derivative of the active barrier
-    lower_m_s: Vec3 = ZERO  # lowest velocity within limits and slew
-    upper_m_s: Vec3 = ZERO  # highest velocity within limits and slew
+    dh_dt_m_s: float = math.nan  # partial time derivative of the active barrier, m/s
+    lower_m_s: Vec3 = ZERO  # lowest velocity within limits and slew, m/s
+    upper_m_s: Vec3 = ZERO  # highest velocity within limits and slew, m/s
     chosen: Vec3 = ZERO  # answer: velocity that the agent or the user's filter chooses, m/s ENU
 
 
@@ -130,7 +130,7 @@ _STATE = frozenset(
 def compiled_as(cls: type) -> type | None:
     """Return the packaged class whose flights differ from this class only in ``filter``.
 
-    Return None if the class overrides more, or may change estimators, of which compiled code has a copy.
+    Return None if the class overrides more, or can change estimators, which compiled code has copied.
     """
     own = [*takewhile(lambda each: not each.__module__.startswith("flightstack."), cls.__mro__)]
     base = cls.__mro__[len(own)]

@@ -1,13 +1,13 @@
 """Set-point with which a vehicle whose velocity loop lags follows a velocity command.
 
-The velocity loop on board responds to a set-point like a second-order low-pass M; the paper neglects this
-lag. Wind, drag and a wrong mass disturb it. Two corrections for one axis use the model v = M(u) + d with
-a disturbance d. a is the acceleration of the loop itself, f = w d / (2 z) that of the disturbance:
+The velocity loop on board responds to a set-point u like a second-order low-pass M (natural frequency w,
+damping z); the paper neglects this lag. Wind, drag and a wrong mass disturb the velocity v: v = M(u) + d.
+Two corrections for one axis use this model. a is the loop's acceleration, f = w d / (2 z) the disturbance's:
 
     v' = a + f,      a' = w^2 (u - v) - 2 z w a
 
 The lag compensation ("lead") adds corrections to the command r (internal model control, with a lead instead
-of the inverse model). Its feedback is only k (r - v) and a slow d, so it tolerates a wrong model:
+of the inverse model). Its feedback is only k (r - v), k = gain_xy, and a slow d: it tolerates a wrong model:
 
     u = r + lag * r' + k (r - v) - d,      d = low-pass of (v - M(u))
 
@@ -114,7 +114,7 @@ class VelocityTracking:
     near: VelocityFeedback  # gains of the feedback near the pad
     far: VelocityFeedback  # gains at a distance of more than ``velocity_feedback.far_m``
     period_s: float
-    delay_s: float  # age of the velocity that the feedback extrapolates
+    delay_s: float  # age of the velocity that the feedback extrapolates, s
     late_ticks: int  # dead time of the horizontal loop, ticks
 
     def __init__(
@@ -169,7 +169,7 @@ class VelocityTracking:
 
     @rare
     def carried(self, velocity_m_s: Vec3) -> tuple[tuple[float, float], Vec3]:
-        """Predict the horizontal motion, m, until a new set-point takes effect, and the velocity after it."""
+        """Predict the horizontal motion until a new set-point takes effect, m, and the velocity then, m/s."""
         memory, sent, loop, t = self.memory, self.late.sent_m_s, self.loop, self.period_s
         if not sent or self.by_feedback:
             return (0.0, 0.0), velocity_m_s

@@ -6,7 +6,7 @@ the uncertainty; a late sample counts for the time of its measurement.
 
 The horizontal velocity turns at the measured yaw rate (coordinated turn), and the remaining acceleration
 decays (R. A. Singer, Estimating Optimal Tracking Filter Performance for Manned Maneuvering Targets, IEEE
-Transactions on Aerospace and Electronic Systems 6(4), 1970). The vertical acceleration does not decay: a deck
+Transactions on Aerospace and Electronic Systems 6(4), 1970). The vertical acceleration does not decay: a ship
 heaves for seconds. The covariances of x and y are equal, so a turn does not change them. While innovations
 are larger than expected, the jerk on x and y is raised. docs/how_it_works/robust_filter.md, *Targets that
 turn, brake, reverse and heave*, gives the reasons.
@@ -35,12 +35,12 @@ class TargetMotion(NamedTuple):
 
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
-    position_sigma_m: float  # standard deviation of x and of y
+    position_sigma_m: float  # standard deviation of x, which equals that of y, m
     position_sigma_z_m: float
     velocity_sigma_m_s: float
 
 
-# time, s; effect of 1 m/s^2 of acceleration on position, s^2, and velocity, s; its fraction left
+# time, s; effect of an acceleration on position, s^2, and on velocity, s; remaining part of the acceleration
 _Time = tuple[float, float, float, float]
 _NOW: _Time = (0.0, 0.0, 0.0, 1.0)
 
@@ -144,9 +144,9 @@ class TargetEstimator:
     def _moved(self, fading: _Time, lasting: _Time) -> tuple[Vec3, Vec3, Vec3]:
         """Return position, velocity and acceleration after a time: x and y turn, their acceleration decays.
 
-        With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); the acceleration turns, too. The
-        position change by it turns by two thirds of the angle, which is the weighted mean. Sines and cosines
-        are series, because the means sin x / x and (1 - cos x) / x over the turn are also needed at x = 0.
+        With the turn R(s) in the time s, v(s) = R(s) (v + a * to_velocity(s)); the acceleration a turns, too.
+        Its effect on the position turns by two thirds of the angle, the weighted mean. Sines and cosines are
+        series, because the means sin x / x and (1 - cos x) / x over the turn x are also needed at x = 0.
         """
         memory, (t, p, v, left), (_, p_z, v_z, left_z) = self.memory, fading, lasting
         (x, y, z), (vx, vy, vz) = memory.position_enu_m, memory.velocity_enu_m_s
@@ -227,7 +227,7 @@ def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
     )
 
 
-_Gains = tuple[float, float, float, float, float, float]  # gains of p, v, a by the innovation of p, then of v
+_Gains = tuple[float, float, float, float, float, float]  # p, v, a from the innovation of p, then from v's
 
 
 def _correct(

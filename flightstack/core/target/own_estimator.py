@@ -3,15 +3,15 @@
 docs/how_it_works/own_state.md describes the errors. The vehicle's velocity loop controls the reported
 velocity. Each horizontal axis has the position p, the velocity v, the acceleration a of the loop, the error e
 of the reported velocity, and the acceleration f of gusts and turning moments. With velocity feedback, which
-needs the same model, the equations are:
+needs the same model (natural frequency w, damping z; T, T_f: correlation times), the equations are:
 
     p' = v,   v' = a + f,   a' = w^2 (u - v - e) - 2 z w a,   e' = -e / T + noise,   f' = -f / T_f + noise
 
 p and v + e are measured. A steady Kalman filter estimates all five for the time of the measurement, and the
 same model predicts them over the delay with the set-points u that have no effect yet. Without velocity
-feedback the real loop may be faster than the declared one; the filter would estimate that as an error e.
-In this case, and always for z, where thrust saturation makes the model wrong, only p (by q) and e are
-estimated; here p and v are the reported values:
+feedback the real loop can be faster than the declared one; the filter would estimate that as an error e.
+In this case, and always for z, where thrust saturation makes the model wrong, only the position (as q) and e
+are estimated. p and v are then the reported values:
 
     q' = v - e + 2 w (p - q),      e' = -w^2 (p - q),      w = 1 / T
 """
@@ -90,18 +90,18 @@ def _product(a: Matrix, b: Iterable[Sequence[float]]) -> Matrix:
 
 
 class OwnEstimator:
-    """Estimates the vehicle state. ``step`` is called in each tick, ``to_send`` with each set-point sent."""
+    """Estimator of the vehicle state. Call ``step`` in each tick, and ``to_send`` for each set-point."""
 
     memory: OwnMemory
     gains: Gains  # gains of the Kalman filter
     # model of an axis: period of a tick, s; w^2, 1/s^2; 2 z w, 1/s; fractions of e and f left after a tick
     model: Model
-    period_s: float  # period of a tick
+    period_s: float  # period of a tick, s
     by_loop: bool  # whether the model of the velocity loop is used
-    delay_s: float  # delay of the reported state
+    delay_s: float  # delay of the reported state, s
     push_1_s: float  # ratio of the acceleration f to the steady velocity change that it causes, 1/s
     rate_1_s: float  # bandwidth w of the estimate of e without the model of the loop, 1/s
-    most_m_s: float  # largest estimated error of a velocity
+    most_m_s: float  # largest estimated error of a velocity, m/s
     ahead: int  # number of ticks from the measurement time of the newest sample to now
     gap_max: int  # largest number of predicted ticks between two samples
 
@@ -151,7 +151,7 @@ class OwnEstimator:
         self.memory.time_s = math.nan
 
     def _acting(self, k: int) -> Vec3:
-        """Return the set-point that acts k ticks after the newest sample (k = -1: at it), or the oldest."""
+        """Return the set-point that acts k ticks after the newest sample (-1: at it), or the oldest one."""
         return self.memory.pending[max(0, KNOWN - self.ahead + k)]
 
     def _begin(self, own: OwnState) -> None:

@@ -23,9 +23,9 @@ from flightstack.core.numeric import norm
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import ZERO, OwnState, TargetSample, Vec3
 
-SMOOTHING_S = 0.2  # time constant of the drift's low-pass, s: reduces 2 cm of noise at 20 Hz to 1 cm
+SMOOTHING_S = 0.2  # time constant of the drift's low-pass, s; it reduces 2 cm of noise at 20 Hz to 1 cm
 TRUSTED_AGAIN = 0.5  # fraction of the largest allowed drift below which a state is trusted again
-# Speed below which a vehicle with equal positions may be at rest, m/s: firmware truncates positions to
+# Speed below which a vehicle with equal positions can be at rest, m/s: firmware truncates positions to
 # millimetres and reports the bias of its accelerometer as a velocity, 9 mm/s on a Crazyflie.
 STANDING_M_S = 0.05
 STILL_MAX_S = 0.5  # longest time for which a hovering vehicle reports equal positions, s
@@ -40,7 +40,7 @@ class Plausibility:
     """Checks of vehicle state and set-points; ``memory`` is their complete state."""
 
     memory: PlausibilityMemory
-    # bound of ``tracking_lag_m``: ``checks.follow_lag_max_s`` at the highest horizontal velocity
+    # bound of ``tracking_lag_m``, m: ``checks.follow_lag_max_s`` at the highest horizontal velocity
     tracking_lag_max_m: float
     period_s: float
     kept: float  # fraction of the tracking lag that remains after a tick
@@ -108,7 +108,7 @@ class Plausibility:
 def drifted(
     d: Vec3, last: OwnState | TargetSample, new: OwnState | TargetSample, dt_s: float, memory_s: float
 ) -> Vec3:
-    """Return the unexplained position change, updated with a new state ``dt_s`` after the last one."""
+    """Return the unexplained position change, m, updated with a new state ``dt_s`` after the last one."""
     p0, v0, p, v = last.position_enu_m, last.velocity_enu_m_s, new.position_enu_m, new.velocity_enu_m_s
     kept, half = math.exp(-dt_s / memory_s), 0.5 * dt_s
     return (

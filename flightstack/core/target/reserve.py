@@ -15,7 +15,7 @@ from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
 
 # smallest ratio of averaged lift to weight in the estimate; a vehicle with less lift falls
 LEAST_LIFT = 0.1
-AGE_MAX_S = 3.0  # longest age of power data, s; the voltage arrives once a second, two messages may be lost
+AGE_MAX_S = 3.0  # longest age of power data, s; the voltage arrives once a second, two messages can be lost
 
 
 @dataclass(slots=True)
@@ -40,13 +40,13 @@ class ReserveEstimate:
     memory: ReserveMemory
     active: bool  # whether there is a table [reserve]
     reported: Reported
-    most_m_s2: Vec3  # limit of the commanded acceleration at full thrust reserve
+    most_m_s2: Vec3  # limit of the commanded acceleration at full thrust reserve, m/s^2
     share: float  # weight of one tick in the moving average
     lasting_m_s: float  # gravity multiplied by the averaging time, m/s
     least: float  # smallest thrust reserve with which a landing continues
     reserve: float  # ratio of maximum thrust to weight; NaN if unknown
     charge: Charge  # state of the battery
-    acceleration_max_m_s2: Vec3  # limit of the commanded acceleration, ENU; z limits the upward one
+    acceleration_max_m_s2: Vec3  # limit of the commanded acceleration, ENU, m/s^2; z limits only a climb
     _part: float  # usable fraction of the reserve (``Reserve.share``)
 
     def __init__(self, table: Reserve | None, most_m_s2: Vec3, period_s: float) -> None:
@@ -139,7 +139,7 @@ class ReserveEstimate:
 
 
 def too_low(table: Reserve, voltage_v: float) -> str:
-    """Return why a battery with this voltage at rest must not start a landing; empty: it may."""
+    """Return why a landing must not start with this voltage at rest; empty: the voltage is sufficient."""
     least_v = table.start_voltage_v + table.sag_v
     if voltage_v >= least_v:
         return ""
@@ -150,6 +150,6 @@ def too_low(table: Reserve, voltage_v: float) -> str:
 
 
 def allowed(most_m_s2: Vec3, reserve: float, share: float) -> Vec3:
-    """Return the limits of the commanded acceleration with this reserve."""
+    """Return the limits of the commanded acceleration with this reserve, m/s^2."""
     (x, y, z), level = most_m_s2, level_m_s2(reserve, share)
     return (min(x, level), min(y, level), min(z, up_m_s2(reserve, share)))

@@ -5,8 +5,9 @@ last, in time, and reachable from the last one. Rejected samples are counted.
 
 A velocity that contradicts the positions, such as a twist in the wrong frame or a heading that is wrong by
 half a turn, is detected over some samples. Position minus integrated velocity, summed with decay, is only
-noise; above ``checks.target_drift_max_m`` the target is distrusted until the sum is below half of it. As a
-target at rest shows no contradiction, the target remains distrusted after the second one of a flight.
+noise; above the limit ``checks.target_drift_max_m`` the target is distrusted until the sum is below half of
+the limit. After the second contradiction in a flight the target remains distrusted, because a target at rest
+shows none.
 """
 
 from __future__ import annotations
@@ -21,18 +22,18 @@ from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
 from flightstack.core.target.plausibility import SMOOTHING_S, TRUSTED_AGAIN, drifted, repeats, smoothed
 from flightstack.core.types import TargetSample, Vec3
 
-STANDING_M_S = 1e-3  # speed above which a target moves, m/s; at rest it may repeat its position to the bit
+STANDING_M_S = 1e-3  # speed above which a target moves, m/s; at rest its position can repeat to the bit
 DISTRUSTS_MAX = 2  # number of contradictions in a flight after which the target remains distrusted
 
 
 class TargetState(NamedTuple):
     """State of the target at the requested time."""
 
-    age_s: float  # age of the newest sample
+    age_s: float  # age of the newest sample, s
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     yaw_rad: float
-    position_sigma_m: float = 0.0  # standard deviation of x and of y; 0: not estimated
+    position_sigma_m: float = 0.0  # standard deviation of x, which equals that of y, m; 0: not estimated
     position_sigma_z_m: float = 0.0
 
 
@@ -140,14 +141,14 @@ class TargetTrack:
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
         free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
         if lost and free and away is None:
-            return Reading.FRESH  # after a loss the target may be anywhere
+            return Reading.FRESH  # after a loss any position of the target is possible
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
         stays = away is not None and self._near(
             away, sample, sample, sample.source_time_s - away.source_time_s
         )
         # time for which samples at the new place must agree, s; longer than the age limit: HOLD starts first
         proof_s = checks.target_age_max_s + checks.recovery_time_s
-        # after a loss, the current or the last velocity may explain a wrong position by chance; samples that
+        # after a loss, the current or the last velocity can explain a wrong position by chance; samples that
         # continue from the new place show that the target is really there
         if lost and stays:
             good = not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
@@ -163,7 +164,7 @@ class TargetTrack:
         return self.memory.elsewhere is not None
 
     def _near(self, before: TargetSample, after: TargetSample, at_last: TargetSample, step_s: float) -> bool:
-        """Whether the mean of two velocities explains the motion of the target between two samples.
+        """Whether the mean of two velocities explains the target's motion between two samples.
 
         The mean is exact under constant acceleration.
         """

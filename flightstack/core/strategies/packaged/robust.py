@@ -2,7 +2,7 @@
 
 The filter predicts target and vehicle to the current time, adds a margin for uncertainty to the barrier, uses
 the measured horizontal velocity, and corrects the set-point for the vehicle's lag. The vehicle waits low
-above the pad until it may descend without a stop, and goes around if it is about to miss the pad.
+above the pad until it can descend without a stop, and goes around if it is about to miss the pad.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from flightstack.core.target.own_estimator import OwnEstimator
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import OwnState, TargetSample, Vec3
 
-COMMANDED_SHARE = 0.6  # a commanded sink rate above this fraction of the descent speed counts as a descent
-STOPPED_SHARE = 0.4  # a sink rate below this fraction of the descent speed counts as stopped
-DRIFT_SHARE = 0.6  # drift is not detected within this fraction of the corridor's radius
-BRAKING = 0.5  # fraction of the acceleration limit for braking: the velocity lags, the target may speed up
+COMMANDED_SHARE = 0.6  # fraction of the descent speed above which a commanded sink rate counts as a descent
+STOPPED_SHARE = 0.4  # fraction of the descent speed below which a measured sink rate counts as stopped
+DRIFT_SHARE = 0.6  # fraction of the corridor's radius within which no drift is detected
+BRAKING = 0.5  # fraction of the acceleration limit for braking: the velocity lags, the target can speed up
 
 
 class RobustFilter(Filter):
@@ -43,7 +43,7 @@ class RobustFilter(Filter):
     )
 
     motion: MotionMemory
-    brakes_m_s2: float  # assumed acceleration for braking on x and y
+    brakes_m_s2: float  # assumed acceleration for braking on x and y, m/s^2
     slope: float  # steepest slope of the barrier outside the pad
     full: float  # fraction of the margin that remains at the pad's edge; the margin is divided by it
     estimator: TargetEstimator
@@ -68,7 +68,7 @@ class RobustFilter(Filter):
         self.estimator = TargetEstimator(config.target)
         fed_back = config.velocity_feedback.horizontal
         self.own_estimator = OwnEstimator(config.own, loop, period_s, by_loop=fed_back)
-        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # velocity age; 0 if predicted
+        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # age of a velocity, s
         self._tracking = VelocityTracking(loop, period_s, config.velocity_feedback, delay_s)
         self.motion, self.tracking = self.estimator.memory, self._tracking.memory
         self.own, self.late = self.own_estimator.memory, self._tracking.late
@@ -124,7 +124,7 @@ class RobustFilter(Filter):
             x, y = self.own.x_now, self.own.y_now
             memory.model_m_s = (x[1], y[1], memory.model_m_s[2])
             memory.model_m_s2 = (x[2], y[2], memory.model_m_s2[2])
-            # velocity change that the disturbance causes in steady state
+            # velocity change that the disturbance causes in steady state, m/s
             memory.disturbance_m_s = (x[4] / push_1_s, y[4] / push_1_s, memory.disturbance_m_s[2])
 
     def barrier(self, at: Relative) -> RobustBarrier:
@@ -133,7 +133,7 @@ class RobustFilter(Filter):
         return RobustBarrier(self._barrier, margin_m, self._config.robust.fade_radius_m)
 
     def margin_m(self, sigma_xy_m: float, sigma_z_m: float) -> float:
-        """Return the full margin (far from the pad) for standard deviations of the target's position."""
+        """Return the full margin (far from the pad), m, for standard deviations of the target's position."""
         robust, own_m = self._config.robust, self._config.own.position_noise_m
         margin_m = robust.margin_m(self.slope, hypot(sigma_xy_m, own_m), hypot(sigma_z_m, own_m))
         return margin_m / self.full
@@ -150,7 +150,7 @@ class RobustFilter(Filter):
         return t[2] - sinks_m_s - (gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1]))
 
     def _braked_m_s(self, left_m: float) -> float:
-        """Return the fastest descent that the reserve can stop in ``left_m``; inf without table [reserve]."""
+        """Return the fastest descent that the reserve can stop in ``left_m``, m/s; inf: no [reserve]."""
         if not self._has_reserve:
             return math.inf
         return math.sqrt(2.0 * BRAKING * self.acceleration_max_m_s2[2] * max(0.0, left_m))
@@ -170,7 +170,7 @@ class RobustFilter(Filter):
         return (x, y, z)
 
     def permitted_m_s(self, nominal: Vec3, own: Vec3, at: Relative) -> Vec3:
-        """Limit a chosen velocity: it gets the properties of ``own`` that the certificate assumes.
+        """Limit a chosen velocity, so that it has the properties of ``own`` that the certificate assumes.
 
         The program satisfies eq. 11 by the vertical velocity, and expects a horizontal velocity as from the
         position loop. Therefore the velocity relative to the target is at most gain times distance, h falls
@@ -197,7 +197,7 @@ class RobustFilter(Filter):
         return (ex + x - late_s * tx, ey + y - late_s * ty, ez), (vx - tx, vy - ty)
 
     def _ahead_m(self, e_m: Vec3, slip_m_s: tuple[float, float]) -> float:
-        """Return the height of the boundary ahead, at its peak ring or where the vehicle stops.
+        """Return the height of the boundary ahead, m: at its peak ring, or where the vehicle stops.
 
         An overshoot of the centre reduces h only when it is too late to climb.
         """
