@@ -30,9 +30,9 @@ from flightstack.common.hangup import never_wait
 
 EPOCH_NS = 1_577_836_800_000_000_000  # Unix time at zero of simulated clocks, ns: 2020-01-01T00:00:00Z
 RUN_AHEAD_TICKS = 20  # maximum number of ticks by which a robot is simulated ahead of its vehicle
-NO_GO = -1  # second value of a credit: the robot must not drive yet
+NO_GO = -1  # second value of a credit (onboard/lockstep.py) as long as the robot must not drive
 # wall time without a message after which the onboard process counts as dead in lockstep, s: on a busy
-# computer a running process may wait for the processor for many seconds
+# computer a running process can wait for the processor for many seconds
 COMPANION_SILENT_S = 20.0
 _SAID_S = 10.0  # waiting time after which a text reports the wait, s
 _LOOK_MAX_S = 0.1  # maximum time between two polls that counts as waiting time, s

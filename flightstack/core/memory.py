@@ -91,13 +91,12 @@ class TrackMemory(ClockMemory):
     refusal: str = ""  # reason why the newest sample was rejected; empty if it was accepted
 
 
-# entries pp, pv, pa, vv, va, aa; p: position, v: velocity, a: acceleration of one axis
-Covariance = tuple[float, float, float, float, float, float]
+Covariance = tuple[float, float, float, float, float, float]  # upper triangle for (p, v, a), row by row
 
 
 @dataclass(slots=True)
 class MotionMemory:
-    """State of the estimator of the target's motion."""
+    """State of the estimator of the target's motion: position p, velocity v, acceleration a of each axis."""
 
     time_s: float = nan  # stamp of the newest sample, on the sender's clock; NaN before the first
     position_enu_m: Vec3 = ZERO  # estimated position at ``time_s``, m

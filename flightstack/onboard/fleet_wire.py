@@ -1,4 +1,4 @@
-"""Status messages of a fleet: this vehicle sends its status in each tick, and receives the others' ones.
+"""Status messages of a fleet: this vehicle sends its status in each tick, and receives those of the others.
 
 Each process publishes ``MemberStatus`` on ``NAMESPACE/fleet/status`` and subscribes to ``**/fleet/status``.
 This one pattern needs no list of namespaces, and also detects two processes with one vehicle id, and vehicles
@@ -53,8 +53,8 @@ DRIFT_PPM = 1000
 class Offset(NamedTuple):
     """Offset of this process's clock from that of another process."""
 
-    ns: int  # estimate of the time on this clock minus that on the other clock
-    bound_ns: int  # bound of the error of ``ns``
+    ns: int  # estimate of the time on this clock minus that on the other clock, ns
+    bound_ns: int  # bound of the error of this estimate, ns
 
 
 class OtherClock:
@@ -97,7 +97,7 @@ class OtherClock:
 
 
 def _growth_ns(now_ns: int) -> int:
-    """Return by how much a minimum has grown since zero of this process's clock, ns."""
+    """Return the growth of a minimum since zero of this process's clock, ns."""
     return now_ns * DRIFT_PPM // 1_000_000
 
 
@@ -108,15 +108,15 @@ class _Member:
         self.process: int | None = None
         self.clock = OtherClock()
         self.stamps = SenderClock(fleet.age_max_s, PROOF_S, fleet.latency_max_s)
-        self.heard_ns = 0  # arrival of the newest message on this clock
+        self.heard_ns = 0  # arrival time of the newest message on this clock, ns
         self.claim_ns: int | None = None
         self.claim_s = math.nan
-        self.one_way_ns: int | None = None  # start of one-way reception; None: the member receives messages
+        self.one_way_ns: int | None = None  # start of one-way reception, ns; None: both directions work
         self.said_one_way = False
 
 
 class FleetWire:
-    """Connection of this vehicle to the other members; this class is the one of a vehicle without any."""
+    """Connection of this vehicle to the other members; this base class is for a vehicle without a fleet."""
 
     doubled = ""  # text about another process with this vehicle's id; empty: there is none
     topics: tuple[tuple[str, str], ...] = ()  # log topics of the messages, with their types
@@ -127,7 +127,7 @@ class FleetWire:
     def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
         """Set the clock of the ticks in real time; before this call no message is sent.
 
-        ``epoch_ns``: Unix time of zero of the stack clock; ``now_s``: reads the stack clock.
+        ``epoch_ns``: Unix time at zero of the stack clock, ns; ``now_s``: function that reads this clock, s.
         """
 
     def namesake(self) -> str:
@@ -244,7 +244,7 @@ class LiveStatuses(FleetWire):
     def _is_of_member(self, row: MemberStatusRow, now_ns: int) -> bool:
         """Whether a message comes from another member; of two processes with one id, the first is valid."""
         if row.id == self._fleet.id:
-            if row.process != self._process:  # the network may return messages of this process
+            if row.process != self._process:  # the network can return messages of this process
                 self._hear_namesake()
             return False
         member = self._members.get(row.id)
@@ -266,7 +266,7 @@ class LiveStatuses(FleetWire):
     def _taken(self, row: MemberStatusRow, now_s: float, now_ns: int) -> MemberStatus | None:
         """Convert a message to times of this clock; None: it is outdated, or its time is too uncertain."""
         member, fleet = self._members[row.id], self._fleet
-        # even in PROOF_S queued messages do not look like a clock step: the bound of the offset covers delays
+        # the short patience PROOF_S is safe: the bound of the offset covers the delays of queued messages
         reading = member.stamps.accept(row.stamp_ns / 1e9, now_ns / 1e9, PROOF_S)
         if reading is Reading.AHEAD or reading is Reading.UNUSABLE:
             self._reject(f"the clock of vehicle {row.id}, or of this one, has jumped")

@@ -30,7 +30,7 @@ class Person:
     _seen_s: float | None = None  # wall time at which ``left`` first detected the stop, s
 
     def left(self) -> bool:
-        """Whether ``LAND_SHOWN_MAX_S`` has passed since the process had to end; further ticks may use it."""
+        """Whether ``LAND_SHOWN_MAX_S`` has passed since the process had to end; until then ticks can run."""
         if not self.stop:
             return False
         now_s = time.monotonic()

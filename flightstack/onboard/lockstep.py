@@ -28,11 +28,11 @@ from flightstack.onboard.leaving import Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
 from logs.schema.controller_rows import pack_neighbours, status_row, unpack_neighbours
 
-CREDIT_EVERY = 10  # number of ticks between two credits, with which the target may continue
+CREDIT_EVERY = 10  # number of ticks between two credits (messages that allow the target to continue)
 WAIT_SLICE_S = 0.05  # wall time between two checks for signals during a wait, s
-FIRST_WAIT_MAX_S = 600.0  # longest wait for a first message, wall time, s; the sender may have to compile
+FIRST_WAIT_MAX_S = 600.0  # longest wall time of a wait for a first message, s; some senders compile first
 # wall time without a message of the simulated world after which it counts as dead, s: on a busy computer a
-# process may wait for the processor for many seconds, and the world waits for all onboard processes
+# process can wait for the processor for many seconds, and the world waits for all onboard processes
 WORLD_SILENT_S = 75.0
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys of messages from and to a member
 
@@ -43,7 +43,7 @@ class VehicleTicks(LinkedVehicle):
     def __init__(self, link: VehicleLink, rate_hz: int, stopped: Callable[[], bool] = lambda: True) -> None:
         super().__init__(link, lockstep=True)
         self._rate_hz, self._stopped = rate_hz, stopped
-        self._last_ns = -1  # simulated time of the newest request
+        self._last_ns = -1  # simulated time of the newest request, ns
         self._began_s: float | None = None  # wall time of the newest tick, s
 
     def passed(self, sim_ns: int) -> None:
@@ -131,7 +131,7 @@ class LockstepWires(VehicleTicks):
         return decoded(self._released, now_s)
 
     def landing_began(self, tick: int) -> None:
-        """Send the target the tick from which it may drive: the first one that it cannot have simulated."""
+        """Send the target the tick at which it starts to drive: the first that it cannot have simulated."""
         self._go_tick = tick + RUN_AHEAD_TICKS + 1
         self._give_credit(tick)
 
@@ -152,7 +152,7 @@ class LockstepWires(VehicleTicks):
 
 
 class LockstepStatuses(FleetWire):
-    """Fleet messages in lockstep: the other members receive a message in a later tick than it is sent.
+    """Fleet messages in lockstep: the other members receive each message in a tick after that of its sending.
 
     The vehicles' simulator receives the messages of all members and distributes them tick by tick, so that
     their order does not depend on wall time. No other process has this vehicle's id, because the launcher
@@ -172,7 +172,7 @@ class LockstepStatuses(FleetWire):
     def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
         """Wait for the messages of a tick, in bounded wall time.
 
-        The first tick has no messages; it waits for the simulator's subscription to this vehicle's messages.
+        The first tick has no messages: wait for the simulator's subscription to this vehicle's messages.
         """
         first, self._tick = self._tick is None, tick
 

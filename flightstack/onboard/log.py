@@ -29,10 +29,10 @@ from logs.schema.events import CONTROLLER, ONBOARD, pack_log
 from logs.schema.mavlink import MAVLINK_PEERS, PeerNames, pack_mavlink
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, HealthRow, LoopTimingRow
 
-STATUS_HZ = 20.0  # rate of the live topics for steps and timing
-HEALTH_HZ = 5.0  # rate of the live topic for the health
+STATUS_HZ = 20.0  # rate of the live topics for steps and timing, Hz
+HEALTH_HZ = 5.0  # rate of the live topic for the health, Hz
 BATTERY_AGE_MAX_S = 5.0  # maximum age of a battery voltage, s; SYS_STATUS arrives at least once a second
-STATE_HZ = 1.0  # rate of the recorded controller states, which a replay compares
+STATE_HZ = 1.0  # rate of the recorded controller states, which a replay compares, Hz
 TIMESYNC_ID = 111  # low byte of TIMESYNC's message id, at offset 7 of a MAVLink 2 frame
 
 
@@ -45,8 +45,8 @@ class OnboardLog:
     ) -> None:  # fmt: skip
         """Open the channels.
 
-        ``session``: of the live topics; ``names``: for channels, topics, metadata; ``of_fleet``: topics of
-        the fleet's messages, with their types.
+        ``session``: Zenoh session of the live topics; ``names``: names of channels, topics and metadata;
+        ``of_fleet``: topics of the fleet's messages, with their types.
         """
         self._feed, self._names, self._lockstep = feed, names, lockstep
 
@@ -78,7 +78,7 @@ class OnboardLog:
         self._peer_names = PeerNames(feed.metadata, names.record(MAVLINK_PEERS))
         self._asked = b""  # newest TIMESYNC request from the vehicle
         self._sequence = self._unix_ns = 0
-        self._flush_every = 10 if lockstep else 1  # ticks between flushes; 10: fewer wake-ups of the recorder
+        self._flush_every = 10 if lockstep else 1  # number of ticks between flushes; 10 wakes recorders less
         self._every, self._state_every, self._health_every = map(every, (STATUS_HZ, STATE_HZ, HEALTH_HZ))
         self._state_text = state_text(config)
         self._live_step = live("controller/step", "ControllerStep")

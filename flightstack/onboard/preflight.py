@@ -64,7 +64,7 @@ def lines(report: Report, *, every: bool = False) -> Iterator[str]:
 
 
 def verdict(report: Report) -> str | None:
-    """Return why the vehicle must not arm; None: it may arm."""
+    """Return why the vehicle must not arm; None: arming is permitted."""
     if report.problem is not None:
         return report.problem
     names = [finding.name for finding in report.blocking]

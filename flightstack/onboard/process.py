@@ -83,10 +83,10 @@ class Onboard(Leaving):
             self.feed, self.wires.session, self.names, config, self.fleet.topics, lockstep=lockstep
         )
         self.link.endpoint.tap = self.log.tap
-        # in lockstep no text may depend on wall time
+        # in lockstep the texts must not depend on wall time
         self.waiting = WaitReport(config, system_id, self.link, self.wires, searches=not lockstep)
         self._foreign_due, self.refusals = 1, Refusals()
-        self.cause = ""  # why the autopilot ended the flight; appended to the phase's reason
+        self.cause = ""  # reason why the autopilot ended the flight; it is appended to the phase's reason
         self.opened_s = time.monotonic()
 
     def write(self, tick: pacing.Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
@@ -247,7 +247,7 @@ def _fleet(
 
 
 def _preflight(onboard: Onboard) -> Ended | None:
-    """Return why the flight must not start (vehicle not ready, or id used twice); None: it may start."""
+    """Return why the flight must not start (vehicle not ready, or id used twice); None: it is permitted."""
     options, endpoint, senders = onboard.options, onboard.link.endpoint, onboard.link.senders
     wait_s = onboard.config.checks.wait_time_max_s
     if options.duration_s is not None:

@@ -25,7 +25,7 @@ from logs.schema import FLEET, Names
 
 LOG = "flight.mcap"
 _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
-_NO_NAME = re.compile(r"[^\w.=+@-]|\.\.")  # not used in folder names, since printed commands contain them
+_NO_NAME = re.compile(r"[^\w.=+@-]|\.\.")  # characters that folder names in printed commands must not have
 
 
 def new_folder(name: str) -> Path:

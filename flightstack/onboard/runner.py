@@ -93,14 +93,14 @@ class Wires(Protocol):
         """Send the outputs of the tick to the vehicle."""
 
     def landing_began(self, tick: int) -> None:
-        """Report the start of the landing; a simulated robot may drive from this tick."""
+        """Report the start of the landing; a simulated robot starts to drive then."""
 
     def ask(self, request: Request, now_s: float) -> None:
         """Request a mode from the vehicle without the controller."""
 
 
 class Runner:
-    """Runs the ticks of a flight; ``write`` logs each, with the wall time until its outputs were sent, s."""
+    """Runner of a flight's ticks; ``write`` logs each with the wall time until its outputs were sent, s."""
 
     def __init__(
         self, controller: Controller, wires: Wires, leaving: Leaving,
@@ -108,7 +108,7 @@ class Runner:
     ) -> None:  # fmt: skip
         self._controller, self._wires, self._leaving, self._write = controller, wires, leaving, write
         self._landing = False
-        self._now_s = 0.0  # time of the newest tick on the stack's clock
+        self._now_s = 0.0  # time of the newest tick on the stack's clock, s
 
     def fly(self, failed: Callable[[str], None]) -> Ended:
         """Fly until the flight is over or an error occurs, then release the vehicle.
@@ -124,7 +124,7 @@ class Runner:
                 ended = self.tick()
         except ClockStoppedError as error:
             ended, works = Ended(controller.memory.phase, str(error), 1), False
-        except BaseException as error:  # any exception: a library may even raise SystemExit
+        except BaseException as error:  # any exception: a library can even raise SystemExit
             reason = failed_in(controller.config.filter, error) or f"internal error: {error!r}"
             ended, works = Ended(controller.memory.phase, reason, 1), False
             with contextlib.suppress(Exception):
@@ -134,7 +134,7 @@ class Runner:
     def _leave(self, ended: Ended, *, works: bool) -> Ended:
         """Request the landing until the heartbeat confirms it; the reason states whether it did."""
         memory, began_s, self._leaving.leaves = self._controller.memory, time.monotonic(), True
-        arms = self._leaving.arms and not memory.was_armed  # arming may follow after this process has ended
+        arms = self._leaving.arms and not memory.was_armed  # arming can follow after this process has ended
         works = works and not arms
         while True:
             status, waited_s = self._wires.read().status, time.monotonic() - began_s
@@ -208,7 +208,7 @@ class LinkedVehicle:
 
     @property
     def reply(self) -> bytes:
-        """Frame of the last answer in lockstep, for a vehicle that repeats its request."""
+        """Frame of the last reply in lockstep, for a vehicle that repeats its request."""
         return bytes(self._reply.get_msgbuf() or b"") if self._reply is not None else b""
 
     def read(self) -> VehicleInputs:
@@ -216,7 +216,7 @@ class LinkedVehicle:
         link = self.link
         state, status = link.state, link.state.status
         if status is not None and status.ready_to_arm and link.senders.suspects:
-            status = replace(status, ready_to_arm=False)  # the status may come from a second vehicle
+            status = replace(status, ready_to_arm=False)  # the status possibly comes from a second vehicle
         return VehicleInputs(state.own, status, link.failed is not None, state.power)
 
     def ask(self, request: Request, now_s: float) -> None:
@@ -256,8 +256,8 @@ class LiveWires(LinkedVehicle):
     def samples(self, now_s: float) -> Arrived:
         """Return the samples that have arrived since the last call.
 
-        Samples of a tick in which the process stalled are dropped: they may have arrived after the tick
-        started, would reduce the minimum delay too much, and later samples would then count as too late.
+        Samples of a tick in which the process stalled are dropped. Some possibly arrived after the tick
+        started: they would reduce the minimum delay too much, and later samples would count as too late.
         """
         messages = self._source.poll()
         stall_s = self._pacer.now_s() - now_s

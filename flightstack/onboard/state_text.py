@@ -55,7 +55,7 @@ class StateText(Generic[T]):
 
 
 def state_text(config: FlightConfig) -> StateText[State]:
-    """Return the writer of the controller's state; a filter may have a state of its own."""
+    """Return the writer of the controller's state, which includes the state of the configured filter."""
     own = strategy_class(config.filter).State
     return StateText(State) if own is None else StateText(State, filter_state=own | None)
 

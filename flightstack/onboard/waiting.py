@@ -23,7 +23,7 @@ _FLYING = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
 _REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; less severe texts are not used as reasons
 _REASONS = 3  # maximum number of vehicle texts in one report
 _REASON_AGE_MAX_S = 15.0  # maximum age of a reason, s; PX4 and ArduPilot repeat it earlier
-_CAUSE_AGE_MAX_S = 5.0  # maximum age of a text that explains a disarm, s; two heartbeats (1 Hz) may be lost
+_CAUSE_AGE_MAX_S = 5.0  # maximum age of a text that explains a disarm, s; two heartbeats (1 Hz) can be lost
 _PROBLEMS = 2  # maximum number of texts about rejected samples in one report
 
 
@@ -88,8 +88,8 @@ class WaitReport:
         self._counted, self._refused, self._refused_samples = Counter[str](), Counter[str](), 0
         self._arrived = self._accepted = 0  # number of target samples: since the last report; in the flight
         self._heartbeats, self._states, self._samples = _Pace(), _Pace(), _Pace()
-        # newest texts of the vehicle that may be reasons, and newest ones of any severity, with their newest
-        # arrival time
+        # newest texts of the vehicle that can be reasons, and newest texts of any severity, each with its
+        # newest arrival time, s
         self._reasons: dict[str, float] = {}
         self._recent: dict[str, float] = {}
         self._refusals: deque[str] = deque(maxlen=_PROBLEMS)

@@ -2,7 +2,7 @@
 
 Samples can miss the worst point. This module bounds a function over any interval from above, with the exact
 ranges of its monotone pieces (``Shape``: slope and curvature). The interval with the largest bound is halved
-until no bound exceeds the largest computed value by more than ``TOLERANCE``. Intervals may be unbounded.
+until no bound exceeds the largest computed value by more than ``TOLERANCE``. Intervals can be unbounded.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ROUNDING = 1e-12  # assumed relative rounding error; that of a dozen operations 
 
 
 class Span(NamedTuple):
-    """Closed interval; ``high`` may be infinite."""
+    """Closed interval; ``high`` can be infinite."""
 
     low: float
     high: float
@@ -74,11 +74,11 @@ def most(function: Callable[[Span], float], domain: Span, likely: tuple[float, .
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Boundary of the safe set, with a margin that may have any value of a range."""
+    """Boundary of the safe set, with a margin of any value in a range."""
 
     barrier: Barrier  # the paper's boundary
-    margin_m: Span  # smallest and largest margin far from the pad
-    fade_radius_m: float  # radius w within which the margin fades
+    margin_m: Span  # smallest and largest margin far from the pad, m
+    fade_radius_m: float  # radius w within which the margin fades, m
 
     def slope(self, d: Span) -> Span:
         """Return the range of the boundary's slope over distances ``d``, m."""
@@ -104,8 +104,8 @@ class Shape:
     def turn_1_m(self, d: Span) -> float:
         """Return the largest curvature for a tangential motion, slope/d, 1/m.
 
-        This is the largest value over the distances ``d``; it is never below 0.
-        If b'/d and f'/d are positive, they fall with d, so they are largest at the near end.
+        This is the largest value over the distances ``d``; it is never below 0. If the slopes b' (boundary)
+        and f' (fading factor of the margin) are positive, b'/d and f'/d are largest at the near end.
         """
         near = d.low
         if near <= 0.0:

@@ -24,7 +24,7 @@ from flightstack.verify.types import Check, Need
 
 
 def problems(config: FlightConfig) -> list[str]:
-    """Return the reasons why this configuration must not fly; empty if it may fly."""
+    """Return the reasons why this configuration must not fly; empty if a flight is allowed."""
     return [check.text for check in checks(config) if check.need is Need.FLIGHT and not check.proven]
 
 

@@ -9,7 +9,7 @@ from flightstack.core.parameters.reserve import GRAVITY_M_S2
 from flightstack.verify.types import PROOF, Check
 
 STEADY_ERROR = 0.25  # ratio of tolerated velocity error, including gusts, to full speed
-FALL_MAX_M_S = 1.0  # allowed fall speed, m/s: twice the landing speed; landing gears withstand it
+FALL_MAX_M_S = 1.0  # allowed fall speed, m/s: twice the landing speed; landing gear withstands this speed
 
 
 def reaches_touchdown(config: FlightConfig) -> Check:

@@ -23,19 +23,19 @@ class Extremes:
     barrier: Barrier  # the paper's barrier
     shape: Shape  # boundary; the margin ranges from that of ``usual`` to that of a target at the age limit
     usual: Shape  # boundary with the margin that applies while all samples of the target arrive
-    pad_radius_m: float  # radius outside which the barrier must hold
-    box_speed_m_s: float  # largest approach speed: diagonal of the velocity box plus fastest target
-    target_speed_m_s: float  # horizontal speed of the target, also relative to a hovering vehicle
-    target_climb_m_s: float  # vertical speed of the pad
-    target_acceleration_m_s2: float  # horizontal acceleration of the target
-    heave_acceleration_m_s2: float  # vertical acceleration of the target; 0 without heave
-    slip_m_s: float  # horizontal speed relative to the target while the vehicle follows it
-    position_error_m: float  # horizontal error of the relative position, sigma_factor deviations
-    height_error_m: float  # vertical error of the relative position, sigma_factor deviations
-    growth_m: float  # growth of the margin between two samples of the target
-    velocity_error_m_s: float  # error of the relative velocity on each axis, sigma_factor deviations
-    lag_xy_s: float  # horizontal lag of the slowest vehicle
-    lag_z_s: float  # vertical lag of the slowest vehicle
+    pad_radius_m: float  # radius outside which the barrier must hold, m
+    box_speed_m_s: float  # largest approach speed, m/s: diagonal of the velocity box plus the target's speed
+    target_speed_m_s: float  # horizontal speed of the target, also relative to a hovering vehicle, m/s
+    target_climb_m_s: float  # vertical speed of the pad, m/s
+    target_acceleration_m_s2: float  # horizontal acceleration of the target, m/s^2
+    heave_acceleration_m_s2: float  # vertical acceleration of the target, m/s^2; 0 without heave
+    slip_m_s: float  # horizontal speed relative to the target while the vehicle follows it, m/s
+    position_error_m: float  # horizontal error of the relative position, m: sigma_factor deviations
+    height_error_m: float  # vertical error of the relative position, m: sigma_factor deviations
+    growth_m: float  # growth of the margin between two samples of the target, m
+    velocity_error_m_s: float  # error of the relative velocity on each axis, m/s: sigma_factor deviations
+    lag_xy_s: float  # horizontal lag of the slowest vehicle, s
+    lag_z_s: float  # vertical lag of the slowest vehicle, s
 
 
 def extremes(config: FlightConfig) -> Extremes:
@@ -73,9 +73,10 @@ def extremes(config: FlightConfig) -> Extremes:
 
 
 def _own_velocity_sigma_m_s(config: FlightConfig) -> float:
-    """Return the noise of a vehicle velocity whose error is estimated without the velocity loop's model.
+    """Return the noise of a velocity whose error is estimated without the velocity loop's model, m/s.
 
-    White noise of the positions passes s w^2 / (s + w)^2, w = 1 / T: the variance is noise^2 period w^3 / 4.
+    From white noise of positions, s w^2 / (s + w)^2 with w = 1 / ``velocity_error_time_s`` makes a velocity
+    noise with the variance noise^2 period w^3 / 4.
     """
     own = config.own
     if not own.learns or config.velocity_feedback.horizontal:

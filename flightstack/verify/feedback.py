@@ -2,9 +2,9 @@
 
 docs/how_it_works/robust_filter.md, *Velocity feedback*, derives both bounds and gives the measurements behind
 the limits. ``linear`` is the loop x' = A x, with the delay as a first-order Padé element; A depends linearly
-on the vehicle through W = w^2 and D = 2 z w. ``follow_m`` bounds the distance from the pad's centre of a
-vehicle that follows its target. An interval of the lag spread without a proof, or with a large bound, is
-halved.
+on the vehicle through W = w^2 and D = 2 z w (w: natural frequency, z: damping). ``follow_m`` bounds the
+distance between the pad's centre and a vehicle that follows its target. An interval of the lag spread
+without a proof, or with a large bound, is halved.
 """
 
 from __future__ import annotations
@@ -160,8 +160,8 @@ def _bandwidth(config: FlightConfig) -> float:
 
 
 STEP_S = 3e-3  # step of the impulse responses, s; their values between two steps are bounded
-DOUBLINGS = (11, 14)  # least and most doublings: responses of 6 s to 49 s; the remainder is bounded
-SLACK = 0.03  # largest fraction of a result that vehicles beside the interval's centre may cause
+DOUBLINGS = (11, 14)  # smallest and largest number of doublings: responses of 6 to 49 s; the rest is bounded
+SLACK = 0.03  # largest fraction of a result that the vehicles beside the interval's centre can add
 FOLLOW_PIECE_MIN = 1e-4  # smallest width of an interval of lag factors
 _POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # state indices of ``linear``
 _TARGET, _ERROR, _OTHER = range(3)  # indices of the loop's inputs
@@ -213,7 +213,7 @@ def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tupl
 def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
     """Return input columns, output rows, and the direct feed-through from inputs to outputs.
 
-    The smoothed derivative s' = (r' - s) / T contains q', which has no bound: the state is s - q / T.
+    In s' = (r' - s) / T the error q of the command r has an unbounded derivative: the state is s - q / T.
     """
     loop, feedback = config.velocity_loop, config.velocity_feedback
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
@@ -235,8 +235,8 @@ def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
 def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
     """Return the integrals of absolute impulse responses, outputs x inputs; None for an unstable loop.
 
-    Between two steps the integral differs from that of the straight line by at most h^3 / 12 times the second
-    derivative. After the last step, the remaining state starts the response again.
+    Between two steps of length h the integral differs from that of the straight line by at most h^3 / 12
+    times the second derivative. After the last step, the remaining state starts the response again.
     """
     bend = np.abs(outputs @ loop @ loop) @ matrix_exp(np.abs(loop) * STEP_S)
     powers = np.eye(len(loop))[np.newaxis]

@@ -5,9 +5,9 @@ Some velocity must satisfy the landing barrier, the velocity limits (box) and th
 
     g . u >= |g| w + a t - rate h,
 
-where w is the neighbour's speed and a t the growth rate of its ellipsoid at the largest latency; this vehicle
-has the whole share, and the neighbour flies straight to it. g is a unit vector whose vertical part is
-multiplied by k = radius_xy / radius_z. Of the box the checks use the horizontal disc, without slew limit.
+where w is the neighbour's speed, a t its ellipsoid's growth rate at the largest latency, rate = rate_1_s;
+this vehicle has the whole share, and the neighbour flies straight to it. g is a unit vector whose vertical
+part is multiplied by k = radius_xy / radius_z. The checks use the box's horizontal disc, without slew limit.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def _is_robust(config: FlightConfig) -> bool:
 def errors_m(config: FlightConfig) -> float:
     """Return the largest loss of h through velocity errors of two vehicles towards each other, m.
 
-    h' >= -rate h - e keeps h above -e / rate. ``robust.tracking_error_m_s`` is declared for the vertical
-    velocity; this check applies it in each direction.
+    An error e in h' >= -rate h - e keeps h above -e / rate. ``robust.tracking_error_m_s`` is declared for the
+    vertical velocity; this check applies this error in each direction.
     """
     fleet = config.fleet
     return 2.0 * max(1.0, fleet.flat) * config.robust.tracking_error_m_s / fleet.rate_1_s
@@ -98,7 +98,7 @@ def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
     spare_s = (HOLD_LATENCIES - ZERO_LATENCIES) * fleet.latency_max_s
     needed_s = (1.0 + LATE_TICKS) * (1.0 / config.loop.rate_hz)
     corner_m_s, found_m_s2 = math.hypot(vx, vy, vz), math.hypot(*slew_m_s2)
-    # largest rate at which this vehicle can reduce the distance, along any gradient
+    # largest rate at which this vehicle can reduce h, along any gradient, m/s
     own_m_s = math.sqrt(vx * vx + vy * vy + (fleet.flat * vz) ** 2)
     allowed_m_s = fleet.rate_1_s * (fleet.reach_m - fleet.radius_xy_m)
     closing_m_s = own_m_s + fleet.speed_max_m_s
@@ -173,7 +173,7 @@ def _landings(config: FlightConfig, descent_s: float, landing_s: float) -> list[
     """Return the checks of simultaneous touchdowns and of the wait for the right of way."""
     fleet, target_m_s = config.fleet, config.touchdown.target_speed_max_m_s
     ahead_s = fleet.age_max_s + descent_s  # horizon of the conflict check, s: message age plus descent
-    closer_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time in which pads may approach each other
+    closer_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time in which pads can come nearer, s
     accelerated_m = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
     moved_m = min(accelerated_m + target_m_s * closer_s, 2.0 * target_m_s * ahead_s)
     needed_m = fleet.radius_xy_m + 2.0 * config.touchdown.pad_radius_m + 2.0 * moved_m
@@ -216,9 +216,9 @@ def anywhere_m(config: FlightConfig) -> float:
 
 
 def up_the_slope_m_s(config: FlightConfig, slope: float, climb_m_s: float) -> float:
-    """Return the horizontal speed that remains for motion up the steepest slope of the boundary.
+    """Return the horizontal speed that remains for motion up the boundary's steepest slope, m/s.
 
-    The landing barrier at h = 0 needs (speed + w_pad) slope + the pad's climb, up to the climb of the box.
+    The landing barrier needs a climb, within the box, of (this speed + the pad's speed) slope + pad's climb.
     """
     vx, vy, vz = config.limits.velocity_max_m_s
     if slope <= 0.0:
@@ -227,7 +227,7 @@ def up_the_slope_m_s(config: FlightConfig, slope: float, climb_m_s: float) -> fl
 
 
 def one_short_m_s(config: FlightConfig, aside_m_s: float, lowest: float) -> Most:
-    """Return the largest violation of one neighbour's constraint at h = 0, and the elevation of its g (rad).
+    """Return the largest violation of one neighbour's constraint at h = 0, m/s, and the elevation of g, rad.
 
     ``aside_m_s``: largest horizontal speed of evasion; ``lowest``: smallest elevation of g; -pi / 2 is a
     neighbour directly above a vehicle that has to climb.
@@ -252,7 +252,7 @@ def _common_points(config: FlightConfig, slope: float, climb_m_s: float) -> list
     from_m, reach_m = anywhere_m(config), fleet.reach_m - fleet.radius_xy_m
     short_m_s, elevation = one_short_m_s(config, up_the_slope_m_s(config, slope, climb_m_s), -math.pi / 2.0)
     open_m_s, _ = one_short_m_s(config, min(vx, vy), 0.0)
-    # speed that is needed far from the landing barrier, between two neighbours
+    # speed that is needed far from the landing barrier, between two neighbours, m/s
     opposite_m_s = max(1.0, fleet.flat) * speed_m_s + fleet.growth_m_s
     return [
         Check(

@@ -79,7 +79,7 @@ def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: fl
 
 
 def drift_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
-    """Return the largest distance of a vehicle from the pad's centre, m, and its lag over the declared lag.
+    """Return a vehicle's largest distance from the pad's centre, m, and its lag divided by the declared one.
 
     The distance, within a time after the final descent starts, is the free motion from the largest distance
     and speed at the start, plus the bounds of the target's acceleration and the velocity command's error

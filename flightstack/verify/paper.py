@@ -1,10 +1,10 @@
 """Checks of eq. 11 that any filter needs: some velocity in the box always satisfies the barrier.
 
-At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box raises h
-by ``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target lowers h by ``|s| w + w_z``. The difference must
-not be negative at any distance and in any direction; it is smallest along the slower axis of the box. Near
-the apex (d = 0) the smoothing factor makes the filter's gradient smaller than s. The difference is linear in
-|s|, and the check at the peak includes s = 0. Therefore the bound also holds at the apex.
+At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box (limits
+v) raises h by ``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target (speed w, climb w_z) lowers h by
+``|s| w + w_z``. The difference must not be negative at any distance and in any direction; it is smallest
+along the slower axis of the box. Near the apex (d = 0) the smoothing makes the filter's gradient smaller than
+s. The difference is linear in |s|, and the check at the peak includes s = 0: it also bounds the apex.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def basics(
 
 
 def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
-    """Return the check that a tick is short compared with the time in which h may fall."""
+    """Return the check that a tick is short compared with the time constant of the fastest decay of h."""
     most_1_s = 0.5 * config.loop.rate_hz
     return Check(f"sampling, {key}", "a tick is short compared with the rate at which h may fall",
                  most_1_s - rate_1_s, "1/s",

@@ -29,10 +29,10 @@ def demand(x: Extremes, slope: Span) -> float:
 
 
 def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign: float = 1.0) -> float:
-    """Return how fast ``demand`` can rise (sign 1) or fall (sign -1) as the vehicle moves, m/s^2."""
+    """Return the fastest rise (sign 1) or fall (sign -1) of ``demand`` as the vehicle moves, m/s^2."""
     slope, bend = shape.slope(d), shape.curvature_1_m(d)
     ax, ay, _ = config.slew_max_m_s2
-    # the inward speed may be high; it reduces the demand
+    # a high inward speed is possible; it reduces the demand
     inside = x.slip_m_s if sign > 0.0 else x.box_speed_m_s
     speed = x.box_speed_m_s if slope.low < 0.0 else inside
     pushed = math.hypot(ax, ay) + x.target_acceleration_m_s2
@@ -53,8 +53,8 @@ def outside(x: Extremes, function: Callable[[Span], float]) -> Most:
 def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
     """Return the largest loss of h because the barrier condition is enforced only at ticks, m.
 
-    The worst course of the demand is a saw-tooth of its fastest growth g and its fastest fall. The loss is
-    then g T / (2 r) (1 - exp(-r t_up)) / (1 - exp(-r (t_up + t_down))).
+    The worst course of the demand is a saw-tooth: fastest growth g for t_up, then fastest fall for t_down.
+    With period T and r = rate_1_s the loss is g T / (2 r) (1 - exp(-r t_up)) / (1 - exp(-r (t_up + t_down))).
     """
     rate_1_s, period_s = config.robust.rate_1_s, 1.0 / config.loop.rate_hz
     growth = outside(x, lambda d: demand_change(config, x, x.usual, d)).bound

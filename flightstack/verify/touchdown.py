@@ -161,8 +161,8 @@ def over_pad(config: FlightConfig, x: Extremes) -> list[Check]:
 def _tilts(config: FlightConfig, x: Extremes) -> Check:
     """Check that the bound of the set-point allows the required acceleration.
 
-    docs/how_it_works/robust_filter.md, *Limits of the lead*, derives the required acceleration A. A
-    vehicle that accelerates to the speed v lags v / (2 A) - v / (2 a) longer; a is the slew limit.
+    docs/how_it_works/robust_filter.md, *Limits of the lead*, derives the required acceleration A. The lag of
+    a vehicle that accelerates to the speed v is longer by v / (2 A) - v / (2 a), where a is the slew limit.
     """
     loop, (ax, ay, _) = config.velocity_loop, config.slew_max_m_s2
     speed, slew = max(config.limits.velocity_max_m_s[:2]), min(ax, ay)

@@ -46,5 +46,5 @@ class Check:
 
     @property
     def text(self) -> str:
-        """Return the check as one line of an error message."""
+        """The check as one line of an error message."""
         return f"{self.name}: {self.worst}; short by {-self.room:.3g} {self.unit}: {self.remedy}"

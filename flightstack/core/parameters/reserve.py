@@ -1,8 +1,7 @@
 """Thrust reserve of the vehicle, computed from the battery voltage, and the use of this reserve.
 
 The reserve is the largest thrust divided by the weight. Thrust grows with (throttle x voltage)^p, so the
-throttle t of level flight grows as the voltage falls. At constant voltage the largest thrust is r times the
-weight, with
+throttle t of level flight grows as the voltage falls. At constant voltage the reserve is
 
     r = (throttle_max / t)^p,    t = hover_throttle hover_voltage_v / voltage
 

@@ -5,9 +5,8 @@ last, in time, and reachable from the last one. Rejected samples are counted.
 
 A velocity that contradicts the positions, such as a twist in the wrong frame or a heading that is wrong by
 half a turn, is detected over some samples. Position minus integrated velocity, summed with decay, is only
-noise; above the limit ``checks.target_drift_max_m`` the target is distrusted until the sum is below half of
-the limit. After the second contradiction in a flight the target remains distrusted, because a target at rest
-shows none.
+noise; above the limit ``checks.target_drift_max_m`` the target is distrusted until the sum is below half the
+limit. After the second contradiction the target remains distrusted, since a target at rest shows none.
 """
 
 from __future__ import annotations
