@@ -29,7 +29,7 @@ BLOCK_S = 1.0  # duration for which differences count as correlated, s
 SEGMENT_MIN_S = 1.5  # minimum length of a segment, s; shorter ones depend mostly on their initial state
 TIME_MIN_S = 3.0  # minimum total length of all segments, s
 EXCITATION_MIN_M_S = 0.04  # minimum standard deviation of the high-passed command, m/s
-EXPLAINED_MIN = 0.6  # minimum fraction of the variance of the velocity that the model must explain
+EXPLAINED_MIN = 0.6  # minimum fraction of the velocity's variance that the model must explain
 ERROR_MAX = 0.2  # largest accepted relative standard error of the lag
 START = (1.0, 6.0, 0.7, 0.02)  # start values of the fit: gain, rate in 1/s, damping, dead time in s
 LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.6)  # bounds of the fit, in the same order
@@ -51,7 +51,7 @@ class Loop(NamedTuple):
     rate_1_s: float
     damping: float
     dead_time_s: float
-    lag_s: float  # 2 damping / rate + dead time: group delay at low frequency
+    lag_s: float  # group delay at low frequency, s: 2 damping / rate + dead time
     errors: tuple[float, ...]
     explained: float  # fraction of the velocity's variance that the model explains
     time_s: float  # total length of the compared segments, s
@@ -158,7 +158,7 @@ class Link(NamedTuple):
 
     rate_hz: float
     loss: float  # fraction of missing samples
-    delay_spread_s: float  # 95th percentile of the delay minus its minimum
+    delay_spread_s: float  # 95th percentile of the delay minus the smallest delay, s
     delay_s: float | None  # minimum delay; None: it is not between 0 and 0.5 s, so the clocks differ
     position_noise_m: float  # standard deviation of the position noise on each axis, m
     velocity_noise_m_s: float

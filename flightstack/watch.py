@@ -28,7 +28,7 @@ _TIMINGS = 20  # number of stored loop timings (one second), for the mean period
 _ENUMS: Mapping[str, type[IntEnum]] = {
     "phase": Phase, "filter_status": FilterStatus, "mode": Mode, "landed": Landed,
 }  # fmt: skip
-_RING = 8  # maximum number of samples of a key that are stored between two polls
+_RING = 8  # maximum number of samples that are stored for a key between two polls
 REFRESH_HZ = 8.0
 _STYLE: Mapping[int, str] = {
     Phase.WAIT: "dim",

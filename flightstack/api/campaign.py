@@ -1,4 +1,4 @@
-"""Campaigns: many landings with different seeds on all cores, of one scenario or a grid of its keys."""
+"""Campaigns: many landings with different seeds on all cores, in one scenario or over a grid of its keys."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Sweep:
         return frame([at | _values(row) for at, flown in self._named() for row in flown.rows])
 
     def rates(self) -> list[dict[str, Any]]:
-        """Return for each point: values by key, number of runs, fractions of landings and of violations."""
+        """Return for each point: values by key, number of runs, fractions with landing and violation."""
         return [
             at
             | {
@@ -116,7 +116,7 @@ class Sweep:
         return "\n".join(("Sweep(", *lines, ")"))
 
     def plot(self) -> go.Figure:
-        """Return a figure of the fractions of landings and of barrier violations against the first key.
+        """Return a figure that shows, against the first key, the fractions of landings and violations.
 
         Each combination of the other keys has its own line.
 

@@ -44,9 +44,9 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
 
     The stack flies take-off, touchdown, go-around and aborts itself, between two steps or in the last one.
 
-    Observation, (13,), SI, ENU: position of the vehicle minus landing spot (3), velocity of the vehicle minus
-    that of the landing spot (3), velocity of the landing spot (3), value h of the paper's barrier (1),
-    velocity command of the last tick (3); positions and h in m, velocities in m/s, from the estimated states.
+    Observation, (13,), SI, ENU: vehicle's position minus landing spot (3), vehicle's velocity minus landing
+    spot's velocity (3), landing spot's velocity (3), value h of the paper's barrier (1), velocity command of
+    the last tick (3); positions and h in m, velocities in m/s, from the estimated states.
 
     Action, (3,): nominal velocity of the vehicle, m/s ENU, within ``limits.velocity_max_m_s``. The stack
     limits the velocity and its rate of change and, with a ``filter``, enforces the barrier. The robust filter
@@ -155,7 +155,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     def builtin_action(self) -> np.ndarray:
         """Return the nominal velocity that the stack itself would choose in this tick, m/s ENU, (3,).
 
-        The velocity may exceed the action space. If each step uses it, the flight equals that of ``fs.land``.
+        The velocity can exceed the action space. If each step uses it, the flight equals that of ``fs.land``.
         """
         return np.array(self._builtin)
 

@@ -137,7 +137,7 @@ class Verbs(click.Group):
         except click.exceptions.Exit:
             raise
         except (hangup.CalledOffError, Exception) as error:
-            called_off = hangup.called_off()  # a loading library may have converted the signal to an error
+            called_off = hangup.called_off()  # a loading library can have converted the signal to an error
             hidden = _hidden(error)
             known = isinstance(error, (ConfigError, ValueError, OSError, LaunchError))
             if called_off is None and hidden is None and not known:

@@ -1,8 +1,8 @@
 """Signals that end a process (at its start, in flight, at a closed terminal), and its standard streams.
 
-The reader of the output may end (``| head``, a closed terminal) or stop reading, the disk may be full, and
-the streams may be closed at the start. Then output is lost without an exception, because a library could
-convert an exception to an exit. No other file gets the descriptor of a standard stream.
+If the reader of the output ends (``| head``, a closed terminal) or stops reading, the disk is full, or the
+streams are closed at the start, output is lost without an exception, because a library could convert an
+exception to an exit. No other file gets the descriptor of a standard stream.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def handle(handlers: Mapping[signal.Signals, Callable[[], object]]) -> None:
             signal.signal(number, lambda *_, run=handler: run())
 
 
-# errors of a stream whose reader has ended: they are permanent; others (ENOSPC) may be temporary
+# errors of a stream whose reader has ended: they are permanent; others (ENOSPC) can be temporary
 _GONE = (errno.EPIPE, errno.EIO, errno.EBADF)
 _PART = select.PIPE_BUF  # number of bytes that a pipe accepts without blocking once ``select`` reports it
 _NUMBERS = {"stdout": 1, "stderr": 2}

@@ -62,7 +62,7 @@ class Declared(NamedTuple):
     name: str  # name of the field or argument
     option: Option
     type: type  # type of one value
-    many: bool  # whether the option may be given several times
+    many: bool  # whether the option can be given several times
     number: int  # number of values that follow the option each time
     default: Any  # default; MISSING: the option is required
 

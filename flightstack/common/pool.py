@@ -113,7 +113,7 @@ def in_processes(
 ) -> Iterator[R]:  # fmt: skip
     """Yield the results of ``work`` as they arrive, in any order, from ``number`` processes.
 
-    If a worker dies or hangs, each submitted item may be the cause. These items are submitted again, one at
+    If a worker dies or hangs, each submitted item can be the cause. These items are submitted again, one at
     a time; ``failed`` makes the result of an item that then again ends its worker, or takes longer than
     ``limit_s``. Raises WorkersError: no worker starts.
     """

@@ -38,10 +38,10 @@ _TIE = (
     "os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
 )
 END_TIME_MAX_S = 10.0  # time from SIGTERM to SIGKILL of a child, s
-CLOSE_TIME_MAX_S = 60.0  # maximum time for the recorder to end, s; it may write to a slow disk
+CLOSE_TIME_MAX_S = 60.0  # maximum time for the recorder to end, s; its disk can be slow
 
 
-_SOCKET_PATH_MAX = 107  # maximum length of the path of a Unix socket, bytes (unix(7))
+_SOCKET_PATH_MAX = 107  # maximum length of a Unix socket's path, bytes (unix(7))
 
 
 class LaunchError(RuntimeError):
@@ -220,7 +220,7 @@ def hand_on_niceness(pid: int) -> None:
 class Forked(ForkProcess):
     """Forked process with those methods of ``subprocess.Popen`` that this package uses.
 
-    It has its own session, signal handlers, standard streams and files, and ends like a Python program.
+    The process has its own session, signal handlers, standard streams and files; it ends like any program.
     """
 
     def __init__(self, name: str, run: Callable[[], object], errors: IO[bytes]) -> None:
@@ -279,7 +279,7 @@ def leave_parent(output: int, errors: int) -> None:
     hand_on_niceness(os.getpid())
     forget_handlers()
     streams = os.open(os.devnull, os.O_RDONLY), output, errors
-    # if the parent had no standard streams, these descriptors may have the numbers 0 to 2
+    # if the parent had no standard streams, these descriptors can have the numbers 0 to 2
     above = [fcntl.fcntl(number, fcntl.F_DUPFD, _LAST_STREAM + 1) for number in streams]
     for place, number in enumerate(above):
         os.dup2(number, place)

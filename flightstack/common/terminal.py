@@ -34,7 +34,7 @@ class Terminal(Console):
 class Bar:
     """Progress bar for a known number of results; it shows nothing if the output is not a terminal.
 
-    It is drawn when a result arrives, not by a thread: a process with threads cannot fork its workers.
+    The bar is drawn when a result arrives, not by a thread: a process with threads cannot fork its workers.
     """
 
     def __init__(self, console: Console, title: str, total: int | None) -> None:
@@ -56,7 +56,7 @@ class Bar:
 
     def done(self, *kinds: str) -> None:
         """Count one result; each of its ``kinds`` has a counter of its own."""
-        hangup.begun()  # a library may have suppressed the exception of a signal
+        hangup.begun()  # a library can have suppressed the exception of a signal
         self._counts.update(kinds)
         counts = "  ".join(f"{number} {name}" for name, number in sorted(self._counts.items()))
         self._progress.update(self._task, advance=1, counts=counts)

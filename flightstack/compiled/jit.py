@@ -70,7 +70,7 @@ def cache_directory() -> Path | None:
 
 
 def _roots() -> Iterator[Path]:
-    """Yield the folders that may have machine code, the preferred first; the last is made only if needed."""
+    """Yield the folders for machine code, the preferred one first; the last one is made only if needed."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         yield Path(chosen)
     yield HERE / "__pycache__"
@@ -79,7 +79,7 @@ def _roots() -> Iterator[Path]:
         folder = Path(tempfile.gettempdir()) / f"flightstack-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
-        # only this user may be able to write the folder, because its files are executed
+        # no other user must be able to write to the folder, because its files are executed
         if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077:
             yield folder
 
@@ -140,7 +140,7 @@ def compiling(what: str, about: str) -> Iterator[bool]:
     _say("compiled")
     folder = cache_directory()
     if folder is not None:
-        with contextlib.suppress(OSError):  # the disk may be full
+        with contextlib.suppress(OSError):  # the disk is possibly full
             (folder / what).touch()
 
 
@@ -170,7 +170,7 @@ def at_once(here: Callable[[], object], apart: Callable[[], object]) -> None:
 
 
 def _say(text: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # standard error may be closed
+    with contextlib.suppress(OSError, ValueError):  # standard error is possibly closed
         print(f"flightstack: {text}", file=sys.stderr, flush=True)
 
 
@@ -178,7 +178,7 @@ def _say(text: str) -> None:
 def load_numba() -> Any:
     """Return numba, loaded without optional imports that this package does not use.
 
-    This saves half a second (a sixth) of the load time, and another half second with the first machine code.
+    Their absence saves 0.5 s (a sixth) of the load time, and another 0.5 s with the first machine code.
     Without scipy.linalg compiled code cannot multiply matrices.
     """
     absent = [name for name in _NEEDLESS if name not in sys.modules]

@@ -39,7 +39,7 @@ from flightstack.core.numeric import MARKED, RARE, STAND_INS, NotOrdinary, scope
 class Objects:
     """An object, and all objects that its fields refer to, in memory that compiled code can use.
 
-    It represents the object when it is passed to compiled code as an argument.
+    Compiled code that receives an ``Objects`` as argument works on its first object.
     """
 
     def __init__(self, root: object) -> None:
@@ -212,7 +212,7 @@ else:
             return one.type_of(name)
 
     def _place(context: Any, builder: Any, one: Held, address: Any, name: str) -> Any:
-        """Return a pointer to a field; a boolean uses the first byte of its word, and the others are zero."""
+        """Return a pointer to a field; a boolean uses the first of its 8 bytes, and the others are zero."""
         place = cgutils.pointer_add(builder, address, WORD * fields_of(one.cls)[name][1])
         return builder.bitcast(place, context.get_data_type(one.type_of(name)).as_pointer())
 

@@ -85,7 +85,7 @@ class TrackMemory(ClockMemory):
     distrusted: bool = False  # whether positions and velocity contradict each other
     distrusts: int = 0  # number of times in this flight that positions contradicted the velocity
     parted_m: float = 0.0  # largest smoothed drift since the target was distrusted, m
-    settled: bool = False  # whether the flight has started: the target's position may no longer jump
+    settled: bool = False  # whether the flight has started: jumps of the target are no longer accepted
     accepted: int = 0
     rejected: int = 0
     refusal: str = ""  # reason why the newest sample was rejected; empty if it was accepted
@@ -122,7 +122,7 @@ class TrackingMemory:
 
 @dataclass(slots=True)
 class PlausibilityMemory:
-    """State of the plausibility checks of vehicle state and set-points."""
+    """State of the plausibility checks on vehicle state and set-points."""
 
     last: OwnState | None = None  # newest vehicle state that is a new measurement
     moved_s: float = 0.0  # arrival time of the newest state that has a new position or is not in flight, s
@@ -133,7 +133,7 @@ class PlausibilityMemory:
 
 @dataclass(slots=True)
 class ReserveMemory:
-    """State of the estimate of the thrust reserve."""
+    """State of the thrust reserve's estimate."""
 
     effort: float = nan  # smoothed vertical part of (throttle / maximum)^p; NaN before the first sample
     rise_m_s: float = 0.0  # vertical velocity, smoothed like ``effort``, m/s
@@ -148,7 +148,7 @@ AT_REST: AxisState = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(slots=True)
 class OwnMemory:
-    """State of the estimator of the vehicle state."""
+    """State of the estimator that computes the vehicle state."""
 
     time_s: float = nan  # time of the newest sample on the vehicle's clock; NaN before the first
     x: AxisState = AT_REST  # state of the x axis at ``time_s``, like y and z below

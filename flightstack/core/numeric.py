@@ -1,6 +1,6 @@
 """Support for functions of the core that are also compiled; both forms agree to the last bit.
 
-A compiled function takes and returns numbers, tuples of numbers, and objects of the core. It calls functions
+Compiled functions take and return numbers, tuples of numbers, and objects of the core. They call functions
 of this project, ``exp``, ``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. In
 these and in + - * / compiled code equals Python to the last bit; the results of ``math.hypot``,
 ``math.remainder`` and ``**`` can differ.

@@ -9,7 +9,7 @@ follows the messages by these rules:
 * a stamp too far ahead, or older than the newest one, is rejected. If rejected messages agree with each
   other for ``proof_s`` and none was accepted meanwhile, the sender's clock was set or restarted: the minimum
   of these messages is adopted;
-* late messages may come from a queue, which looks like a clock that was set back in a pause. No queue keeps
+* late messages can come from a queue, which looks like a clock that was set back in a pause. No queue keeps
   its length for a long time, so late messages must agree for ``patience_s``.
 
 One-way stamps cannot distinguish a delay that grows slower than ``FORGETS`` from a slow clock.
@@ -24,7 +24,7 @@ from typing import Self
 from flightstack.core.memory import ClockMemory
 from flightstack.core.numeric import rare
 
-FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators may run 3 % slow
+FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators can run 3 % slow
 HOLDS_S = 1.0  # time in which at least one message is assumed to have a short delay, s
 FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the fastest slew of a Linux clock
 ELAPSED_MAX_S = 1.0  # longest part of a pause between messages in which a minimum rises, s

@@ -1,1 +1,1 @@
-"""Start and supervision of the processes of one flight, and its printed result."""
+"""Start and supervision of the processes in one flight, and its printed result."""

@@ -66,7 +66,7 @@ class Run(NamedTuple):
 class Flying:
     """Started vehicles of a run."""
 
-    options: Sequence[Mapping[str, Any]]  # options of the onboard process of each vehicle
+    options: Sequence[Mapping[str, Any]]  # options of each vehicle's onboard process
     teller: Child | None = None  # process that prints a line when a vehicle arms or disarms
     # options with which robot and onboard process follow the vehicle's clock; empty: option --speed applies
     clock: Mapping[str, Any] = field(default_factory=dict)

@@ -13,9 +13,9 @@ With d = this clock - other clock at one moment:
     arrival here  - stamp of the other one  >=  d      the minimum is ``ahead_ns``
     arrival there - stamp of this process   >= -d      the other process reports its minimum, ``echo_ns``
 
-So d lies between -echo_ns and ahead_ns. The estimate is the centre, and its bound is half of the width: half
-of the sum of the minimum delays of both directions. The delays need not be known or equal. This is the method
-of Cristian (1989), with the minimum delay of each direction instead of one round trip.
+So d lies between -echo_ns and ahead_ns. The estimate is the centre, and its bound is half the width: half the
+sum of both directions' minimum delays. The delays need not be known or equal. Cristian's method (1989) does
+the same with one round trip instead of the minimum delay in each direction.
 
 Clocks drift, so both minimum values grow with their age by ``DRIFT_PPM``.
 """

@@ -89,7 +89,7 @@ class ZenohWires:
 
 
 class LiveRos2:
-    """Publisher of one flight to ROS 2; its errors do not affect the flight. It leaves ``session`` open."""
+    """Publisher of one flight to ROS 2; its errors do not affect the flight. ``session`` remains open."""
 
     def __init__(self, session: zenoh_link.Session, domain: int, namespace: str, rate_hz: int) -> None:
         space = f"/{namespace}"

@@ -104,8 +104,8 @@ class Shape:
     def turn_1_m(self, d: Span) -> float:
         """Return the largest curvature for a tangential motion, slope/d, 1/m.
 
-        This is the largest value over the distances ``d``; it is never below 0. If the slopes b' (boundary)
-        and f' (fading factor of the margin) are positive, b'/d and f'/d are largest at the near end.
+        The result holds for all distances ``d`` and is never below 0. If the slopes b' (boundary) and f'
+        (fading factor of the margin) are positive, b'/d and f'/d are largest at the near end.
         """
         near = d.low
         if near <= 0.0:

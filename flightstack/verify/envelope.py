@@ -75,8 +75,7 @@ def extremes(config: FlightConfig) -> Extremes:
 def _own_velocity_sigma_m_s(config: FlightConfig) -> float:
     """Return the noise of a velocity whose error is estimated without the velocity loop's model, m/s.
 
-    From white noise of positions, s w^2 / (s + w)^2 with w = 1 / ``velocity_error_time_s`` makes a velocity
-    noise with the variance noise^2 period w^3 / 4.
+    White position noise through s w^2 / (s + w)^2, w = 1 / time_s, has the variance noise^2 period w^3 / 4.
     """
     own = config.own
     if not own.learns or config.velocity_feedback.horizontal:

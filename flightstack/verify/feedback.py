@@ -35,8 +35,8 @@ MIN_DECAY_1_S = 0.1  # required proven decay rate, 1/s: an error halves in 7 s
 def linear(config: FlightConfig, faster: float, damped: float | None = None) -> F64:
     """Return the loop's matrix for a vehicle whose w is ``faster`` times the declared one.
 
-    D is ``damped`` times the declared one; the default is ``faster``. The gains of the estimator of the
-    vehicle state act once a tick.
+    D is ``damped`` times the declared one; the default is ``faster``. The gains of the vehicle state's
+    estimator act once a tick.
 
     States: position relative to the target, velocity, acceleration; state of the delay; velocity,
     acceleration and disturbance of the observer; smoothed derivative of the velocity command. With an

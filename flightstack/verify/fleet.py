@@ -67,7 +67,7 @@ def _is_robust(config: FlightConfig) -> bool:
 
 
 def errors_m(config: FlightConfig) -> float:
-    """Return the largest loss of h through velocity errors of two vehicles towards each other, m.
+    """Return the largest loss of h if the velocities of two vehicles have errors towards each other, m.
 
     An error e in h' >= -rate h - e keeps h above -e / rate. ``robust.tracking_error_m_s`` is declared for the
     vertical velocity; this check applies this error in each direction.

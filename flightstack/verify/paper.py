@@ -51,7 +51,7 @@ def basics(
     end = "outruns the box" if fastest_m_s > 0.0 else "does not outrun the box"
     most_1_s, axis = 0.5 * hz, max(range(3), key=lambda i: gains[i])
     key, slew_m_s2 = slew
-    most_m_s2 = [2.0 * limit * hz for limit in box]  # acceleration from one limit to the other in a tick
+    most_m_s2 = [2.0 * limit * hz for limit in box]  # acceleration between both limits in one tick, m/s^2
     side = min(range(3), key=lambda i: most_m_s2[i] - slew_m_s2[i])
     return [
         Check("barrier", "some velocity in the box meets the barrier wherever h >= 0", -fastest_m_s, "m/s",

@@ -38,7 +38,7 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-FUTURE_MAX_S = 0.05  # largest time by which a stamp, minus its clock error, may be ahead of this clock, s
+FUTURE_MAX_S = 0.05  # largest accepted time of a stamp, minus its clock error, ahead of this clock, s
 # ratio of the longest flight of another member (wait and landing) to ``fleet.wait_max_s``
 FLIGHTS_OF_OTHERS = 2.0
 REPORTED_M_S = 0.005  # smallest relaxation of the neighbours' constraints that is reported, m/s
@@ -53,7 +53,7 @@ class Rows(NamedTuple):
     rows: tuple[Row, ...]  # constraints of the program; the nearest neighbour first
     basic: tuple[Row, ...]  # constraints without the reachable sets of vehicles with late messages
     neighbours: tuple[Near, ...]  # data of the neighbours for the side-step, in the order of ``rows``
-    # whether the speed is limited because a silent vehicle may be near
+    # whether the speed is limited because a silent vehicle is possibly near
     held_back: bool = False
 
 

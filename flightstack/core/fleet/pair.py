@@ -99,7 +99,7 @@ def jump(before: MemberStatus, message: MemberStatus, fleet: Fleet) -> Vec3:
 
 
 def faster(before_m_s2: Vec3, before: MemberStatus, message: MemberStatus) -> Vec3:
-    """Return the rate of change of another vehicle's velocity command, m/s^2, smoothed over messages."""
+    """Return the derivative of another vehicle's velocity command, m/s^2, smoothed over messages."""
     t = message.stamp_s - before.stamp_s
     share = 1.0 / (t + SMOOTH_S)
     (x, y, z), (ox, oy, oz), (ax, ay, az) = message.wanted_enu_m_s, before.wanted_enu_m_s, before_m_s2
@@ -158,7 +158,7 @@ def _late(
     velocity = (wx, wy, wz if sinks_on else 0.0) if moves else ZERO
     flies, flies_s = age_s <= fleet.silent_flight_s, min(age_s, fleet.silent_flight_s)
     grown_m, late_s = base_m + growth(latency_s, speed_m_s, fleet)[0], flies_s - latency_s
-    straight_s = min(age_s, carried_max_s)  # time of the extrapolation at constant velocity
+    straight_s = min(age_s, carried_max_s)  # duration of the extrapolation at constant velocity, s
     straight = (x + vx * straight_s, y + vy * straight_s, z + vz * straight_s)
     anywhere_m = (
         base_m + math.dist(place, straight) + growth(min(flies_s, carried_max_s), speed_m_s, fleet)[0]
@@ -185,7 +185,7 @@ def share(slot: Heard, message: MemberStatus, now_s: float, fleet: Fleet) -> flo
     if message.intent in FIRM or age_s > fleet.age_max_s:
         return ALL
     if slot.jumped_m != ZERO and math.hypot(*slot.jumped_m) > fleet.margin_m:
-        return ALL  # the position estimate of the other vehicle may be wrong
+        return ALL  # the position estimate of the other vehicle is possibly wrong
     if fleet.id in message.yields_to and age_s <= ZERO_LATENCIES * fleet.latency_max_s:
         return NONE
     return HALF

@@ -85,7 +85,7 @@ def decide(
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
     if not memory.granted and _in_a_circle(memory, slots, now_s, fleet):
         memory.claim_s = now_s
-    if phase is not Phase.TOUCHDOWN:  # in a touchdown, no announcement of a member ends the right of way
+    if phase is not Phase.TOUCHDOWN:  # in a touchdown, no message from a member ends the right of way
         taken = memory.granted and any(slot.yields for _, slot in slots)
         memory.granted = (memory.granted or not blockers) and not taken
         memory.waits_since_s = min(memory.waits_since_s, now_s) if not memory.granted else math.inf
@@ -222,7 +222,7 @@ def _names(what: str, ids: Sequence[int]) -> str:
     return f"{what} member{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids))}"
 
 
-DIRECTIONS = 16  # number of directions of the candidate places around the pad
+DIRECTIONS = 16  # number of directions from the pad in which candidate places lie
 RINGS = (1.4, 2.0, 2.6)  # distances of the candidate places from the pad, divided by ``wait_distance_m``
 APART = 3.0  # required distance from a vehicle on the ground, divided by ``radius_xy_m``
 KEPT_M = 0.2  # reduction of the required distances for the place chosen earlier, m

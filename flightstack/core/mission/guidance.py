@@ -115,7 +115,7 @@ def _touchdown(s: Situation, seen: Snapshot) -> NominalCommand:
 
 
 def _landed(_: Situation, seen: Snapshot) -> NominalCommand:
-    """Request nothing; at an emergency stop request motors off, because the heartbeat may be wrong."""
+    """Request nothing; at an emergency stop request motors off, because the heartbeat can be wrong."""
     emergency = seen.inputs.operator is Operator.EMERGENCY_STOP
     return NominalCommand(Request.MOTORS_OFF if emergency else Request.NONE)
 

@@ -103,7 +103,7 @@ class TargetLink:
     # largest factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
     acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # initial standard deviation on x and y
-    # time constant of the decay of the estimated acceleration on x and y
+    # time constant with which the estimated acceleration on x and y decays
     acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5
     turns_with_yaw: bool = True  # whether velocity turns with yaw; false for a robot that moves sideways
     acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01  # initial standard deviation, vertical

@@ -1,7 +1,7 @@
 """Last check before a set-point is sent; only this check makes an ``ApprovedSetpoint``.
 
-The default is to deny. The bridge sends only velocities of this type, and only ``Gate`` can build one. It
-builds a new one in each tick, so that no stored set-point is sent twice.
+The default is to deny. The bridge sends only velocities of this type, and only ``Gate`` can build one. The
+gate builds a new one in each tick, so that no stored set-point is sent twice.
 """
 
 from __future__ import annotations

@@ -27,11 +27,11 @@ RESIDUAL_MAX_M_S = 1e-6  # largest violation of box or barrier by an accepted re
 class FilterResult(NamedTuple):
     """Filtered velocity, and the data to check it."""
 
-    velocity_enu_m_s: Vec3  # filtered velocity, inside the box if the filter ran
-    slack_m_s: float  # g . u + omega h + dh/dt at the command; negative only if INFEASIBLE or OWN
+    velocity_enu_m_s: Vec3  # filtered velocity, m/s; inside the box if the filter ran
+    slack_m_s: float  # slack g . u + omega h + dh/dt of the command, m/s; negative only if INFEASIBLE or OWN
     active: bool  # whether the barrier, or a user's filter, changed the command
     status: FilterStatus  # origin of the result
-    residual_m_s: float  # largest violation by OSQP: of the box, or of the barrier after clipping to the box
+    residual_m_s: float  # largest violation of box, or of barrier after clipping, in OSQP's result, m/s
     iterations: int  # number of the solver's iterations
     solve_s: float  # wall time of projection and solver, s
 

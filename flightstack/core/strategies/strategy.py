@@ -67,9 +67,9 @@ class Filter:
         acceleration_max_m_s2: largest rate of change of the commanded velocity on each axis, m/s^2.
         contact_speed_max_m_s: largest allowed speed relative to the pad by a set-point of the touchdown, m/s.
         stopped_below_m: height above the pad below which a stopped descent counts as contact; 0: never.
-        motion: state of the estimator of the target.
-        tracking: state of the corrections of the set-point.
-        own: state of the estimator of the vehicle state.
+        motion: state of the target estimator.
+        tracking: state of the set-point corrections.
+        own: state of the estimator that computes the vehicle state.
         late: set-points that have no effect yet (dead time).
     """
 

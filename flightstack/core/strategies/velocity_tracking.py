@@ -79,7 +79,7 @@ def feedback_observed(
     The velocity is ``delay_s`` old and is extrapolated. ``observer_rate_1_s`` is the observer's double pole.
     """
     w, rate, most_m_s = loop.rate_xy_1_s, feedback.observer_rate_1_s, loop.disturbance_max_m_s
-    push_1_s = w / (2.0 * loop.damping)  # ratio f / d
+    push_1_s = w / (2.0 * loop.damping)  # ratio f / d, 1/s
     f = push_1_s * d
     now = v + delay_s * (dm + f)
     missed = v - m

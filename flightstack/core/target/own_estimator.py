@@ -30,7 +30,7 @@ from flightstack.core.types import OwnState, Vec3
 
 KNOWN = 4  # number of stored set-points: 30 ms at 100 Hz, and one earlier set-point
 GAP_MAX_S = 0.2  # gap between samples after which the estimator restarts, s
-VELOCITY_NOISE_M_S = 0.01  # standard deviation of the white noise of a reported velocity, m/s
+VELOCITY_NOISE_M_S = 0.01  # standard deviation of the white noise in a reported velocity, m/s
 
 PUSH_M_S2 = 0.15  # rms of f, m/s^2: recorded turning moments, a tilt error of 0.015 rad, gusts of 0.3 m/s
 PUSH_TIME_S = 1.0  # correlation time of f, s: between that of moments, 0.1 s, and of a tilt error
@@ -100,7 +100,7 @@ class OwnEstimator:
     by_loop: bool  # whether the model of the velocity loop is used
     delay_s: float  # delay of the reported state, s
     push_1_s: float  # ratio of the acceleration f to the steady velocity change that it causes, 1/s
-    rate_1_s: float  # bandwidth w of the estimate of e without the model of the loop, 1/s
+    rate_1_s: float  # bandwidth w with which e is estimated without the model of the loop, 1/s
     most_m_s: float  # largest estimated error of a velocity, m/s
     ahead: int  # number of ticks from the measurement time of the newest sample to now
     gap_max: int  # largest number of predicted ticks between two samples

@@ -204,7 +204,7 @@ class RobustFilter(Filter):
         (ex, ey, _), (vx, vy), barrier = e_m, slip_m_s, self._barrier
         if hypot(ex, ey) > 1.0 / barrier.alpha_1_m:
             return barrier.peak_height_m
-        rest_s = hypot(vx, vy) / (2.0 * self.brakes_m_s2)  # braking distance divided by current speed
+        rest_s = hypot(vx, vy) / (2.0 * self.brakes_m_s2)  # braking distance divided by current speed, s
         if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
             return 0.0  # the vehicle stops before the centre
         return barrier.height(hypot(ex + rest_s * vx, ey + rest_s * vy))
