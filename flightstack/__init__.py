@@ -50,6 +50,6 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-# If Gymnasium was imported before, register the environment's short name now; else ``api.env`` does it.
+# If Gymnasium was imported before, register the environment's name now; else ``api.env`` registers the name.
 if "gymnasium" in sys.modules:
     sys.modules["gymnasium"].register("flightstack/Landing-v0", "flightstack.api.env:LandingEnv")

@@ -45,7 +45,7 @@ class Segment(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """Velocity loop of an axis; ``errors``: standard errors of the fields before it, in their order."""
+    """Velocity loop of an axis; ``errors``: standard errors of the five fields above, in their order."""
 
     gain: float
     rate_1_s: float

@@ -81,7 +81,7 @@ class Watch:
             self.health, self._health_s = healths[-1], self._clock()
 
     def _new(self, subscriber: zenoh_link.Subscriber, unpack: Callable[[bytes], Any], last: Any) -> list[Any]:
-        """Return the rows that have arrived, without those that repeat the tick of the row before them."""
+        """Return the rows that have arrived, without rows that repeat the tick of the row before."""
         rows = []
         for sample in zenoh_link.drain(subscriber):
             try:

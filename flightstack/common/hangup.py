@@ -53,7 +53,7 @@ def begun() -> None:
 
 
 def _call_off(number: int, frame: FrameType | None) -> None:
-    """Raise the exception; inside a callback that would drop it, leave it to a later call of ``begun``."""
+    """Raise the exception; in a callback that would drop exceptions, only store it for ``begun``."""
     _came.append(CalledOffError(f"ended by {signal.Signals(number).name}"))
     while frame is not None:
         if _COMPILER in frame.f_code.co_filename:

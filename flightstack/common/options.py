@@ -1,4 +1,4 @@
-"""Options of the commands: an annotated dataclass field, or function argument, declares one completely.
+"""Options of the commands: an annotated dataclass field or function argument declares a whole option.
 
 ``seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0`` has name, help, range,
 type and default. ``takes`` passes a command line to a function as one dataclass, ``arguments`` as separate

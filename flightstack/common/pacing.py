@@ -73,7 +73,7 @@ class FastClock:
 
 
 class Tick(NamedTuple):
-    """Number and time of one controller tick, and how late it started."""
+    """Number and time of one controller tick, and the lateness of its start."""
 
     number: int
     now_s: float  # time on the stack's clock, s
@@ -233,7 +233,7 @@ class FollowedClock:
     def sleep(self, seconds: float) -> None:
         """Sleep for this number of simulated seconds."""
         until_s = self.monotonic() + seconds
-        # the simulator stops at this time, so it must count as reached despite rounding
+        # the simulator waits at this time, which must count as reached despite rounding
         until_ns = int((until_s - self._ahead_s - self._stall_s) * _NS) - _ROUNDING_NS
         self._cells[self._place] = until_ns
         while self._cells[_NOW] < until_ns and self.monotonic() < until_s:

@@ -175,8 +175,8 @@ def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM)
 class Port:
     """TCP port on loopback for a later server; as long as this object is open, other runs cannot take it.
 
-    A port from a bind to port 0 is in the range of outgoing connections, which may use it a moment later. The
-    ports of this class are below that range; the reservation is a bound UDP port of equal number.
+    A port from a bind to port 0 is in the range of outgoing connections, so one of these can take the port a
+    moment later. The ports of this class are below that range, and each is reserved by a bound UDP port.
     """
 
     _RANGE = range(20_000, 32_000)  # Linux uses outgoing ports from 32768 on (ip_local_port_range)
@@ -234,7 +234,7 @@ class Forked(ForkProcess):
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
         os.close(self._output)
-        # the owner ends the child in bounded time; multiprocessing would wait for it at exit without a limit
+        # the owner ends the child in bounded time; multiprocessing would wait at exit without a limit
         process._children.discard(self)  # type: ignore[attr-defined]
         self.stdout: IO[bytes] | None = os.fdopen(output, "rb")  # standard output of the child
 

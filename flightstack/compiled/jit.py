@@ -147,8 +147,8 @@ def compiling(what: str, about: str) -> Iterator[bool]:
 def at_once(here: Callable[[], object], apart: Callable[[], object]) -> None:
     """Compile two parts of the code at the same time, ``apart`` in a forked process.
 
-    The process leaves only machine code on disk. Without it (the process fails, or takes longer than
-    ``_APART_MAX_S`` after ``here``), that part is compiled at its first call.
+    The process leaves only machine code on disk. If the process fails, or takes longer than
+    ``_APART_MAX_S`` after ``here``, the part ``apart`` is compiled at its first call.
     """
     if cache_directory() is None:
         here()

@@ -39,7 +39,7 @@ from flightstack.core.numeric import MARKED, RARE, STAND_INS, NotOrdinary, scope
 class Objects:
     """An object, and all objects that its fields refer to, in memory that compiled code can use.
 
-    Compiled code that receives an ``Objects`` as argument works on its first object.
+    As an argument of compiled code, ``Objects(root)`` represents the object ``root``.
     """
 
     def __init__(self, root: object) -> None:

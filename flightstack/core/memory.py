@@ -98,7 +98,7 @@ Covariance = tuple[float, float, float, float, float, float]  # upper triangle f
 class MotionMemory:
     """State of the estimator of the target's motion: position p, velocity v, acceleration a of each axis."""
 
-    time_s: float = nan  # stamp of the newest sample, on the sender's clock; NaN before the first
+    time_s: float = nan  # stamp of the newest sample on the sender's clock, s; NaN before the first sample
     position_enu_m: Vec3 = ZERO  # estimated position at ``time_s``, m
     velocity_enu_m_s: Vec3 = ZERO
     acceleration_enu_m_s2: Vec3 = ZERO
@@ -150,7 +150,7 @@ AT_REST: AxisState = (0.0, 0.0, 0.0, 0.0, 0.0)
 class OwnMemory:
     """State of the estimator that computes the vehicle state."""
 
-    time_s: float = nan  # time of the newest sample on the vehicle's clock; NaN before the first
+    time_s: float = nan  # time of the newest sample on the vehicle's clock, s; NaN before the first sample
     x: AxisState = AT_REST  # state of the x axis at ``time_s``, like y and z below
     y: AxisState = AT_REST
     z_m: float = 0.0

@@ -28,7 +28,7 @@ FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators 
 HOLDS_S = 1.0  # time in which at least one message is assumed to have a short delay, s
 FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the fastest slew of a Linux clock
 ELAPSED_MAX_S = 1.0  # longest part of a pause between messages in which a minimum rises, s
-FLOOR_MAX_S = 0.2  # largest difference of fast and slow minimum, s; a larger one means that clocks drift
+FLOOR_MAX_S = 0.2  # largest difference between fast and slow minimum, s; beyond this difference clocks drift
 GRAIN_S = 1e-6  # tolerance for Unix times as doubles, s; their rounding error is 2.4e-7 s
 AHEAD_S = 0.03  # allowed difference between the shortest earlier delay and a shorter one, s, plus one tick
 AGREE_S = 0.1  # largest difference of arrival minus stamp between messages of one clock, s
@@ -145,7 +145,7 @@ class SenderClock:
         return max(0.0, now_s - stamp_s - self.memory.offset_s)
 
     def _goes_on_late(self, transit_s: float, arrival_s: float) -> bool:
-        """Whether the stamps of a clock that was set back slightly have passed the newest accepted one."""
+        """Whether the stamps of a clock that was set back slightly have passed the newest accepted stamp."""
         m = self.memory
         return transit_s - m.offset_s > AGREE_S and m.run_sure and self._agrees(transit_s, arrival_s)
 

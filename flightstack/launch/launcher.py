@@ -201,7 +201,7 @@ class Launcher(contextlib.ExitStack):
         self.interrupted = True
 
     def _hand_on(self, number: int) -> None:
-        """Forward a signal to the onboard processes, which handle it according to their phases."""
+        """Forward a signal to the onboard processes; the effect depends on the phase of each flight."""
         for child in self.children:
             if isinstance(child, Child) and _verb(child) == "onboard" and child.alive():
                 child.process.send_signal(number)
@@ -216,7 +216,7 @@ class Launcher(contextlib.ExitStack):
     def _let_it_land(self, teller: Child | None, until: float) -> None:
         """Wait until the autopilots have landed the vehicles after the onboard processes have ended.
 
-        If no vehicle has armed, or all have disarmed again, the unread output of ``teller`` shows it now.
+        The unread output of ``teller`` shows whether no vehicle has armed, or all have disarmed again.
         """
         until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), set[str]()
         while teller is not None and teller.alive() and not self.interrupted and time.monotonic() < until:

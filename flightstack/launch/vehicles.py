@@ -196,8 +196,8 @@ def _ardupilot_configuration(scenario: Scenario, program: Path | None) -> str:
 class Vehicle(NamedTuple):
     """A kind of vehicle that ``sitl`` can fly."""
 
-    # function that starts the vehicle and, if its URL is known only then, waits until it can fly; it raises
-    # LaunchError if the vehicle does not become ready
+    # function that starts the vehicle and, if the URL is not known before, waits until the vehicle is ready;
+    # it raises LaunchError if the vehicle does not become ready
     start: Callable[[Run], Flying]
     # function from scenario and program to the configuration's name; None: the scenario's configuration
     configuration: Callable[[Scenario, Path | None], str | None] = lambda _scenario, _program: None

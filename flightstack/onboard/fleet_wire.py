@@ -66,9 +66,9 @@ class OtherClock:
         self._echo_ns: int | None = None
 
     def heard(self, stamp_ns: int, arrival_ns: int, echo_ns: int | None) -> bool:
-        """Add the times of a message; return whether they agree with the earlier ones.
+        """Add the times of a message; return whether these times agree with the earlier ones.
 
-        If they do not agree, one of the clocks has jumped, and the estimate restarts.
+        If the times do not agree, one of the clocks has jumped, and the estimate restarts.
 
         ``stamp_ns``: stamp on the other clock; ``arrival_ns``: arrival on this process's clock; ``echo_ns``:
         minimum that the other process reports; None: it has received nothing from this process.

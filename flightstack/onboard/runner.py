@@ -132,7 +132,7 @@ class Runner:
         return self._leave(ended, works=works)
 
     def _leave(self, ended: Ended, *, works: bool) -> Ended:
-        """Request the landing until the heartbeat confirms it; the reason states whether it did."""
+        """Request the landing until the heartbeat confirms it; the returned reason states the outcome."""
         memory, began_s, self._leaving.leaves = self._controller.memory, time.monotonic(), True
         arms = self._leaving.arms and not memory.was_armed  # arming can follow after this process has ended
         works = works and not arms

@@ -24,7 +24,7 @@ from flightstack.verify.types import PROOF, Check
 F64 = npt.NDArray[np.float64]
 TICKS_LATE = 1.5  # delay of a set-point, ticks: on average half a tick, plus one tick after its inputs
 SHARE = 0.5  # ratio of the required decay rate on an interval of the lag spread to the rate at its centre
-PIECE_MIN = 1e-6  # smallest width of an interval of lag factors; if it fails, the loop is unstable
+PIECE_MIN = 1e-6  # smallest width of an interval of lag factors; without a proof there: decay rate 0
 BANDWIDTH = 2.5  # largest ratio of feedback rate to velocity loop rate; the model omits motors and attitude
 OBSERVER = 0.5  # smallest ratio of observer rate to velocity loop rate, so that a disturbance is found soon
 # largest acceleration by velocity_loop.error_max_m_s, m/s^2, for which the linear model holds

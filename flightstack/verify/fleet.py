@@ -247,7 +247,7 @@ def one_short_m_s(config: FlightConfig, aside_m_s: float, lowest: float) -> Most
 
 
 def _common_points(config: FlightConfig, slope: float, climb_m_s: float) -> list[Check]:
-    """Return the checks that a velocity satisfies neighbours' rows, velocity limits and landing barrier."""
+    """Return the checks that a velocity satisfies neighbours' constraints, box and landing barrier."""
     fleet, (vx, vy, _), speed_m_s = config.fleet, config.limits.velocity_max_m_s, config.fleet.speed_max_m_s
     from_m, reach_m = anywhere_m(config), fleet.reach_m - fleet.radius_xy_m
     short_m_s, elevation = one_short_m_s(config, up_the_slope_m_s(config, slope, climb_m_s), -math.pi / 2.0)

@@ -26,10 +26,10 @@ from flightstack.core.types import ZERO, Vec3
 TOLERANCE_M_S = 1e-9  # allowed violation of a constraint, m/s
 STEPS_MAX = 60  # maximum number of steps; after it the search ends without a result
 _CONFIRMED_M_S = 2e-9  # allowed violation of an optimality condition, m/s
-_DEPENDS = 1e-12  # squared length of a unit vector's orthogonal part below which it depends on the others
+_DEPENDS = 1e-12  # squared length of a unit vector's orthogonal part below which the vector is dependent
 _PARALLEL = 1e-10  # determinant below which constraints count as dependent: they have no common vertex
 _MULTIPLIER_LEAST = -1e-9  # multipliers above this value count as positive
-_LEAST_LENGTH = 1e-9  # length of a gradient below which it has no direction
+_LEAST_LENGTH = 1e-9  # length of a gradient below which the gradient has no direction
 _SIDES: tuple[Vec3, ...] = (
     (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower sides of the box
     (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper sides of the box
@@ -171,7 +171,7 @@ def _impossible(
     worst: int, active: Sequence[int], parts: Sequence[float], bounds: Sequence[float],
     lengths: Sequence[float],
 ) -> Found:  # fmt: skip
-    """Return ``Found`` without a velocity: one constraint contradicts a sum of the active ones."""
+    """Return ``Found`` without a velocity: one constraint contradicts a sum of the active constraints."""
     multipliers, lacking_m_s = [0.0] * len(lengths), bounds[worst]
     if worst < len(lengths):
         multipliers[worst] = 1.0 / lengths[worst]

@@ -224,7 +224,7 @@ def lasting_flags(s: Situation, armed: bool, external: bool, standing: bool) -> 
     """Return the flags that only the heartbeat or the phase changes in a landing without losses.
 
     Compiled ticks compute only these flags, ``time_flags`` and ``landing_flags``: each flag that a rule of
-    APPROACH, LAND, TOUCHDOWN or LANDED uses must be in one of the three.
+    APPROACH, LAND, TOUCHDOWN or LANDED uses must be in one of these three groups.
     """
     memory = s.memory
     return (

@@ -59,7 +59,7 @@ class Condition(IntEnum):
     PAD_WANTED = 1 << 27  # another vehicle waits for this vehicle's pad; inputs and battery are good
     CLEAR = 1 << 28  # the vehicle has flown clear of the target, and lands beside the target
     CUT_OFF = 1 << 29  # too few fleet members send messages, and the pad is not the shortest way down
-    CHECK_FAILED = 1 << 30  # a check of ``conditions.check_fails`` ends the flight; it has its own text
+    CHECK_FAILED = 1 << 30  # a check in ``conditions.check_fails`` ends the flight and gives the reason
     NO_RESULT = 1 << 31  # the user's filter returned no velocity in the last tick
 
 

@@ -1,7 +1,7 @@
 """Parameters of a fleet: members, the ellipsoid between two vehicles, and bounds of the members' motion.
 
 The ellipsoid of two Crazyflies has the semi-axes 0.25 and 0.75 m: each has a radius of 0.125 and 0.375 m, as
-Crazyswarm sets them for the firmware's collision avoidance. Downwash makes it higher than wide.
+Crazyswarm sets them for the firmware's collision avoidance. Downwash makes the ellipsoid higher than wide.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ class Checks:
     follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # decay time of the tracking lag
     status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # largest accepted age of a heartbeat (1 Hz)
     target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest accepted speed of a target sample
-    target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # largest jump of the target that is accepted
+    target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # largest accepted jump of the target
     # largest difference between position and integrated velocity of the target
     target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1
     target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of the position difference

@@ -77,8 +77,8 @@ class VelocityFeedback:
 class OwnStateLink:
     """Delay and errors of the received vehicle state."""
 
-    delay_s: Annotated[float, span(0.0, 0.2)] = 0.01  # age of a position on arrival
-    position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.002  # standard deviation on each axis
+    delay_s: Annotated[float, span(0.0, 0.2)] = 0.01  # age of a vehicle state on arrival
+    position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.002  # standard deviation of a position, per axis
     # standard deviation of the estimated velocity error on each axis; 0: no velocity error
     velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.0
     # correlation time T of the velocity error, exp(-t/T); without velocity feedback: estimation time
@@ -96,13 +96,13 @@ class TargetLink:
     """Motion of the target, and delay and noise of its odometry."""
 
     delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
-    position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation on each axis
-    velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02  # standard deviation on each axis
+    position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation of a position, per axis
+    velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02  # standard deviation of a velocity, per axis
     jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # jerk density; 0.6: 0.5 m/s^2 per second
     jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # vertical jerk density; 0.6 on a ship
     # largest factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
-    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # initial standard deviation on x and y
+    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # initial standard deviation, x and y
     # time constant with which the estimated acceleration on x and y decays
     acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5
     turns_with_yaw: bool = True  # whether velocity turns with yaw; false for a robot that moves sideways

@@ -121,7 +121,7 @@ class Gate:
     def keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
         """Whether h of the next tick, predicted with constant velocities, satisfies the bound of eq. 11.
 
-        The bound is linear; a valid filter result can miss it at most by the boundary's curvature and the
+        The bound is linear; a valid filter result can violate it at most by the boundary's curvature and the
         slope that the gradient neglects at the apex (docs/how_it_works/robust_filter.md).
         """
         status, hopeless = check.status, check.status is FilterStatus.INFEASIBLE

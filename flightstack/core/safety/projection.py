@@ -31,8 +31,8 @@ EMPTY = -1.0  # value of the multiplier if no point of the box is in the half-sp
 def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
     """Return the minimiser and the multiplier lambda of the half-space.
 
-    Lambda is 0 if the half-space is inactive, infinite if no finite value satisfies it, and ``EMPTY`` (with
-    the best corner) if no point of the box does.
+    Lambda is 0 if the half-space is inactive, infinite if no finite value satisfies the half-space, and
+    ``EMPTY`` (with the best corner) if no point of the box satisfies it.
     """
     (nx, ny, nz), (lx, ly, lz), (hx, hy, hz) = nominal, lower, upper
     x, y, z = min(max(nx, lx), hx), min(max(ny, ly), hy), min(max(nz, lz), hz)

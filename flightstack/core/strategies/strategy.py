@@ -219,7 +219,7 @@ class Filter:
         return low and self._barrier.h(at.e_m) >= 0.0
 
     def motors_off(self, at: Relative) -> bool:
-        """Whether the motors stop in the touchdown before contact: the paper's rule does not wait for it."""
+        """Whether the motors stop in the touchdown before contact, as by the paper's rule."""
         return self._by_rule
 
     def take(self, sample: TargetSample) -> None:
@@ -257,7 +257,7 @@ class Filter:
         return ZERO
 
     def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
-        """Whether the vehicle does not follow a descent command; if this lasts, it counts as contact.
+        """Whether the vehicle does not follow a descent command; a lasting stop counts as contact.
 
         Args:
             at: vehicle relative to target.

@@ -78,7 +78,7 @@ class TargetEstimator:
         self, time_s: float, position_enu_m: Vec3, velocity_enu_m_s: Vec3, yaw_rad: float = math.nan,
         position_sigma_m: float = 0.0, velocity_sigma_m_s: float = 0.0,
     ) -> None:  # fmt: skip
-        """Update the filter with a sample; a sample that is not newer, or after a long gap, restarts it."""
+        """Update the filter with a sample; restart it if the sample is not newer, or after a long gap."""
         memory, xy, z = self.memory, self.noise_xy, self.noise_z
         dt_s, before_rad = time_s - memory.time_s, memory.yaw_rad
         memory.time_s = time_s

@@ -45,7 +45,7 @@ class RobustFilter(Filter):
     motion: MotionMemory
     brakes_m_s2: float  # assumed acceleration for braking on x and y, m/s^2
     slope: float  # steepest slope of the barrier outside the pad
-    full: float  # fraction of the margin that remains at the pad's edge; the margin is divided by it
+    full: float  # fraction of the margin that remains at the pad's edge; divisor of the margin
     estimator: TargetEstimator
     own_estimator: OwnEstimator
     _tracking: VelocityTracking
