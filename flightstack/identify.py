@@ -150,7 +150,7 @@ NOISE_SAMPLES = 9  # number of samples in a window for the noise
 MOTION_S = 0.6  # length of a window for velocity and acceleration, s
 SAMPLES_MIN = 100  # minimum number of samples for the noise
 OFTEN = 99.0  # percentile that replaces the largest value, since single windows contain noise
-MAD_TO_SIGMA = 1.4826  # ratio of standard deviation and median absolute value of a normal distribution
+MAD_TO_SIGMA = 1.4826  # ratio of standard deviation to median absolute value in a normal distribution
 
 
 class Link(NamedTuple):

@@ -99,7 +99,7 @@ class Child:
         self.pid = self.process.pid
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
-        self._read: list[str] = []  # lines that were read together with the line ``ready``, after it
+        self._read: list[str] = []  # lines that followed the line ``ready`` in the same read
 
     def yield_to_others(self, steps: int) -> None:
         """Raise the niceness of the process to ``steps``, so that it does not delay the flight."""

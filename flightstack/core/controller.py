@@ -4,7 +4,7 @@ samples -> estimates -> phase (``mission/``) -> nominal velocity -> neighbours (
 (``setpoint``); the last two are methods of ``VelocityCommand`` in ``command.py``. Live flight, lockstep
 simulation and replay call ``step``. ``land`` is the same sequence for an ordinary tick: a single vehicle with
 good inputs that follows set-points or has landed, and no change of phase. Campaigns and, in real time, the
-onboard process run it compiled, and its results are equal to the last bit.
+onboard process run it compiled; its results equal those of ``step`` to the last bit.
 """
 
 from __future__ import annotations

@@ -186,7 +186,7 @@ class Heard:
     message: MemberStatus | None = None  # newest message of the neighbour; None before the first
     yields: bool = False  # whether this vehicle has announced that it yields to the neighbour
     claim_s: float = nan  # time stamp of the neighbour's claim for which ``yields`` was decided, s
-    yielded_s: float = -inf  # time of the last announcement of yielding, s
+    yielded_s: float = -inf  # time at which this vehicle last announced that it yields, s
     on_pad: bool = False  # whether the neighbour stands on this vehicle's pad, by its newest message
     faster_m_s2: Vec3 = ZERO  # smoothed derivative of the neighbour's velocity command, m/s^2
     jumped_m: Vec3 = ZERO  # sum of the neighbour's position jumps beyond the reachable set, m

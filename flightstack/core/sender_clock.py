@@ -1,7 +1,7 @@
 """Check of the time stamps of another process, and the delay of its messages.
 
 Arrival minus stamp is the difference of the two clocks plus the delay of the message. The minimum belongs to
-a message without delay; the excess of any other message over it is the lateness of that message. The minimum
+a message without delay; the excess of another message over this minimum is its lateness. The minimum
 follows the messages by these rules:
 
 * a minimum that no message reaches for ``HOLDS_S`` rises at the rate ``FORGETS`` and follows drifting clocks;

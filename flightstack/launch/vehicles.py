@@ -183,7 +183,7 @@ _DEAD_TIME_SINCE = (4, 7)  # first release whose velocity loop has a dead time (
 
 
 def _ardupilot_configuration(scenario: Scenario, program: Path | None) -> str:
-    """Return the name of the configuration for the program's release; for an unknown one, of the newest."""
+    """Return the name of the configuration for the program's release; an unknown one counts as newest."""
     del scenario
     release = _DEAD_TIME_SINCE
     if program is not None and program.is_file() and program.stat().st_size:
@@ -206,7 +206,7 @@ class Vehicle(NamedTuple):
     own_physics: bool = False
 
 
-_PX4_CONFIGURATIONS = {"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}  # by airframe
+_PX4_CONFIGURATIONS = {"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}  # names by airframe
 VEHICLES: Mapping[Flies, Vehicle] = {
     Flies.OWN: Vehicle(_own, with_robots=True),
     Flies.PX4: Vehicle(_px4, lambda scenario, _: _PX4_CONFIGURATIONS.get(scenario.vehicle.airframe)),

@@ -152,7 +152,7 @@ class LockstepWires(VehicleTicks):
 
 
 class LockstepStatuses(FleetWire):
-    """Fleet messages in lockstep: the other members receive each message in a tick after that of its sending.
+    """Fleet messages in lockstep: each message reaches the other members in a tick after it was sent.
 
     The vehicles' simulator receives the messages of all members and distributes them tick by tick, so that
     their order does not depend on wall time. No other process has this vehicle's id, because the launcher

@@ -184,7 +184,7 @@ def _reserve(config: FlightConfig, growth: Most) -> list[Check]:
 def _own_estimator(config: FlightConfig) -> list[Check]:
     """Return the check that a velocity error is estimated faster than the position loop acts on it.
 
-    Without the velocity loop's model, a new error makes the estimate of the velocity wrong for the time T.
+    Without the velocity loop's model, a new error makes the velocity estimate wrong for this estimation time.
     """
     if not config.own.learns or config.velocity_feedback.horizontal:
         return []

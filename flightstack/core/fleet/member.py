@@ -38,7 +38,7 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-FUTURE_MAX_S = 0.05  # largest accepted time of a stamp, minus its clock error, ahead of this clock, s
+FUTURE_MAX_S = 0.05  # largest accepted lead of a stamp, minus its clock error, over this clock, s
 # ratio of the longest flight of another member (wait and landing) to ``fleet.wait_max_s``
 FLIGHTS_OF_OTHERS = 2.0
 REPORTED_M_S = 0.005  # smallest relaxation of the neighbours' constraints that is reported, m/s

@@ -51,7 +51,7 @@ class FleetProgram:
         self, nominal: Vec3, firm: Sequence[Row], neighbours: Sequence[Row], lower: Vec3, upper: Vec3,
         basic: Sequence[Row] = (),
     ) -> FleetResult:  # fmt: skip
-        """Return the velocity nearest to ``nominal`` within the constraints; ``neighbours`` relax if needed.
+        """Return the velocity nearest to ``nominal`` within the constraints; relax ``neighbours`` if needed.
 
         ``firm``: constraints that are never relaxed, the landing barrier first; ``basic``: constraints of the
         neighbours without the reachable sets of vehicles with late messages.

@@ -1,6 +1,6 @@
 """Typed configuration of the onboard process, checked before a flight.
 
-Each class is a table of the file; each field is a key with its unit. ``flightstack.config`` reads it.
+Each class is a table of the file; each field is a key with its unit. ``flightstack.config`` reads the file.
 The defaults are those of a Crazyflie on a pad of 20 cm; see docs/how_to/autopilots.md for other vehicles.
 """
 
@@ -54,7 +54,7 @@ PAD_RADIUS_M = span(0.05, 2.0)  # range of a pad's radius, also in a scenario
 class Touchdown:
     """Final descent to the pad."""
 
-    rule: TouchdownRule = TouchdownRule.CONTACT  # `contact`: until contact; `paper`: motors off at height_m
+    rule: TouchdownRule = TouchdownRule.CONTACT  # motors off on contact (`contact`) or at height_m (`paper`)
     height_m: Annotated[float, span(0.01, 1.0)] = 0.05  # paper filter: height of the touchdown (section V)
     pad_radius_m: Annotated[float, PAD_RADIUS_M] = 0.10  # radius of the pad
     feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # height of centre of mass above feet
@@ -115,7 +115,7 @@ _NAME_MAX = 16  # largest length of a MAVLink parameter name, characters
 class Loop:
     """Rate of the onboard process."""
 
-    rate_hz: Annotated[int, span(10, 500)] = 100  # ticks per second
+    rate_hz: Annotated[int, span(10, 500)] = 100  # rate of the ticks
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +159,7 @@ class Checks:
     target_child_frame: str = "target"  # child_frame_id of the target's odometry
     hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0  # time in HOLD before the climb
     climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0  # time in CLIMB before an abort
-    recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # least time with good inputs before the landing
+    recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # time with good inputs before a start or retry
     retries_max: Annotated[int, span(0, 20)] = 3  # largest number of go-arounds before an abort
     swings_max: Annotated[int, span(1, 100)] = 3  # largest number of exits from the cone over the pad
     over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0  # longest flight over the pad

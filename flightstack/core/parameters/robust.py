@@ -1,6 +1,6 @@
-"""Assumptions of the robust filter about vehicle, target and links; each of them is a number with a unit.
+"""Assumptions of the robust filter about vehicle, target and links: numbers with units.
 
-docs/how_it_works/robust_filter.md derives the margin from these; `identify` measures the vehicle's from logs.
+docs/how_it_works/robust_filter.md derives the margin from them; `identify` measures those of the vehicle.
 """
 
 from __future__ import annotations
@@ -123,8 +123,8 @@ class Envelope:
 class Robust:
     """Parameters of the robust filter."""
 
-    rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest decay rate of h; below the velocity loop's
-    tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04  # vertical tracking error of the velocity
+    rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest decay rate of h; the velocity loop is faster
+    tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04  # largest vertical error below the command
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # number of covered standard deviations
     fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # radius within which the margin fades
     # largest acceleration of the commanded velocity along east, north and up

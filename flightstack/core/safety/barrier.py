@@ -5,7 +5,7 @@
 ``e`` is the vehicle's position minus the landing spot, ``d`` its horizontal length. Safe states have h >= 0.
 
 At the apex, d = 0, the gradient has no direction. The slope is multiplied by the smoothing factor ``d /
-sqrt(d^2 + smoothing^2)``, which only shortens the gradient. Within a few ``smoothing`` of d = 0 the filter
+sqrt(d^2 + smoothing^2)``, which only shortens the gradient. For d below a few ``smoothing`` the filter
 therefore uses a smaller slope than b(d) has; h itself is never smoothed. See docs/how_it_works/method.md.
 
 The geometry gives the shape (eq. 7): the boundary peaks at ``d* = 1/alpha``, ``e* = beta/exp(1)`` high.

@@ -227,7 +227,7 @@ def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
     )
 
 
-_Gains = tuple[float, float, float, float, float, float]  # p, v, a from the innovation of p, then from v's
+_Gains = tuple[float, float, float, float, float, float]  # gains of p, v, a for innovations of p, then of v
 
 
 def _correct(

@@ -1,7 +1,7 @@
 """Plausibility of target samples, and the current state of the target.
 
-The default is to deny: a sample is accepted only if it is finite, of the configured robot, newer than the
-last, in time, and reachable from the last one. Rejected samples are counted.
+The default is to deny: a sample is accepted only if it is finite, of the configured robot, in time, newer
+than the last sample, and reachable from the last sample. Rejected samples are counted.
 
 A velocity that contradicts the positions, such as a twist in the wrong frame or a heading that is wrong by
 half a turn, is detected over some samples. Position minus integrated velocity, summed with decay, is only
