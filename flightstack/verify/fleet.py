@@ -32,11 +32,11 @@ LATE_TICKS = 1.0  # number of consecutive late ticks, in addition to the tick of
 
 
 def fleet_checks(config: FlightConfig) -> list[Check]:
-    """Return every claim about the neighbours; claims that are equal for several of them appear once."""
-    return list(dict.fromkeys(claim for _ in config.fleet.others for claim in _about_a_neighbour(config)))
+    """Return the claims about the neighbours; a vehicle alone has none."""
+    return _about_neighbours(config) if config.fleet.others else []
 
 
-def _about_a_neighbour(config: FlightConfig) -> list[Check]:
+def _about_neighbours(config: FlightConfig) -> list[Check]:
     """Return the claims about any neighbour: the table [fleet] has the same numbers for all."""
     fleet, loop, touch, spread = (
         config.fleet, config.velocity_loop, config.touchdown, config.envelope.lag_spread,

@@ -242,7 +242,7 @@ def sizes_of(config: FlightConfig | None, run: Mapping[str, str]) -> Sizes:
     if config is None:
         return Sizes(None, PAD_RADIUS_M if radius_m is None else radius_m)
     fleet = config.fleet
-    ellipsoids_m = frozenset((fleet.radius_xy_m, fleet.radius_z_m) for _ in fleet.others)
+    ellipsoids_m = frozenset({(fleet.radius_xy_m, fleet.radius_z_m)} if fleet.others else ())
     radius_m = config.touchdown.pad_radius_m if radius_m is None else radius_m
     return Sizes(config.barrier, radius_m, ellipsoids_m)
 

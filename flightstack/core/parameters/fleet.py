@@ -73,7 +73,7 @@ class Fleet:
     @property
     def slew_side_max_m_s2(self) -> float:
         """Largest acceleration of the command on each horizontal axis, m/s^2; infinite without neighbours."""
-        return min((self.slew_xy_max_m_s2 / math.sqrt(2.0) for _ in self.others), default=math.inf)
+        return self.slew_xy_max_m_s2 / math.sqrt(2.0) if self.others else math.inf
 
     def check(self, lag_s: float, period_s: float, clearance_m: float) -> None:
         """Reject members or limits that contradict each other, the velocity loop, the tick or the retreat."""
@@ -100,7 +100,7 @@ class Fleet:
                 raise ConfigError(
                     f"fleet.{key}: found {found:g}; at least {least:.3g} {unit} is needed: {why}"
                 )
-        if max((self.rate_1_s * lag_s for _ in self.others), default=0.0) > PART_OF_LAG:
+        if self.others and self.rate_1_s * lag_s > PART_OF_LAG:
             raise ConfigError(
                 f"fleet.rate_1_s: found {self.rate_1_s:g}; with a lag of {lag_s:g} s at most "
                 f"{PART_OF_LAG / lag_s:.3g} 1/s come to rest without an overshoot: lower it"
