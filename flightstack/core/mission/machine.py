@@ -311,7 +311,7 @@ class Mission(Situation):
         if not details and rule.about & ~flags & C.READY:
             others = "" if seen.permissions.may_begin else seen.permissions.text
             below = target_below(self.config, seen)
-            details = [battery or others or below or "the vehicle does not say that it is ready to arm"]
+            details = [battery or others or below or "the vehicle does not report that it is ready to arm"]
         if not details and rule.about & ~flags & C.RECOVERED:
             least_s = checks.recovery_time_s
             details = [f"not all of them were good for {least_s:g} s without a gap (checks.recovery_time_s)"]
@@ -326,21 +326,21 @@ class Mission(Situation):
     def _own_lost(self, seen: Snapshot, now_s: float) -> str:
         checks, watched, own = self.config.checks, self._plausibility, seen.inputs.own
         if own is None:
-            return "no own state has come"
+            return "no state of the vehicle has arrived"
         if watched.memory.distrusted:
             return (
-                f"drift, the position went {watched.drift_m:.2f} m where no velocity took it; "
+                f"drift, the position moved {watched.drift_m:.2f} m away from where its velocity leads; "
                 f"checks.own_drift_max_m is {checks.own_drift_max_m:g}"
             )
         last, limit = watched.memory.last, f"checks.own_age_max_s is {checks.own_age_max_s:g}"
         if last is not None and last.arrival_s < own.arrival_s:
-            return f"its numbers repeat since {now_s - last.arrival_s:.2f} s; {limit}"
-        return f"the own state is {now_s - own.arrival_s:.2f} s old; {limit}"
+            return f"its numbers have not changed for {now_s - last.arrival_s:.2f} s; {limit}"
+        return f"the vehicle's newest state is {now_s - own.arrival_s:.2f} s old; {limit}"
 
     def _link_lost(self, seen: Snapshot, now_s: float) -> str:
         status = seen.inputs.status
         if status is None:
-            return "no heartbeat has come"
+            return "no heartbeat has arrived"
         limit = f"checks.status_age_max_s is {self.config.checks.status_age_max_s:g}"
         return f"the newest heartbeat is {now_s - status.arrival_s:.1f} s old; {limit}"
 

@@ -174,7 +174,7 @@ def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(
     waits.until("no heartbeat of system 1, component 1 for", "no data arrives", "gives up within")
     assert waits.end() == 1
     last = waits.lines[-1]
-    assert last.startswith("ABORT: inputs did not become ready in time: the own state is ")
+    assert last.startswith("ABORT: inputs did not become ready in time: the vehicle's newest state is ")
     assert re.search(r"the newest heartbeat is [\d.]+ s old; checks.status_age_max_s is 3", last)
     assert ": no heartbeat of system 1, component 1 for" in last
     assert f"; the newest sample on {TARGET} is" in last or f"; no sample on {TARGET}" in last

@@ -53,10 +53,13 @@ def told(phase, word, what):
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        (known(), "no own state has come"),
-        (known(own(9.7)), "the own state is 0.30 s old; checks.own_age_max_s is 0.2"),
-        (known(own(), last=own(9.7)), "its numbers repeat since 0.30 s; checks.own_age_max_s is 0.2"),
-        (known(own(9.7), last=own(9.7)), "the own state is 0.30 s old; checks.own_age_max_s is 0.2"),
+        (known(), "no state of the vehicle has arrived"),
+        (known(own(9.7)), "the vehicle's newest state is 0.30 s old; checks.own_age_max_s is 0.2"),
+        (known(own(), last=own(9.7)), "its numbers have not changed for 0.30 s; checks.own_age_max_s is 0.2"),
+        (
+            known(own(9.7), last=own(9.7)),
+            "the vehicle's newest state is 0.30 s old; checks.own_age_max_s is 0.2",
+        ),
     ],
 )
 def test_an_own_state_that_does_not_come_says_how_old_it_is(what, said):
@@ -82,8 +85,8 @@ def test_a_landing_by_the_autopilot_after_a_jump_of_its_estimate_names_the_jump(
     jumped = known(own(), distrusted=True, drift_m=(0.0, 0.0, -1.2))
     plain = told(Phase.LAND, was, jumped)
     assert told(Phase.LAND, was | Condition.OWN_LOST, jumped) == (
-        f"{plain}: drift, the position went 1.20 m where no velocity took it; checks.own_drift_max_m is "
-        f"{CHECKS.own_drift_max_m:g}"
+        f"{plain}: drift, the position moved 1.20 m away from where its velocity leads; "
+        f"checks.own_drift_max_m is {CHECKS.own_drift_max_m:g}"
     )
 
 
@@ -91,10 +94,10 @@ def test_waiting_in_vain_says_everything_that_is_missing():
     over = Condition.PHASE_TIME_OVER
     lost = over | Condition.OWN_LOST | Condition.TARGET_LOST
     assert told(Phase.WAIT, lost, known()) == (
-        "inputs did not become ready in time: no own state has come, "
+        "inputs did not become ready in time: no state of the vehicle has arrived, "
         "no sample of the target has been accepted"
     )
-    assert told(Phase.WAIT, over, known()).endswith("the vehicle does not say that it is ready to arm")
+    assert told(Phase.WAIT, over, known()).endswith("the vehicle does not report that it is ready to arm")
     ground = VehicleStatus(NOW_S, False, Mode.EXTERNAL, Landed.ON_GROUND, True)
     mission, view = known()
     above = OwnState(0.0, 0.0, (1.0, 0.0, 0.4144), ZERO, 0.0)
