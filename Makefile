@@ -20,27 +20,25 @@ view: $(VENV)/.fly
 # only files of the project: other files in the checkout are not linted
 SOURCES := (git ls-files '*.py' 2>/dev/null || echo .)
 
-# checks of `make test` and `make quick` that take seconds
+# checks of `make test` and `make quick`; the command $(1) runs at the same time as mypy
 define CHECK
 @echo ruff; $(SOURCES) | xargs $(BIN)/ruff check
 @$(SOURCES) | xargs $(BIN)/ruff format --check
 $(BIN)/lint-imports --no-logo --no-cache
+$(1) & $(BIN)/mypy && wait $$!
 endef
 # these compile the simulator's loops (also for filters of users) and the sources of the tests once, so that the workers need not
 WARM := $(BIN)/python -m sim.runners.landing robust paper examples.own_filter:Smooth
 COLLECT := $(BIN)/python -m pytest --collect-only -q >/dev/null
 
-# mypy runs beside the tests, which leave a quarter of the processors idle
 # one restart only: a test that ends its worker runs again in the next worker, and ends that one, too
 test: $(VENV)/.test
-	$(CHECK)
-	nice -n 19 $(BIN)/mypy & types=$$!; $(COLLECT) & collected=$$!; $(WARM) && wait $$collected && \
-	  $(BIN)/python -m pytest -n auto --dist loadgroup --max-worker-restart 1 -q; tests=$$?; wait $$types && exit $$tests
+	$(call CHECK,($(COLLECT) & $(WARM) && wait $$!))
+	$(BIN)/python -m pytest -n auto --dist loadgroup --max-worker-restart 1 -q
 
 # unit tests without those marked slow, with fewer random examples; one worker per core, as no test flies in real time
 quick: $(VENV)/.test
-	$(CHECK)
-	$(WARM) & $(BIN)/mypy && wait $$!
+	$(call CHECK,$(WARM))
 	$(BIN)/python -m pytest -n logical --dist loadgroup -q -m "not slow" --hypothesis-profile=quick tests/unit
 
 # builds the documentation site in build/site; a broken link is an error
