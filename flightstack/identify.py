@@ -5,8 +5,8 @@ The model of one axis of the velocity loop has a gain, a second-order low-pass a
     v(s) = gain exp(-theta s) w^2 / (s^2 + 2 zeta w s + w^2) u(s) + disturbance
 
 (v: velocity, u: command, theta: dead time, w: natural frequency, zeta: damping). The same high-pass filter is
-applied to command and velocity: it removes wind and weight and does not change the model. The initial state
-of each segment is free. The fit minimises the squared difference between model and flight. The standard
+applied to command and velocity: the filter removes wind and weight and does not change the model. The initial
+state of each segment is free. The fit minimises the squared difference between model and flight. The standard
 errors are computed from blocks of one second, since gusts correlate neighbouring differences.
 
 Noise is the residual of a parabola in a short window; the parabola follows any real motion. Correlated noise
@@ -70,7 +70,7 @@ class Loop(NamedTuple):
 def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:
     """Identify the velocity loop of an axis, or of several equal axes; ``axis``: name in error texts.
 
-    Raises ValueError: too short, too little excitation, or the model does not explain the flight; the text
+    Raises ValueError: the flight is too short, has too little excitation, or differs from the model; the text
     describes a flight that identifies the parameters.
     """
     kept = [s for s in segments if len(s.command_m_s) * period_s >= SEGMENT_MIN_S]

@@ -1,4 +1,4 @@
-"""Campaigns: many landings with different seeds on all cores, in one scenario or over a grid of its keys."""
+"""Campaigns: many landings with different seeds on all cores, of one scenario or of a grid of key values."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Campaign:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """Counts, rates with 95 % confidence bounds, quantiles, worst seeds."""
+        """Counts of outcomes, rates with 95 % confidence bounds, quantiles of results, worst seeds."""
         flown_s = sum(row.simulated_s or 0.0 for row in self.rows)
         apart = judged_apart(self.scenario)
         return summary(
@@ -82,14 +82,14 @@ class Sweep:
 
     Attributes:
         keys: swept keys.
-        points: values of the keys, with the landings at these values.
+        points: for each point of the grid, the values of the keys and the landings.
     """
 
     keys: tuple[str, ...]
     points: tuple[tuple[tuple[Any, ...], Campaign], ...]
 
     def _named(self) -> list[tuple[dict[str, Any], Campaign]]:
-        """Return for each point the values by key, with the landings at this point."""
+        """Return for each point its values by key, and its landings."""
         return [(dict(zip(self.keys, values, strict=True)), flown) for values, flown in self.points]
 
     @cached_property
@@ -98,7 +98,7 @@ class Sweep:
         return frame([at | _values(row) for at, flown in self._named() for row in flown.rows])
 
     def rates(self) -> list[dict[str, Any]]:
-        """Return for each point: values by key, number of runs, fractions with landing and violation."""
+        """Return for each point: values by key, number of runs, fractions of landings and violations."""
         return [
             at
             | {
@@ -116,9 +116,9 @@ class Sweep:
         return "\n".join(("Sweep(", *lines, ")"))
 
     def plot(self) -> go.Figure:
-        """Return a figure that shows, against the first key, the fractions of landings and violations.
+        """Return a figure of the fractions of landings and of violations, against the first key.
 
-        Each combination of the other keys has its own line.
+        Each combination of values of the other keys has its own lines.
 
         Raises:
             ModuleNotFoundError: plotly is not installed.
@@ -147,13 +147,13 @@ def campaign(
 ) -> Campaign:  # fmt: skip
     """Fly many seeds of a scenario with one or several vehicles, with a progress bar.
 
-    A filter class from a notebook or function reaches the workers by fork. If a fork is not safe (other
-    threads, no Linux), cloudpickle is used; without cloudpickle, this process flies the seeds.
+    A filter class that a notebook or function defines reaches the workers by fork. If a fork is not safe
+    (other threads, no Linux), cloudpickle is used; without cloudpickle, this process flies the seeds.
 
     Args:
         name: name, file or object of the scenario.
         seeds: seeds to fly.
-        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: that of the scenario.
+        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: the scenario's filter.
         changes: keys of the scenario to change for each vehicle, see ``scenario``.
         workers: number of processes; None: one for each core.
 

@@ -1,8 +1,8 @@
 """Gymnasium environment: the agent chooses the nominal velocity of the landing in each tick.
 
 A flight has the simulator, autopilot, connections, phase machine, gate and verdict of ``fs.land``. The flight
-runs in a greenlet that stops when the stack requests the nominal velocity, and continues with the action of
-the agent.
+runs in a greenlet that pauses when the stack requests the nominal velocity, and continues with the agent's
+action.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sim.scenarios.scenario import Scenario
 # The cost of a tick is small compared with the reward for the approach; else an agent learns to crash early.
 APPROACH_REWARD_1_M = 10.0  # reward for each metre by which the distance to the landing spot decreases
 STEP_REWARD = -0.001  # reward for each tick
-VIOLATION_REWARD = -0.1  # reward for each tick with a negative barrier value outside the pad
+VIOLATION_REWARD = -0.1  # reward for each tick with h below -5 mm outside the pad
 END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}  # reward at the end, by outcome
 OTHER_END_REWARD = -5.0
 _SPEED_FAR_M = 1e3  # bound of each observed value, m or m/s
@@ -42,7 +42,7 @@ ENV_ID = "flightstack/Landing-v0"
 class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  # gymnasium is an extra
     """One landing; a step is a tick of the controller (0.01 s) in the phases APPROACH and LAND.
 
-    The stack flies take-off, touchdown, go-around and aborts itself, between two steps or in the last one.
+    The stack itself flies take-off, touchdown, go-arounds and aborts, between two steps or in the last step.
 
     Observation, (13,), SI, ENU: vehicle's position minus landing spot (3), vehicle's velocity minus landing
     spot's velocity (3), landing spot's velocity (3), value h of the paper's barrier (1), velocity command of
@@ -53,15 +53,15 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     also limits the horizontal velocity relative to the target to ``robust.gain_1_s`` times the distance.
 
     Reward: 10 for each metre that the distance to the landing spot decreases, -0.001 for each step, and -0.1
-    for each step with a negative barrier value outside the pad; at the end 10 for a landing, -10 for a crash,
-    -5 for an abort.
+    for each step with h below -5 mm outside the pad; at the end 10 for a landing, -10 for a crash, 0 at the
+    time limit, and -5 otherwise.
 
-    ``terminated``: the flight is over; ``truncated``: it exceeded its time limit. The last ``info`` has
-    ``verdict``, ``outcome``, ``violation`` (None: unknown), ``h_min_outside_pad_m`` and ``is_success``.
+    ``terminated``: the flight is over; ``truncated``: the flight exceeded its time limit. The last ``info``
+    has ``verdict``, ``outcome``, ``violation`` (None: unknown), ``h_min_outside_pad_m`` and ``is_success``.
 
     Args:
         scenario: name, file or object of a scenario of one vehicle.
-        filter: ``None`` for no filter; ``"paper"`` or ``"robust"``.
+        filter: ``"paper"`` or ``"robust"``; None: no safety filter.
         changes: keys of the scenario to change, see ``fs.scenario``.
 
     Raises:
@@ -116,7 +116,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         return self._observed(at), {"seed": flown}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Fly with this velocity until the stack requests the next one or the flight is over.
+        """Fly with the velocity ``action`` until the stack requests the next velocity or the flight is over.
 
         Args:
             action: nominal velocity, (3,), m/s ENU.
@@ -177,7 +177,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
             flight.throw()  # raises GreenletExit inside the flight
 
     def _ask(self, at: Relative, own: Vec3) -> Vec3:
-        """Suspend the flight until the agent has chosen a velocity; return this velocity."""
+        """Suspend the flight until the agent has chosen a velocity; return the permitted velocity."""
         self._builtin = own
         flight, companion = self._flight, self._companion
         assert flight is not None

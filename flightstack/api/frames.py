@@ -22,10 +22,11 @@ _AXES = {3: "xyz", 4: "xyzw"}
 
 
 def frame(columns: Any) -> Any:
-    """Return a table with a column per array; an array (n, 3) becomes three columns ``_x``, ``_y``, ``_z``.
+    """Return a table with a column per array; for an array (n, 3), one column per axis (``NAME_x``, ...).
 
     The table of a landing's arrays also has ``e_m``, the position relative to the landing spot, and ``d_m``,
-    its horizontal length, m; phase, request, filter status and gate verdict are names instead of numbers.
+    the length of its horizontal part, m; phase, request, filter status and gate verdict are names instead of
+    numbers.
 
     Args:
         columns: arrays of a landing (``landing.log``, ``landing.truth``), a dict of arrays, or a list of
@@ -71,7 +72,7 @@ def _made(flat: dict[str, Any]) -> Any:
 
 
 def _plain(values: Any) -> Any:
-    """Replace enums in a list by their values, since Arrow has no enums."""
+    """Replace enums in a list by their values, because Arrow has no enums."""
     if isinstance(values, list):
         return [each.value if isinstance(each, Enum) else each for each in values]
     return values

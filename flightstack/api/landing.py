@@ -44,7 +44,7 @@ def scenario(
         name: name of a packaged scenario, path of a file, or scenario object.
         changes: values by key, e.g. ``{"wind.mean_m_s": 1.0, "barrier.omega_1_s": 0.7}``; keys of the flown
         configuration need no prefix ``onboard.`` unless the scenario has a table of the same name.
-        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME`` or a class; None: that of the scenario.
+        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME`` or a class; None: the scenario's filter.
 
     Raises:
         ConfigError: unknown scenario or key, wrong unit or type, value out of range.
@@ -73,7 +73,7 @@ def _changed(member: Scenario, changes: Changes) -> Scenario:
         for step in reversed(_path(key)):
             part = {step: part}
         table = over(table, part)
-    if _PAD not in map(_path, changes):  # the configuration then gets the radius of the robot's pad
+    if _PAD not in map(_path, changes):  # without this key, the robot's pad gives the radius
         del table["onboard"]["touchdown"]["pad_radius_m"]
     return from_table(Scenario, one_pad(table), keys=sorted(_SCENARIO - {"others"}))
 
@@ -95,7 +95,7 @@ def filter_name(filter: str | type[Any]) -> str:
 
 
 def _path(key: str) -> tuple[str, ...]:
-    """Return the table names and the key name, from the scenario's root."""
+    """Return the path of a key from the scenario's root: the names of its tables, then its own name."""
     if not isinstance(key, str):
         raise ConfigError(f"changes: found the key {key!r}, a text such as 'wind.mean_m_s' is needed")
     steps = tuple(key.split("."))
@@ -151,7 +151,7 @@ class Landing:
         return self.flight.truth
 
     def plot(self) -> go.Figure:
-        """Return a figure of the path relative to the landing spot, over the barrier.
+        """Return a figure of the vehicle's path relative to the landing spot, with the barrier's boundary.
 
         Raises:
             MissingExtraError: plotly is not installed.
@@ -191,7 +191,7 @@ def land(
     Args:
         name: name, file or object of the scenario.
         seed: seed of all random draws; the same seed gives the same landing to the last bit.
-        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: that of the scenario.
+        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: the scenario's filter.
         changes: keys of the scenario to change, see ``scenario``.
 
     Raises:

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 
-# While only this command starts, no other process runs yet: Ctrl-C then ends it without a traceback.
+# While this command loads, it has no child processes, so Ctrl-C ends it immediately, without a traceback.
 if (
     os.path.basename(sys.argv[0]) in ("flightstack", "-m")  # noqa: PTH119
     and signal.getsignal(signal.SIGINT) is signal.default_int_handler

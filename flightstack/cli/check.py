@@ -92,7 +92,7 @@ class Part(NamedTuple):
 
 
 def _parts(name_or_file: str, name: str | None) -> list[Part]:
-    """Check a configuration, or those of a scenario, with the filter ``name``; None: the configured one."""
+    """Check the configuration or the scenario with the filter ``name``; None: the configured filter."""
     from flightstack.verify.certificate import checks
 
     config = _configuration(name_or_file)

@@ -47,7 +47,7 @@ def called_off() -> CalledOffError | None:
 
 
 def begun() -> None:
-    """Check the start for signals. Raises CalledOffError: one has arrived, and its exception was dropped."""
+    """Raise CalledOffError if a signal arrived during the start and its exception was dropped."""
     if _came:
         raise _came[-1]
 

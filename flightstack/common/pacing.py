@@ -1,13 +1,13 @@
 """Times of the ticks: absolute deadlines in real time, messages of the simulator in lockstep.
 
-Stack time is seconds since the start of the process (monotonic clock) or simulated time. In lockstep the time
-in the log is simulated time after a fixed date, so that equal seeds give equal logs.
+Stack time, in seconds, is the time since the start of the process (monotonic clock) or simulated time. In
+lockstep the time in the log is simulated time after a fixed date, so that equal seeds give equal logs.
 
-A simulator that paces itself shares its clock with the processes of its run in a file. It writes its time,
-which the processes use instead of wall time. Each process (follower) writes the time until which it sleeps,
-and the simulator waits for it at this time: a busy machine slows all processes equally. The file contains
-64-bit integers in nanoseconds: Unix time of the clock's zero, simulated time, and for each follower the
-simulated time until which it sleeps.
+A simulator that paces itself shares its clock with the processes of its run in a file. The simulator writes
+its time, which the processes use instead of wall time. Each process (follower) writes the time until which it
+sleeps, and at this time the simulator waits for the process, so a busy machine slows all processes equally.
+The file contains 64-bit integers in nanoseconds: Unix time of the clock's zero, simulated time, and for each
+follower the simulated time until which it sleeps.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _STALL_MAX_S = 2.5  # wall time without a step after which followers use wall ti
 class FastClock:
     """Wall clock that runs ``speed`` times as fast as real time, for simulators with that speed.
 
-    The processes of a run agree on ``unix_ns``, which is correct at the last midnight (UTC).
+    At the last midnight (UTC) ``unix_ns`` equals the true time, so all processes of a run agree on it.
     """
 
     speed: float = 1.0
@@ -93,12 +93,12 @@ def wait_until(
 ) -> bool:
     """Poll ``done`` until it or ``stopped`` is true, or the time-out has passed.
 
-    Zenoh's handlers cannot wait with a time-out. The first polls only yield the processor, since a message
-    usually arrives within them.
+    Zenoh's handlers cannot wait with a time-out. The first polls only yield the processor, because a message
+    usually arrives during these polls.
 
-    ``timeout_s``: wall time, in which a pause of the machine counts at most 0.1 s; ``pause_s``: sleep between
-    two polls; ``what``: text on standard error during a long wait, if not empty. Returns False after the
-    time-out; after True, check ``stopped``.
+    ``timeout_s``: longest wall time; a pause of the machine counts as at most 0.1 s; ``pause_s``: sleep
+    between two polls; ``what``: text on standard error during a long wait, if not empty. Returns False after
+    the time-out; after True, the caller must check ``stopped``.
     """
     if done() or stopped():
         return True
@@ -205,7 +205,7 @@ class FollowedClock:
     """The clock in a follower.
 
     After 2.5 s without a step the simulator counts as stopped. Time then passes as wall time, so that
-    time-outs of the follower still end. The same applies while ``stopped()`` is true: this process ends.
+    time-outs of the follower still end. The same applies while ``stopped()`` is true: the process then ends.
     """
 
     def __init__(self, path: Path, follower: Follower, stopped: Callable[[], bool] = lambda: False) -> None:

@@ -1,4 +1,4 @@
-"""Worker processes whose results are returned as they arrive; none is lost if a worker dies or hangs.
+"""Worker processes whose results are returned as they arrive; a worker that dies or hangs loses no result.
 
 The processes are forked and use the modules and code that this process has loaded and compiled; if it has
 other threads, they are spawned.
@@ -24,7 +24,7 @@ from flightstack.common.processes import LaunchError, forget_handlers, may_fork
 
 T = TypeVar("T")
 R = TypeVar("R")
-START_S = 1800.0  # time-out of a start, including compilation on a slow computer, s
+START_S = 1800.0  # time-out of a worker's start, including compilation on a slow computer, s
 
 
 class WorkersError(LaunchError):
@@ -89,7 +89,7 @@ def results(
     executor: Executor, work: Callable[[T], R], waiting: deque[T], ahead: Callable[[], int],
     limit_s: float | None = None,
 ) -> Iterator[tuple[T, Future[R]]]:  # fmt: skip
-    """Yield each item with its finished future, in any order; at most ``ahead()`` items are submitted."""
+    """Yield items with their finished futures, in any order; at most ``ahead()`` items are in progress."""
     running: dict[Future[R], T] = {}
     try:
         while waiting or running:
@@ -113,8 +113,8 @@ def in_processes(
 ) -> Iterator[R]:  # fmt: skip
     """Yield the results of ``work`` as they arrive, in any order, from ``number`` processes.
 
-    If a worker dies or hangs, each submitted item can be the cause. These items are submitted again, one at
-    a time; ``failed`` makes the result of an item that then again ends its worker, or takes longer than
+    If a worker dies or hangs, each submitted item can be the cause. These items are submitted again, one at a
+    time; ``failed`` returns the result of an item whose worker dies a second time, or again exceeds
     ``limit_s``. Raises WorkersError: no worker starts.
     """
     waiting, suspects = deque(items), deque[T]()

@@ -173,7 +173,7 @@ def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM)
 
 
 class Port:
-    """TCP port on loopback for a later server; as long as this object is open, other runs cannot take it.
+    """TCP port on loopback for a later server; other runs cannot take the port while this object is open.
 
     A port from a bind to port 0 is in the range of outgoing connections, so one of these can take the port a
     moment later. The ports of this class are below that range, and each is reserved by a bound UDP port.
@@ -247,7 +247,7 @@ class Forked(ForkProcess):
             os._exit(1)
         leave_parent(self._output, self._errors)
         signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
-        gc.freeze()  # the collector then does not scan memory shared with the parent, so it is not copied
+        gc.freeze()  # the collector then does not scan memory shared with the parent, so no page is copied
         super().run()
 
     @property

@@ -64,7 +64,7 @@ def _usable(directory: Path) -> bool:
 
 @cache
 def cache_directory() -> Path | None:
-    """Return the directory for machine code: the first that is writable; None if there is none."""
+    """Return the first writable directory for machine code; None: no directory is writable."""
     name = f"jit-{_fingerprint()}"
     return next((root / name for root in _roots() if _usable(root / name)), None)
 
@@ -75,7 +75,7 @@ def _roots() -> Iterator[Path]:
         yield Path(chosen)
     yield HERE / "__pycache__"
     yield Path(os.path.expanduser("~/.cache/flightstack"))  # noqa: PTH111
-    with contextlib.suppress(OSError):  # also from tempfile: no temporary folder is writable
+    with contextlib.suppress(OSError):  # raised also by ``gettempdir`` if no temporary folder is writable
         folder = Path(tempfile.gettempdir()) / f"flightstack-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
@@ -98,7 +98,7 @@ def jitted(function: F) -> F:
 def _guarded(machine: Any) -> Any:
     """Compile a function again if its stored code is damaged, and run it without storage if the disk is full.
 
-    Files are damaged by a loss of power or a full disk; numba raises whatever unpickling raises.
+    Files are damaged by a loss of power or a full disk; numba does not catch the exceptions of unpickling.
     """
     cached = machine._cache
     load, save = cached.load_overload, cached.save_overload
@@ -120,7 +120,7 @@ def _guarded(machine: Any) -> Any:
 
 
 def is_kept(what: str) -> bool:
-    """Whether the machine code of ``what`` is on disk; it then loads in tenths of a second."""
+    """Whether the machine code of ``what`` is on disk, from where it loads in some tenths of a second."""
     folder = cache_directory()
     return folder is not None and (folder / what).exists()
 

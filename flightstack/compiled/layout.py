@@ -87,7 +87,7 @@ def kind_of_hint(hint: Any) -> Kind | None:
 
 
 def is_state(cls: type) -> bool:
-    """Whether objects of a class are state that changes: dataclasses that are not frozen."""
+    """Whether objects of a class contain state that changes: the class is a dataclass that is not frozen."""
     return dataclasses.is_dataclass(cls) and not cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
 
 

@@ -1,10 +1,10 @@
-"""Objects of the core in compiled code, generated from the annotations of their classes.
+"""Compiled forms of the core's objects; they are generated from the annotations of the classes.
 
-Compiled code gets the address of an object, and reads and writes its annotated fields there: numbers, tuples
-of numbers, named tuples, texts (as numbers), and other objects. It calls compiled forms of the methods of the
+Compiled code gets the address of an object, and reads and writes the object's annotated fields: numbers,
+tuples of numbers, named tuples, texts (as numbers), and other objects. It calls the compiled methods of the
 object's class. Compiled code cannot access fields of any other kind, and never finds ``None`` in a field.
 Dataclasses that are not frozen contain the state: ``Objects.write`` copies the state from Python's objects
-and ``Objects.read`` copies it back. Everything else is copied once.
+and ``Objects.read`` copies it back. All other objects are copied once.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Objects:
 
 
 def _reached(one: Any, known: dict[int, Any]) -> Iterator[Any]:
-    """Yield all objects to which fields refer, each once."""
+    """Yield an object and all objects to which its fields refer, each once."""
     if id(one) in known:
         return
     known[id(one)] = one

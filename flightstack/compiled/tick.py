@@ -1,7 +1,7 @@
 """Controller whose ordinary landing ticks are compiled from the source of ``Controller.land``.
 
-Its set-points, states and log rows equal those of plain Python to the last bit; a replay in plain Python
-verifies this for each flight. All other ticks run in Python. Nothing is compiled in flight.
+Its set-points, states and log rows equal those of plain Python to the last bit; a replay of a flight's log in
+plain Python verifies this. All other ticks run in Python. Nothing is compiled in flight.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def _land(kernel: CompiledController, given: F64) -> None:
 class CompiledController(Controller):
     """Controller that computes an ordinary landing tick in one compiled call.
 
-    The state is copied back at the next access to ``memory`` or ``state``, after the set-point was sent.
+    The first access to ``memory`` or ``state`` after a tick copies the state back to Python's objects.
     """
 
     answer: Answer
@@ -180,7 +180,7 @@ class CompiledController(Controller):
         return out
 
     def _ordinary_tick(self, inputs: Inputs, now_s: float) -> Outputs | None:
-        """Run a compiled tick and return its outputs; None, without a change, if this is impossible."""
+        """Run a compiled tick and return its outputs; None: not ordinary, and the state is unchanged."""
         own, status, samples = inputs.own, inputs.status, inputs.target_samples
         if own is None or status is None or not self._holds(status):
             return None

@@ -2,5 +2,5 @@
 
 ``mission/`` decides the phase, ``fleet/`` avoids other vehicles, ``strategies/`` contains the safety filters,
 ``safety/`` barrier, quadratic program and gate, ``target/`` the estimators, ``parameters/`` the configuration
-and ``memory.py`` the complete state. Outside this package the controller imports only ``common``.
+and ``memory.py`` the complete state. From the rest of this project, the controller imports only ``common``.
 """

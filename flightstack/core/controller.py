@@ -4,7 +4,7 @@ samples -> estimates -> phase (``mission/``) -> nominal velocity -> neighbours (
 (``setpoint``); the last two are methods of ``VelocityCommand`` in ``command.py``. Live flight, lockstep
 simulation and replay call ``step``. ``land`` is the same sequence for an ordinary tick: a single vehicle with
 good inputs that follows set-points or has landed, and no change of phase. Campaigns and, in real time, the
-onboard process run it compiled; its results equal those of ``step`` to the last bit.
+onboard process run ``land`` compiled; its results equal those of ``step`` to the last bit.
 """
 
 from __future__ import annotations
@@ -303,7 +303,7 @@ class Controller:
         return memory.phase in FLYING and status.flies_by_setpoints and commanded
 
     def _message(self, seen: Snapshot, now_s: float) -> MemberStatus | None:
-        """Return the message to the neighbours after this tick; None: no neighbours or no recent state."""
+        """Return the message to the neighbours after this tick; None: no neighbours or no valid state."""
         own = seen.inputs.own
         if own is None or not seen.own_ok:
             return None

@@ -37,11 +37,11 @@ class Memory:
     stopped_since_s: float = inf  # time since which the vehicle does not follow a descent command, s
     contact: bool = False  # whether the vehicle stands on the pad
     own_ok_s: float = -inf  # time of the last usable vehicle state, s
-    was_armed: bool = False
-    was_external: bool = False
+    was_armed: bool = False  # whether the vehicle was armed earlier in this flight
+    was_external: bool = False  # whether the vehicle followed set-points earlier in this flight
     climbed: bool = False  # whether the take-off climb is over
     clear: bool = False  # whether the vehicle has flown clear of the pad
-    retries: int = 0
+    retries: int = 0  # number of go-arounds in this flight
     swings: int = 0  # number of departures from the cone over the pad since the last touchdown
     ground_z_m: float = inf  # lowest height of the vehicle in the take-off, on the ground, m
     yaw_rad: float | None = None  # heading in all set-points of the flight, rad
@@ -86,8 +86,8 @@ class TrackMemory(ClockMemory):
     distrusts: int = 0  # number of times in this flight that positions contradicted the velocity
     parted_m: float = 0.0  # largest smoothed drift since the target was distrusted, m
     settled: bool = False  # whether the flight has started: jumps of the target are no longer accepted
-    accepted: int = 0
-    rejected: int = 0
+    accepted: int = 0  # number of accepted samples
+    rejected: int = 0  # number of rejected samples
     refusal: str = ""  # reason why the newest sample was rejected; empty if it was accepted
 
 
@@ -100,8 +100,8 @@ class MotionMemory:
 
     time_s: float = nan  # stamp of the newest sample on the sender's clock, s; NaN before the first sample
     position_enu_m: Vec3 = ZERO  # estimated position at ``time_s``, m
-    velocity_enu_m_s: Vec3 = ZERO
-    acceleration_enu_m_s2: Vec3 = ZERO
+    velocity_enu_m_s: Vec3 = ZERO  # estimated velocity at ``time_s``, m/s
+    acceleration_enu_m_s2: Vec3 = ZERO  # estimated acceleration at ``time_s``, m/s^2
     yaw_rad: float | None = None  # newest measured heading, rad; None: unknown
     turn_rate_rad_s: float = 0.0  # turn rate of the velocity and acceleration vectors, rad/s
     innovation2: float = 1.0  # mean normalised innovation squared of x and y; 1 is expected
@@ -125,9 +125,9 @@ class PlausibilityMemory:
     """State of the plausibility checks on vehicle state and set-points."""
 
     last: OwnState | None = None  # newest vehicle state that is a new measurement
-    moved_s: float = 0.0  # arrival time of the newest state that has a new position or is not in flight, s
+    moved_s: float = 0.0  # arrival time of the newest state with a new position or no velocity control, s
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain, m
-    distrusted: bool = False
+    distrusted: bool = False  # whether position and reported velocity contradict each other
     missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity, m
 
 
@@ -153,7 +153,7 @@ class OwnMemory:
     time_s: float = nan  # time of the newest sample on the vehicle's clock, s; NaN before the first sample
     x: AxisState = AT_REST  # state of the x axis at ``time_s``, like y and z below
     y: AxisState = AT_REST
-    z_m: float = 0.0
+    z_m: float = 0.0  # estimated height at ``time_s``, m
     z_error_m_s: float = 0.0  # error of the reported vertical velocity, m/s
     x_now: AxisState = AT_REST  # state of the x axis, predicted over the delay to now
     y_now: AxisState = AT_REST
@@ -189,7 +189,7 @@ class Heard:
     yielded_s: float = -inf  # time at which this vehicle last announced that it yields, s
     on_pad: bool = False  # whether the neighbour stands on this vehicle's pad, by its newest message
     faster_m_s2: Vec3 = ZERO  # smoothed derivative of the neighbour's velocity command, m/s^2
-    jumped_m: Vec3 = ZERO  # sum of the neighbour's position jumps beyond the reachable set, m
+    jumped_m: Vec3 = ZERO  # vector sum of the neighbour's jumps away from predicted positions, m
 
 
 @dataclass(slots=True)

@@ -1,9 +1,9 @@
 """Support for functions of the core that are also compiled; both forms agree to the last bit.
 
-Compiled functions take and return numbers, tuples of numbers, and objects of the core. They call functions
-of this project, ``exp``, ``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. In
-these and in + - * / compiled code equals Python to the last bit; the results of ``math.hypot``,
-``math.remainder`` and ``**`` can differ.
+Compiled functions take and return numbers, tuples of numbers, and objects of the core. They call functions of
+this project, ``exp``, ``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. The
+results of these functions and of + - * / are the same in compiled code and Python, to the last bit; those of
+``math.hypot``, ``math.remainder`` and ``**`` can differ.
 """
 
 from __future__ import annotations

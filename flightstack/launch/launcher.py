@@ -52,9 +52,9 @@ def _verb(child: Child) -> str:
 class Launcher(contextlib.ExitStack):
     """Context manager that owns the child processes and ends all of them on exit.
 
-    ``tells``: whether the output of the onboard process is printed; ``real``: whether the vehicle is real. If
-    it is, Ctrl-C, SIGTERM and a closed terminal are forwarded to the onboard process. This process lands the
-    vehicle, and the run ends with it.
+    ``tells``: whether the output of the onboard process is printed; ``real``: whether the vehicle is real.
+    For a real vehicle, Ctrl-C, SIGTERM and a closed terminal are forwarded to the onboard process, which
+    lands the vehicle; the run ends with this process.
     """
 
     def __init__(self, folder: Path, console: Terminal, *, tells: bool, real: bool = False) -> None:
@@ -115,7 +115,7 @@ class Launcher(contextlib.ExitStack):
         self, flights: Sequence[Followed], title: str | None, limit_s: float = math.inf,
         teller: Child | None = None, *, lockstep: bool = False,
     ) -> tuple[str | None, float]:  # fmt: skip
-        """Wait for the onboard processes, watch the flights, end all; return problem and wall time, s.
+        """Watch the flights of the onboard processes, end all children; return problem and wall time, s.
 
         ``title``: title of the live view (None: no view); ``teller``: see ``Flying``.
         """
@@ -171,7 +171,7 @@ class Launcher(contextlib.ExitStack):
                     return theirs  # the simulator of the vehicle has ended
                 problem = f"{child.name} ended in flight: {child.errors()}"
                 self.hint(problem, style="red")
-                if lockstep and _verb(child) == "world":  # no further tick can arrive: all end
+                if lockstep and _verb(child) == "world":  # no further tick can arrive: the flights end
                     self._hand_on(signal.SIGTERM)
             if self.interrupted:
                 return "interrupted"

@@ -1,4 +1,4 @@
-"""Vehicles of ``sitl``: the simulated vehicle, PX4 on it, and PX4 and ArduPilot with their built-in physics.
+"""Vehicles of ``sitl``: the simulated vehicle, also flown by PX4; PX4 and ArduPilot with built-in physics.
 
 A function for each kind of vehicle starts the processes and returns the options with which the onboard
 process connects to them. Vehicles with built-in physics have no pad: they land on the floor under the landing

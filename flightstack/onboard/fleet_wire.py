@@ -1,9 +1,9 @@
 """Status messages of a fleet: this vehicle sends its status in each tick, and receives those of the others.
 
 Each process publishes ``MemberStatus`` on ``NAMESPACE/fleet/status`` and subscribes to ``**/fleet/status``.
-This one pattern needs no list of namespaces, and also detects two processes with one vehicle id, and vehicles
-that are not members. Like all keys of a vehicle, the key begins with the namespace, so that access rules can
-name it.
+With this pattern a process needs no list of namespaces, and also detects two processes with one vehicle id,
+and vehicles that are not members. Like all keys of a vehicle, the key begins with the namespace, so that
+access rules can name it.
 
 In flight no call blocks. Rejected messages are counted; a text reports each doubling of the count.
 

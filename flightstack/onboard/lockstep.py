@@ -131,7 +131,7 @@ class LockstepWires(VehicleTicks):
         return decoded(self._released, now_s)
 
     def landing_began(self, tick: int) -> None:
-        """Send the target the tick at which it starts to drive: the first that it cannot have simulated."""
+        """Send the target its first driving tick: the first tick that it cannot have simulated yet."""
         self._go_tick = tick + RUN_AHEAD_TICKS + 1
         self._give_credit(tick)
 
@@ -152,7 +152,7 @@ class LockstepWires(VehicleTicks):
 
 
 class LockstepStatuses(FleetWire):
-    """Fleet messages in lockstep: each message reaches the other members in a tick after it was sent.
+    """Fleet messages in lockstep: each message reaches the other members in a later tick.
 
     The vehicles' simulator receives the messages of all members and distributes them tick by tick, so that
     their order does not depend on wall time. No other process has this vehicle's id, because the launcher

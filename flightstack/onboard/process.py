@@ -83,7 +83,7 @@ class Onboard(Leaving):
             self.feed, self.wires.session, self.names, config, self.fleet.topics, lockstep=lockstep
         )
         self.link.endpoint.tap = self.log.tap
-        # in lockstep the texts must not depend on wall time
+        # no search for other keys in lockstep, because its texts would depend on wall time
         self.waiting = WaitReport(config, system_id, self.link, self.wires, searches=not lockstep)
         self._foreign_due, self.refusals = 1, Refusals()
         self.cause = ""  # reason why the autopilot ended the flight; it is appended to the phase's reason

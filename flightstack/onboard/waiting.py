@@ -28,7 +28,7 @@ _PROBLEMS = 2  # maximum number of texts about rejected samples in one report
 
 
 class _Pace:
-    """Longest interval between arrivals since the last report; if none arrived, that of the report before."""
+    """Longest interval between arrivals since the last report; without arrivals, the interval before."""
 
     def __init__(self) -> None:
         self._last_s, self._longest_s, self._reported = math.nan, 0.0, True
@@ -41,7 +41,7 @@ class _Pace:
             self._reported = False
 
     def seldom(self, what: str, age_s: float, key: str, most_s: float) -> str:
-        """Return a text if inputs arrive too rarely for their age limit; the next report starts anew."""
+        """Return a text if inputs arrive too rarely for their age limit; then reset the longest interval."""
         every_s, self._reported = self._longest_s, True
         if every_s <= most_s or not age_s <= every_s:
             return ""

@@ -1,8 +1,8 @@
 """Proof, before take-off, that a configuration is safe in its complete declared envelope.
 
-``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point.
-``problems`` are the refuted claims that are necessary for a landing: the onboard process rejects such a
-configuration. Each filter class has its own check function, because the proof of a class does not cover its
+``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point. ``problems``
+are the refuted claims that are necessary for a landing: the onboard process rejects a configuration with such
+a claim. Each filter class has its own check function, because the proof of a class does not cover its
 subclasses. The paper's filter has only the paper's checks, which guarantee nothing for a vehicle with lag.
 """
 

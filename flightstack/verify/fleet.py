@@ -6,7 +6,7 @@ Some velocity must satisfy the landing barrier, the velocity limits (box) and th
     g . u >= |g| w + a t - rate h,
 
 where w is the neighbour's speed, a t its ellipsoid's growth rate at the largest latency, rate = rate_1_s;
-this vehicle has the whole share, and the neighbour flies straight to it. g is a unit vector whose vertical
+this vehicle has the whole share, and the neighbour approaches straight. g is a unit vector whose vertical
 part is multiplied by k = radius_xy / radius_z. The checks use the box's horizontal disc, without slew limit.
 """
 
@@ -83,12 +83,12 @@ def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
     T y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
     and y remains positive if y' >= -L y, where L is the larger root.
 
-    A receiver relies on a message in ticks until ZERO_LATENCIES after it, plus the period of that tick and of
-    late ones; the sender keeps the whole share in all ticks until HOLD_LATENCIES.
+    A receiver relies on an announcement in ticks that start until ZERO_LATENCIES after it, and until these
+    ticks and late ones end. The sender keeps the whole share until HOLD_LATENCIES after it.
 
-    For an active constraint g . (u - c) = -rate h, g . u has to grow by rate times the closing speed plus the
-    acceleration of the other vehicle; the curvature of h reduces this sum, and the half share halves it. The
-    remaining slew limit is homogeneous in g and concave, so it is smallest along an axis.
+    For an active constraint g . (u - c) = -rate h (c: the other's velocity), g . u has to grow by rate times
+    the closing speed plus c's derivative; the curvature of h reduces this sum, and the half share halves it.
+    The remaining slew limit is homogeneous in g and concave, so it is smallest along an axis.
     """
     fleet, speeds_m_s = config.fleet, config.limits.velocity_max_m_s
     slew_m_s2 = strategy_of(config).acceleration_max_m_s2

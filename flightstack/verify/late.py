@@ -2,8 +2,8 @@
 
 docs/how_it_works/robust_filter.md, *Limits of the lead*: one axis is simulated tick by tick with the filter's
 functions (``velocity_tracking.py``), which are linear within their bounds. A tick is therefore a matrix.
-Delays are rounded to whole ticks. Only vehicles on a grid are checked: the decay rate is continuous in their
-parameters, and the required rate leaves room for vehicles in between.
+Delays are rounded to whole ticks. Only vehicles on a grid are checked: the decay rate is continuous in the
+parameters of a vehicle, and the required rate leaves room for vehicles between the grid points.
 """
 
 from __future__ import annotations

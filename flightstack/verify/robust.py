@@ -100,7 +100,7 @@ def demand_growth(config: FlightConfig, x: Extremes) -> Most:
 
 
 def outside_pad(config: FlightConfig, x: Extremes) -> list[Check]:
-    """Return the checks of the filter's motion outside the pad, and of its estimators."""
+    """Return the checks of the vehicle's motion outside the pad, and of the filter's estimators."""
     robust, link, az = config.robust, config.target, config.slew_max_m_s2[2]
     box_m_s, vz = config.limits.velocity_max_m_s, config.limits.velocity_max_m_s[2]
     most_1_s = 1.0 / x.lag_z_s if x.lag_z_s > 0.0 else math.inf

@@ -151,7 +151,7 @@ class FleetMember:
         return ""
 
     def over(self, since_s: float, now_s: float) -> bool:
-        """Whether this vehicle can stop sending: all others are down or silent, or its phase is too long."""
+        """Whether sending can stop: all other members are down or silent, or this phase lasts too long."""
         fleet = self._fleet
         if since_s > FLIGHTS_OF_OTHERS * fleet.wait_max_s:
             return True

@@ -81,9 +81,9 @@ def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
 def jump(before: MemberStatus, message: MemberStatus, fleet: Fleet) -> Vec3:
     """Return the offset of a reported position from the predicted one; zero if the position is reachable.
 
-    A velocity change with the fleet's maximum acceleration is allowed, and errors of both messages by their
-    reported standard deviations and clock errors. The margin of the ellipsoid is also allowed, because a
-    landing stops a vehicle immediately.
+    Allowed are a velocity change with the fleet's maximum acceleration, errors of both messages within their
+    reported standard deviations and clock errors, and the margin of the ellipsoid, because a landing stops a
+    vehicle immediately.
     """
     gone_s = message.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = message.position_enu_m, before.position_enu_m, before.velocity_enu_m_s

@@ -1,12 +1,13 @@
 """Order of landings on one pad, or on pads near each other, agreed by messages without a leader.
 
 A vehicle that starts its landing claims the right of way with a time stamp. The claim is granted when every
-member with a conflicting pad has sent a message later than claim plus latency, in which it has no claim or
-names this vehicle in ``yields_to`` (the reply of Ricart and Agrawala's algorithm). The older claim is first,
-or the claim of the lower id if both are equally old. A member yields until the other member's claim ends.
+member with a conflicting pad has sent a message later than claim plus latency, in which that member has no
+claim or names this vehicle in ``yields_to`` (the reply of Ricart and Agrawala's algorithm). The older claim
+is first, or the claim of the lower id if both are equally old. A member yields until the other member's claim
+ends.
 
 Clocks can disagree on the order of two claims. If both members then yield, the one with the lower id stops
-yielding; if neither yields, the one with the higher id starts. A new claim ends a circle of waiting members.
+yielding; if neither yields, the one with the higher id starts. A new claim ends a cycle of waiting members.
 
 A vehicle that frees its pad lands beside the paths of all pads, away from landed vehicles (``place_beside``).
 """

@@ -7,7 +7,8 @@ neighbours are relaxed by the smallest common slack. The landing barrier and the
 never relaxed.
 
 Over the pad, ``Cone`` first reduces the box. A single vehicle flies inwards, where the boundary is lower; a
-vehicle that gives way can fly outwards or past the centre, where the boundary can rise faster than it climbs.
+vehicle that gives way can fly outwards or past the centre, where the boundary can rise faster than the
+vehicle climbs.
 """
 
 from __future__ import annotations
@@ -147,8 +148,8 @@ class Cone(NamedTuple):
         """Return the velocity limits: avoidance must not add sink rate, or cross the pad's centre fast.
 
         Beyond the centre an inward velocity becomes an outward one. A stop of a climb is always allowed. The
-        vehicle sinks no faster than h alone allows: on an inward path, where the boundary falls, a neighbour
-        can reverse the motion before a climb takes effect.
+        sink rate relative to the pad is at most ``rate_1_s`` times h. An inward path, where the boundary
+        falls, would allow more, but a neighbour can reverse this motion before a climb takes effect.
         """
         most = INWARD_RATE_1_S * d_m + OUTWARD_PART * max(0.0, h_m) / (self.slope_max * self.lag_s)
         (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = target_m_s, lower, upper

@@ -86,7 +86,7 @@ def high_enough_m(s: Situation) -> float:
 
 
 def climbed(s: Situation, own: OwnState) -> bool:
-    """Whether the take-off climb is over: armed, and near the commanded height."""
+    """Whether the take-off climb is over: the vehicle is armed, and near the commanded height."""
     climbed_m = own.position_enu_m[2] - s.memory.ground_z_m
     return s.memory.was_armed and climbed_m > TAKEOFF_DONE * s.config.takeoff.height_m
 
@@ -125,7 +125,7 @@ def _landing_distance_m(s: Situation, own: OwnState, away_m: tuple[float, float]
 
 
 def condition_flags(s: Situation, snapshot: Snapshot, command_failed: bool, now_s: float) -> int:
-    """Return the flags of this tick; ``memory``, with its timers up to date, is not changed."""
+    """Return the flags of this tick; the timers of ``memory`` must be up to date, and do not change."""
     config, memory, phase = s.config, s.memory, s.memory.phase
     inputs, own, permissions = snapshot.inputs, snapshot.inputs.own, snapshot.permissions
     status, good = inputs.status or _NO_STATUS, snapshot.good
@@ -182,7 +182,7 @@ def time_flags(s: Situation, now_s: float) -> int:
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
-    """Whether states have arrived for ``recovery_time_s``, and a heartbeat, since all inputs became good.
+    """Whether states arrived for ``recovery_time_s``, and a heartbeat, after all inputs had become good.
 
     An input that arrives rarely, or in bursts, counts as good until it is too old.
     """
@@ -295,7 +295,7 @@ def _sets_off(s: Situation, at: Relative, now_s: float) -> bool:
 
 
 def waits_for_calm(s: Situation, at: Relative, now_s: float) -> bool:
-    """Whether the target is too fast, and the time for it to become slower is not over; False on the pad."""
+    """Whether the vehicle waits, because the target is too fast and time is left; never on the pad."""
     touchdown, wait_s = s.config.touchdown, s.config.touchdown.calm_wait_s
     if wait_s == 0.0 or now_s - s.memory.started_s >= wait_s:
         return False

@@ -157,7 +157,7 @@ class Mission(Situation):
         return condition_flags(self, snapshot, command_failed, now_s)
 
     def watch_contact(self, at: Relative, standing: bool, now_s: float) -> None:
-        """Detect whether the vehicle stands on the pad, or has stood there; all inputs are good."""
+        """Detect whether the vehicle stands on the pad or, in TOUCHDOWN, has stood on it; inputs are good."""
         memory = self.memory
         if memory.phase is Phase.LAND:
             self._stands(at, standing, now_s)
@@ -197,12 +197,12 @@ class Mission(Situation):
         return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > self.config.retreat.abort_time_max_s
 
     def _down(self, status: VehicleStatus, now_s: float) -> bool:
-        """Whether the vehicle reports that it stands with its motors off."""
+        """Whether no report shows the vehicle in the air or, in a recent heartbeat, armed."""
         fresh = now_s - status.arrival_s <= self.config.checks.status_age_max_s
         return status.landed in _NOT_FLYING and not (status.armed and fresh)
 
     def _remember(self, snapshot: Snapshot, now_s: float) -> None:
-        """Store target state, first heading, arming and mode, and the time since which inputs are good."""
+        """Store target state, first heading, whether the vehicle was armed or EXTERNAL, and input times."""
         memory, target, own, status = (
             self.memory,
             snapshot.target,

@@ -17,7 +17,7 @@ OTHERS_MAX = 8  # largest number of other members; each can add a constraint to 
 PART_OF_LAG = 0.25  # largest rate_1_s * lag of the velocity loop for which h of two vehicles cannot overshoot
 # time after its last announcement for which a yielding vehicle takes the whole share, in latencies
 HOLD_LATENCIES = 3.0
-ZERO_LATENCIES = 2.0  # time for which a neighbour relies on such an announcement, in latencies; shorter
+ZERO_LATENCIES = 2.0  # time for which a neighbour relies on an announcement, in latencies
 DECIDE_LATENCIES = 4.0  # time until the higher id yields if two members both claim to be first, in latencies
 CARRIED_AGES = 2.2  # ratio of a silent vehicle's extrapolation time to ``age_max_s``
 KEPT_PART = 0.2  # ratio of the horizon of a vehicle with the right of way to ``descent_s``
@@ -33,14 +33,14 @@ class Fleet:
     radius_xy_m: Annotated[float, span(0.05, 10.0)] = 0.25  # horizontal semi-axis of the ellipsoid
     radius_z_m: Annotated[float, span(0.05, 10.0)] = 0.75  # vertical semi-axis of the ellipsoid
     rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # allowed decay rate of h between two vehicles
-    margin_m: Annotated[float, span(0.0, 5.0)] = 0.08  # margin for velocity errors of two vehicles
+    margin_m: Annotated[float, span(0.0, 5.0)] = 0.08  # margin for velocity errors of both vehicles
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # number of covered standard deviations of positions
     speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # largest speed of another vehicle
     # largest acceleration of another vehicle, and of its velocity command
     acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 3.0
     # largest horizontal acceleration of the commanded velocity; a Crazyflie can follow 2.1 m/s^2
     slew_xy_max_m_s2: Annotated[float, span(0.05, 20.0)] = 2.0
-    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which members get a constraint
+    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which members add a constraint
     age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # message age above which a vehicle is silent
     latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # largest latency of a message
     silent_flight_s: Annotated[float, span(0.1, 60.0)] = 6.0  # time after which a silent vehicle has landed

@@ -62,7 +62,7 @@ class Touchdown:
     # maximum wait for a slow target after the landing starts; at low speed a delayed vehicle state has
     # smaller errors
     calm_wait_s: Annotated[float, span(0.0, 60.0)] = 0.0
-    calm_speed_m_s: Annotated[float, span(0.01, 3.0)] = 0.21  # target speed at which the wait ends
+    calm_speed_m_s: Annotated[float, span(0.01, 3.0)] = 0.21  # target speed below which the wait ends
     calm_height_m: Annotated[float, span(0.05, 3.0)] = 0.25  # height above the pad during the wait
     descent_m_s: Annotated[float, span(0.02, 1.0)] = 0.2  # paper filter: descent speed relative to the pad
     # time after a loss of the vehicle state in which the descent continues with the last set-point
@@ -84,7 +84,7 @@ class Contact:
     sliding_radius_m: Annotated[float, span(0.005, 1.0)] = 0.05
     # sink rate below which the pad supports the vehicle
     speed_m_s: Annotated[float, span(0.005, 0.5)] = 0.05
-    time_s: Annotated[float, span(0.01, 2.0)] = 0.1  # duration of the low sink rate
+    time_s: Annotated[float, span(0.01, 2.0)] = 0.1  # duration of this low sink rate until contact
     # time after which a vehicle low over the pad that does not follow a descent command counts as in contact
     stopped_time_s: Annotated[float, span(0.0, 1.0)] = 0.03
 
@@ -218,8 +218,8 @@ class FlightConfig:
     def slew_max_m_s2(self) -> Vec3:
         """Acceleration limit of the robust filter's velocity on each axis, m/s^2.
 
-        In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each axis gets this limit
-        divided by sqrt(2), since delayed motion reduces the distance to near neighbours.
+        In a fleet ``fleet.slew_xy_max_m_s2`` limits the vector of both horizontal axes (each axis: divided by
+        sqrt(2)), because a vehicle that lags behind its commands comes too near to its neighbours.
         """
         (x, y, z), side = self.robust.acceleration_max_m_s2, self.fleet.slew_side_max_m_s2
         return min(x, side), min(y, side), z
@@ -231,7 +231,7 @@ class FlightConfig:
 
     @property
     def far(self) -> FlightConfig:
-        """This configuration with feedback and gain as far from the pad; unchanged if ``far_m`` is 0."""
+        """This configuration with the feedback and gain for far from the pad; unchanged if ``far_m`` is 0."""
         if not self.velocity_feedback.far_m:
             return self
         robust = replace(self.robust, gain_over_pad_1_s=self.robust.gain_1_s)

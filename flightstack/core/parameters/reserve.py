@@ -35,7 +35,7 @@ class Reserve:
     hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # voltage in level flight at `hover_throttle`
     lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # lowest voltage in flight that is certified
     sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # voltage drop from rest to hover
-    start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # start of a landing: margin to lowest_voltage_v
+    start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # margin above lowest_voltage_v before a landing
     throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # highest mean throttle; single motors saturate
     # mean motor voltage at the highest thrust command, if the firmware compensates the battery
     motor_voltage_max_v: Annotated[float, span(0.1, 100.0)] | None = None
@@ -79,7 +79,7 @@ class Reserve:
             return math.inf
         least_v = hover_v / self.throttle_max
         voltage_v = least_v
-        for _ in range(30):  # the iteration converges: the sag changes by a fraction of each voltage step
+        for _ in range(30):  # the iteration converges: each change is a fraction of the change before
             sags = self.sags(voltage_v)
             voltage_v = least_v * math.pow(1.0 + (reserve - 1.0) * (1.0 + sags), 1.0 / self.thrust_exponent)
         return voltage_v
@@ -91,7 +91,7 @@ class Reserve:
 
 
 def left(effort: float, sags: float, most: float) -> float:
-    """Return the reserve for an effort in level flight; more thrust reduces the voltage."""
+    """Return the reserve for the effort of level flight; thrust reduces the voltage (``Reserve.sags``)."""
     return min(1.0 + (1.0 / effort - 1.0) / (1.0 + sags), most / effort)
 
 

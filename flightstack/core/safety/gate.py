@@ -26,12 +26,12 @@ class GateVerdict(IntEnum):
 
     APPROVED = 0
     NOT_IN_CONTROL = 1  # this phase sends no set-point
-    OWN_STALE = 2  # no recent, plausible vehicle state
-    TARGET_STALE = 3  # no recent, plausible target state, although the filter is active
+    OWN_STALE = 2  # the vehicle state is missing, too old or implausible
+    TARGET_STALE = 3  # the target state is too old or implausible, and the filter is active
     NOT_FINITE = 4
     OUTSIDE_BOX = 5  # a velocity limit is exceeded
     BARRIER = 6  # h of the next tick would be lower than the filter guarantees
-    TOO_HIGH = 7  # a climb above the largest altitude
+    TOO_HIGH = 7  # the vehicle is above the largest altitude, and the command is a climb
 
 
 class ApprovedSetpoint:

@@ -1,9 +1,9 @@
 """Interface of a safety filter: the methods in which filters can differ.
 
 The base class is complete: the paper's barrier and program, the position loop as approach, a straight
-descent. A filter overrides what it does differently; one method, ``filter``, is enough. The class attribute
-``certificate`` names the proof. ``MODULE:NAME`` selects a class (``examples/own_filter.py``); the filters of
-the package are in ``packaged/``.
+descent. A filter overrides the methods in which it differs; one method, ``filter``, is enough. The class
+attribute ``certificate`` names the proof. ``MODULE:NAME`` selects a class (``examples/own_filter.py``); the
+filters of the package are in ``packaged/``.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ class Filter:
 
         Args:
             at: vehicle relative to target.
-            over_pad: the vehicle is inside the descending cone, phase LAND.
+            over_pad: whether the vehicle is inside the descending cone (phase LAND).
         """
         return nominal_velocity(at.e_m, self._config.position_loop.gain_1_s, at.target.velocity_enu_m_s)
 
@@ -223,7 +223,7 @@ class Filter:
         return self._by_rule
 
     def take(self, sample: TargetSample) -> None:
-        """Update the target estimate with an accepted sample."""
+        """Update the filter's target estimate with an accepted sample."""
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
         """Estimate the current state of the target; at least one sample was accepted."""
@@ -234,7 +234,7 @@ class Filter:
         return own
 
     def observe(self, velocity_enu_m_s: Vec3, commanding: bool) -> None:
-        """Update the estimates of the vehicle with its measured velocity.
+        """Update the filter's estimators with the measured velocity of the vehicle.
 
         Args:
             velocity_enu_m_s: currently measured velocity.

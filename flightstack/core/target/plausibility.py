@@ -7,9 +7,9 @@ sensor:
 
 * a state that repeats to the last bit while it reports motion, or for ``STILL_MAX_S`` while the vehicle
   follows set-points, is no new measurement, and its age grows. Only a vehicle at rest repeats its state;
-* the integrated velocity equals the change of position: their difference, summed with decay, is only noise;
-* the vehicle follows its set-points within its lag: velocity minus commanded velocity, summed with decay, is
-  the distance by which it lags, at most its lag at full speed (``checks`` has decay times and bounds).
+* the integrated velocity equals the change of position; their difference, summed with decay, is only noise;
+* the vehicle follows its set-points with a lag: commanded velocity minus velocity, summed with decay, is the
+  distance by which the vehicle lags, at most its lag at full speed (``checks`` has decay times and bounds).
 
 None of these detects an error that is the same in position and velocity, such as an offset from the start.
 """

@@ -5,8 +5,9 @@ than the last sample, and reachable from the last sample. Rejected samples are c
 
 A velocity that contradicts the positions, such as a twist in the wrong frame or a heading that is wrong by
 half a turn, is detected over some samples. Position minus integrated velocity, summed with decay, is only
-noise; above the limit ``checks.target_drift_max_m`` the target is distrusted until the sum is below half the
-limit. After the second contradiction the target remains distrusted, since a target at rest shows none.
+noise for correct samples; above the limit ``checks.target_drift_max_m`` the target is distrusted until the
+sum is below half the limit. After the second contradiction the target remains distrusted: a target at rest
+shows none.
 """
 
 from __future__ import annotations

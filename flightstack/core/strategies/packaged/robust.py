@@ -45,7 +45,7 @@ class RobustFilter(Filter):
     motion: MotionMemory
     brakes_m_s2: float  # assumed acceleration for braking on x and y, m/s^2
     slope: float  # steepest slope of the barrier outside the pad
-    full: float  # fraction of the margin that remains at the pad's edge; divisor of the margin
+    full: float  # ratio of the margin at the pad's edge to the full margin; ``margin_m`` divides by it
     estimator: TargetEstimator
     own_estimator: OwnEstimator
     _tracking: VelocityTracking
@@ -190,7 +190,7 @@ class RobustFilter(Filter):
 
     @rare
     def _then(self, at: Relative) -> tuple[Vec3, tuple[float, float]]:
-        """Return the relative position and horizontal velocity at the time when a set-point takes effect."""
+        """Return the relative position and horizontal velocity when a set-point of this tick takes effect."""
         late_s = self._config.velocity_loop.dead_time_s
         (ex, ey, ez), (tx, ty, _) = at.e_m, at.target.velocity_enu_m_s
         (x, y), (vx, vy, _) = self._tracking.carried(at.own.velocity_enu_m_s)
@@ -199,7 +199,7 @@ class RobustFilter(Filter):
     def _ahead_m(self, e_m: Vec3, slip_m_s: tuple[float, float]) -> float:
         """Return the height of the boundary ahead, m: at its peak ring, or where the vehicle stops.
 
-        An overshoot of the centre reduces h only when it is too late to climb.
+        If the vehicle overshoots the centre, h falls only when it is too late for a climb.
         """
         (ex, ey, _), (vx, vy), barrier = e_m, slip_m_s, self._barrier
         if hypot(ex, ey) > 1.0 / barrier.alpha_1_m:
@@ -225,7 +225,7 @@ class RobustFilter(Filter):
     def hold_m_s(self, target: TargetState) -> Vec3:
         """Return a velocity that climbs and follows the last observed motion of the target.
 
-        A vehicle that stands still in the cone of a moving target leaves the cone sideways.
+        A vehicle that hovered at a fixed position would leave the cone of a moving target through its side.
         """
         x, y, z = target.velocity_enu_m_s
         up = min(self._most[2], max(0.0, z) + self._config.retreat.hold_climb_m_s)
