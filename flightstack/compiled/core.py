@@ -8,12 +8,13 @@ from flightstack.common.text import pip_install
 from flightstack.compiled.jit import compiling, is_kept, is_off
 from flightstack.core.controller import Controller
 from flightstack.core.numeric import hypot_is_known
+from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
 
 
 def suits(config: FlightConfig) -> bool:
     """Whether the compiled landing kernel supports all features of a configuration."""
-    return config.filter in ("robust", "paper") and suits_but_filter(config)
+    return config.filter in FILTERS and suits_but_filter(config)
 
 
 def suits_but_filter(config: FlightConfig) -> bool:
@@ -41,8 +42,8 @@ def chosen_core(core: str, config: FlightConfig, *, lockstep: bool) -> str:
         )
     if core == "compiled" and not fits:
         raise ValueError(
-            f"--core compiled: found filter {config.filter}; compiled code flies robust and paper, without "
-            "[fleet] and velocity_loop.dead_time_s, with touchdown.rule contact: leave it out"
+            f"--core compiled: found filter {config.filter}; compiled code flies {' and '.join(FILTERS)}, "
+            "without [fleet] and velocity_loop.dead_time_s, with touchdown.rule contact: leave it out"
         )
     if core == "auto":
         warm = not lockstep and possible and fits and is_kept(f"core-{config.filter}")
