@@ -180,9 +180,9 @@ class VelocityCommand(Situation):
         """Return the command with a side-step past neighbours, and store their constraints of this tick."""
         own, self.rows = seen.inputs.own, NO_ROWS
         if nominal.velocity is not None and own is not None and seen.own_ok:
-            base, most_m_s = self.base(own.velocity_enu_m_s), self.config.limits.velocity_max_m_s
+            most_m_s = self.config.limits.velocity_max_m_s
             velocity, self.rows = self.fleet.beside(
-                self.memory.phase, own, base, nominal.velocity, most_m_s, now_s
+                self.memory.phase, own, self.base, nominal.velocity, most_m_s, now_s
             )
             if velocity is not nominal.velocity:
                 nominal = nominal._replace(velocity=velocity)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from flightstack.core.fleet.pair import (
@@ -223,13 +223,17 @@ class FleetMember:
         return Rows(rows, basics, near, held_back)
 
     def beside(
-        self, phase: Phase, own: OwnState, base: Vec3, nominal: Vec3, most_m_s: Vec3, now_s: float
-    ) -> tuple[Vec3, Rows]:
+        self, phase: Phase, own: OwnState, base: Callable[[Vec3], Vec3], nominal: Vec3, most_m_s: Vec3,
+        now_s: float,
+    ) -> tuple[Vec3, Rows]:  # fmt: skip
         """Return the nominal velocity with the side-step, and the constraints of the neighbours.
 
-        ``base``: velocity to which the slew limit is relative; ``most_m_s``: largest velocity on each axis.
+        ``base``: returns the velocity to which the slew limit is relative, from the vehicle's velocity;
+        ``most_m_s``: largest velocity on each axis.
         """
-        rows = self.rows(phase, own, base, now_s)
+        if self._is_alone:
+            return nominal, NO_ROWS
+        rows = self.rows(phase, own, base(own.velocity_enu_m_s), now_s)
         if not rows.neighbours:
             return nominal, rows
         nominal = limit(nominal, most_m_s)

@@ -227,6 +227,6 @@ def test_who_may_meet_a_silent_vehicle_holds_back_while_that_may_fly():
         (FLEET.silent_flight_s - 0.1, (0.0, HELD_BACK_M_S, -1.0)),
         (FLEET.silent_flight_s + 0.1, asked),  # by this time the silent vehicle has landed
     ):
-        nominal, rows = member.beside(Phase.APPROACH, own, ZERO, asked, (1.0, 1.0, 1.0), now_s)
+        nominal, rows = member.beside(Phase.APPROACH, own, lambda _: ZERO, asked, (1.0, 1.0, 1.0), now_s)
         assert len(rows.rows) == 1
         assert nominal[1:] == pytest.approx(expected[1:])
