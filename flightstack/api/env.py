@@ -198,5 +198,5 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
 make_env = LandingEnv
 
 
-if ENV_ID not in gymnasium.registry:  # not yet registered if Gymnasium was imported after flightstack
+if ENV_ID not in gymnasium.registry:  # the id is missing if Gymnasium was imported after flightstack
     gymnasium.register(ENV_ID, "flightstack.api.env:LandingEnv")

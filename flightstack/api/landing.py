@@ -208,7 +208,7 @@ def land(
 
     try:
         done = runner.land(flown, seed, on_step=on_step)
-    except ConfigError as error:  # then the traceback shows the robot's function and the caller of ``land``
+    except ConfigError as error:  # the new traceback shows the robot's function and the caller of ``land``
         raise error.with_traceback(None) from error.__cause__
     steps = columns(Steps, rows, since(np.array(times_ns, dtype=np.int64), times_ns[0]))
     seen = done.seen

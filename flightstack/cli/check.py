@@ -123,7 +123,7 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
         alike.setdefault(repr(table), []).append(n)
     for numbers in alike.values():
         config = scenario.members[numbers[0]].onboard
-        worst: dict[str, Check] = {}  # by name of the check: result with the smallest distance to its limit
+        worst: dict[str, Check] = {}  # result with the smallest distance to its limit, by name of the check
         for result in (each for n in numbers for each in declared(scenario.members[n])):
             if result.name not in worst or result.room < worst[result.name].room:
                 worst[result.name] = result

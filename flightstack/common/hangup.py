@@ -124,7 +124,7 @@ class Stream(io.FileIO):
         except OSError as error:
             if number == _NUMBERS["stdout"]:
                 Stream.lost = error
-            if error.errno in _GONE:  # from now on libraries and children write to the null device
+            if error.errno in _GONE:  # libraries and children then write to the null device
                 with contextlib.suppress(OSError), open(os.devnull, "wb") as nothing:  # noqa: PTH123
                     os.dup2(nothing.fileno(), number)
             return size

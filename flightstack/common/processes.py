@@ -117,7 +117,7 @@ class Child:
                     if line.startswith("ready"):
                         self._read = lines[number + 1 :]
                         return line.removeprefix("ready").strip()
-        except BaseException:  # also after a signal: no other code would end this child
+        except BaseException:  # a signal, too, must end this child: no other code does
             self.end()
             raise
         hung, code = self.alive(), self.end()
@@ -213,7 +213,7 @@ def hand_on_niceness(pid: int) -> None:
     """
     steps = os.getpriority(os.PRIO_PROCESS, 0)
     if steps > 0:
-        with contextlib.suppress(OSError):  # no autogroups, or a second change within 0.1 s without root
+        with contextlib.suppress(OSError):  # no autogroups exist, or a second change within 0.1 s failed
             Path(f"/proc/{pid}/autogroup").write_text(str(steps))
 
 

@@ -199,7 +199,7 @@ def _places(
         raise ConfigError(f"{at}: found {value!r}, a finite number is needed")
     yield at, (kind, value)
     if isinstance(kind, inspect.DataclassType) and isinstance(value, dict):
-        if hasattr(kind.cls, "other_keys"):  # this function replaces alternative keys in the table, in place
+        if hasattr(kind.cls, "other_keys"):  # ``other_keys`` replaces alternative keys in the table
             try:
                 kind.cls.other_keys(value)
             except ConfigError as error:

@@ -25,7 +25,7 @@ from typing import Any, TypeVar, cast
 F = TypeVar("F", bound=Callable[..., object])
 
 HERE = Path(__file__).parent
-# sources whose functions are compiled, in addition to this folder
+# source files with compiled functions, in addition to this folder
 SOURCES = (
     "flightstack/core/**/*.py",
     "bridge/frames.py",
@@ -79,7 +79,7 @@ def _roots() -> Iterator[Path]:
         folder = Path(tempfile.gettempdir()) / f"flightstack-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
-        # no other user must be able to write to the folder, because its files are executed
+        # only this user may write to the folder, because its files are executed
         if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077:
             yield folder
 

@@ -145,7 +145,7 @@ else:
             return types.IntEnumMember(kind.hint, types.int64)
         return types.int64 if kind.hint in (int, str) else _held(kind.hint, ())
 
-    @cache  # cached: a new type would hash its long name in each call of compiled code
+    @cache  # each new type would hash its long name in each call of compiled code
     def _held(cls: type, others: tuple[tuple[str, Any], ...]) -> Held:
         return _class_of(cls)(cls, others)
 

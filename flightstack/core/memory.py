@@ -20,7 +20,7 @@ class AbortWay(IntEnum):
 
     NONE = 0
     MOTORS_OFF = 1  # motors off immediately: emergency stop
-    HANDS_OFF = 2  # no commands are sent: another client controls the vehicle, or its motors are off
+    HANDS_OFF = 2  # the stack sends no commands: another client controls the vehicle, or its motors are off
     LAND_HERE = 3  # landing by the autopilot: the vehicle cannot or must not fly clear
     FLY_CLEAR = 4  # climb, fly clear of the target, then land
 

@@ -96,7 +96,7 @@ class SenderClock:
     def judge(self, stamp_s: float, arrival_s: float, patience_s: float = PATIENCE_S) -> Reading:
         """Check a time stamp; only ``take`` updates the clock estimate."""
         memory, transit_s = self.memory, arrival_s - stamp_s
-        if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also rejects NaN
+        if not 0.0 <= stamp_s <= STAMP_MAX_S:  # this comparison also rejects NaN
             return Reading.UNUSABLE
         if stamp_s > memory.stamp_s:
             # before this time, samples can come from a queue that is being emptied
@@ -163,7 +163,7 @@ class SenderClock:
         else:
             before_s = m.run_arrival_s if m.run_since_s < math.inf else m.taken_s
             silent = arrival_s - before_s > GAP_MAX_S
-            began = silent and transit_s - m.offset_s > QUEUE_MAX_S  # later than by any queue after a pause
+            began = silent and transit_s - m.offset_s > QUEUE_MAX_S  # no queue after a pause is that late
             sure = began or reading in (Reading.AHEAD, Reading.OUT_OF_ORDER)
             m.run_since_s, m.run_way_s, m.run_sure = arrival_s, transit_s, sure
             if silent and m.stamp_s - stamp_s > self._reboot_s:

@@ -165,13 +165,13 @@ class Launcher(contextlib.ExitStack):
                 flying.remove(flight)
                 problem = self._ended(flight, others_fly=bool(flying)) or problem
             for child in [c for c in others if not c.alive()]:
-                # without this process the onboard process ends the flight safely (hold, climb or fly clear)
+                # if one of these processes ends, the onboard process holds, climbs or flies clear, and lands
                 others.remove(child)
                 if theirs := failed_code(child.errors()):
                     return theirs  # the simulator of the vehicle has ended
                 problem = f"{child.name} ended in flight: {child.errors()}"
                 self.hint(problem, style="red")
-                if lockstep and _verb(child) == "world":  # no further tick can arrive: the flights end
+                if lockstep and _verb(child) == "world":  # end the flights: no further tick can arrive
                     self._hand_on(signal.SIGTERM)
             if self.interrupted:
                 return "interrupted"
@@ -193,7 +193,7 @@ class Launcher(contextlib.ExitStack):
             return None
         problem = f"{child.name} ended in flight: {child.errors()}"
         flight.aborted = True
-        if others_fly:  # else the result of the run has the same text
+        if others_fly:  # if no other flies, the result of the run has this text
             self.hint(problem, style="red")
         return problem
 

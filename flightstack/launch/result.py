@@ -131,7 +131,7 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
         log = load_fleet(flown.log) if flown.log is not None else None
     except LogError as error:  # the log is not usable
         unexplained = not said or any(each.child.process.returncode == 0 for each in flown.flights)
-        if unexplained or not isinstance(error, EmptyLogError):  # else the table contains the reason
+        if unexplained or not isinstance(error, EmptyLogError):  # otherwise the table contains the reason
             print(f"flightstack: no result: {flown.problem or said} {error}", file=sys.stderr)
         log = None
     if log is None:

@@ -156,7 +156,7 @@ def _fly(run: Run, vehicle: _Vehicle, own: Mapping[str, Any], connect: Sequence[
         target_key=f"{name}/target/odom", connect=(run.robots_at, *connect), namespace=name,
         listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
         duration_s=vehicle.scenario.duration_max_s, recorder=run.launcher.socket,
-        unproven=True,  # in simulation an unproven configuration is allowed
+        unproven=True,  # in simulation, a configuration without proof is allowed
     )  # fmt: skip
     return Followed(run.launcher.start("onboard", onboard, of=name), name, onboard.listen)
 

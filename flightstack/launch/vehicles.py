@@ -103,7 +103,7 @@ def _px4(run: Run) -> Flying:
         tcp=f"127.0.0.1:{SIMULATOR_PORT + number}", **clock,
     )  # fmt: skip
     simulator.wait_ready()
-    # these imports load the compiler (0.5 s); only this kind of vehicle needs them
+    # only this kind of vehicle needs these imports, which load the compiler (0.5 s)
     from sim.plant import params
     from sim.px4.airframe import parameters
 

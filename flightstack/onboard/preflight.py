@@ -36,7 +36,7 @@ def check(
         return Report(None, None, (), str(error))
     needs, accepted = needs_of(config, vehicle.target[0]), config.vehicle.accepted_parameters
     report = vehicle.report(needs, accepted, wait_s=wait_s, accept_release=accept_release)
-    table = config.reserve  # no check without a voltage: the controller waits for one
+    table = config.reserve  # without a voltage there is no check; the controller waits for a voltage
     if table is not None and report.rest_v is not None and report.problem is None:
         report = replace(report, problem=too_low(table, report.rest_v) or None)
     if endpoint.baud is None:

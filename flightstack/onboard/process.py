@@ -93,7 +93,7 @@ class Onboard(Leaving):
         """Log and publish a tick, and send the message to the fleet."""
         link, arrived = self.link, taken.arrived
         exec_s *= self.options.speed
-        self.log.status(tick, self.fleet.say(out.member_status))  # sent first: other members wait for it
+        self.log.status(tick, self.fleet.say(out.member_status))  # other members wait for it
         self.log.samples(arrived.messages, tick.unix_ns)
         for text in self.refusals.told(arrived.problems):
             self.log.event(tick.unix_ns, WARN, text)
@@ -101,7 +101,7 @@ class Onboard(Leaving):
             self.waiting.note_text(tick.now_s, severity, text)
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
         foreign = link.foreign.total()
-        if foreign >= self._foreign_due:  # reported whenever the count has doubled
+        if foreign >= self._foreign_due:  # the count is reported whenever it has doubled
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {foreign}")
             self._foreign_due = 2 * foreign
         notices = (*link.endpoint.take_notices(), *link.senders.take_notices())

@@ -68,7 +68,7 @@ class VehicleInputs(NamedTuple):
     power: Power | None = None
 
 
-Statuses = Callable[[], tuple[MemberStatus, ...]]  # source of the statuses of other vehicles
+Statuses = Callable[[], tuple[MemberStatus, ...]]  # function that returns the statuses of other vehicles
 
 
 class ClockStoppedError(RuntimeError):

@@ -36,7 +36,7 @@ class _Pace:
     def note(self, arrival_s: float) -> None:
         """Record the newest arrival time; repeated calls with an equal time have no effect."""
         interval_s, self._last_s = arrival_s - self._last_s, arrival_s
-        if interval_s > 0.0:  # not true for NaN, before the second arrival
+        if interval_s > 0.0:  # before the second arrival the interval is NaN
             self._longest_s = interval_s if self._reported else max(interval_s, self._longest_s)
             self._reported = False
 

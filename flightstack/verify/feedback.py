@@ -268,7 +268,7 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
 
 def matrix_exp(matrix: F64) -> F64:
     """Return the exponential of a square matrix."""
-    from scipy.linalg import expm  # late import of 0.5 s: every process of a flight loads this module
+    from scipy.linalg import expm  # imported late: it takes 0.5 s, and every process loads this module
 
     result: F64 = expm(matrix)
     return result

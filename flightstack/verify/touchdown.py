@@ -114,7 +114,7 @@ def over_pad(config: FlightConfig, x: Extremes) -> list[Check]:
     top_m = peak_m + config.retreat.climb_margin_m + CLIMB_OVER * config.retreat.climb_margin_m
     left_m = config.limits.altitude_max_m - max(top_m, peak_m + x.shape.margin_m.high)
     return [
-        # only PROOF: a slower target can still be reached
+        # a refuted claim does not prevent a flight, because the vehicle can still reach a slower target
         Check("follow", "the vehicle is faster than the target", min(vx, vy) - x.target_speed_m_s, "m/s",
               f"horizontally the box has {min(vx, vy):g} m/s, the target {x.target_speed_m_s:g}",
               "raise limits.velocity_max_m_s or lower touchdown.target_speed_max_m_s", PROOF),

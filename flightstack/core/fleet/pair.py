@@ -88,7 +88,7 @@ def jump(before: MemberStatus, message: MemberStatus, fleet: Fleet) -> Vec3:
     gone_s = message.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = message.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
     away = x, y, z = x - px - v[0] * gone_s, y - py - v[1] * gone_s, z - pz - v[2] * gone_s
-    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # usual case, decided without ``growth``
+    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # the usual case, which does not need ``growth``
         return ZERO
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     clocks_s = before.clock_bound_s + message.clock_bound_s

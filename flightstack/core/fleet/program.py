@@ -87,7 +87,7 @@ class FleetProgram:
                 less = given_m_s + RELAXED_M_S
                 found = nearest(nominal, [*firm, *(Row(g, b - less) for g, b in neighbours)], lower, upper)
                 point = found[0] if found is not None else point
-            elif landing is not None:  # rounding: only this corner satisfies the barrier
+            elif landing is not None:  # with rounding errors only this corner satisfies the barrier
                 point = corner
         slack = -landing.missing_m_s(point) if landing is not None else math.nan
         active = landing is not None and landing.missing_m_s(clip_to_box(nominal, lower, upper)) > 0.0

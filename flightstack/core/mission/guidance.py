@@ -41,7 +41,7 @@ def _takeoff(s: Situation, seen: Snapshot) -> NominalCommand:
     own, target, memory = seen.inputs.own, seen.target, s.memory
     if own is None or target is None:
         return NominalCommand(Request.TAKEOFF)
-    if not memory.climbed:  # only autopilots that take off by set-points climb here
+    if not memory.climbed:  # this climb is only for autopilots that take off by set-points
         climbed_m = own.position_enu_m[2] - memory.ground_z_m
         up = (s.config.takeoff.height_m - climbed_m) * s.config.position_loop.gain_1_s[2]
         climb = limit((0.0, 0.0, max(0.0, up)), s.config.limits.velocity_max_m_s)

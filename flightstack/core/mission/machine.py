@@ -222,7 +222,7 @@ class Mission(Situation):
             memory.good_since_s = now_s
         if status is not None and status.armed:
             memory.was_armed = True
-            if status.mode is Mode.EXTERNAL:  # ignored if disarmed: PX4 keeps this mode after a landing
+            if status.mode is Mode.EXTERNAL:  # only if armed, because PX4 keeps this mode after a landing
                 memory.was_external = True
 
     def _stopped(self, at: Relative, now_s: float) -> bool:

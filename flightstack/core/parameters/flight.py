@@ -212,7 +212,7 @@ class FlightConfig:
     envelope: Envelope = field(default_factory=Envelope)  # range that the certificate of `check` covers
     vehicle: VehicleSide = field(default_factory=VehicleSide)
     reserve: Reserve | None = None  # None: the battery sets no limits, and its state is not requested
-    fleet: Fleet = ALONE  # without this table, a fleet of one vehicle
+    fleet: Fleet = ALONE  # without this table the vehicle is alone
 
     @property
     def slew_max_m_s2(self) -> Vec3:

@@ -138,7 +138,7 @@ class Gate:
         if hopeless or own:
             return True  # if the program is infeasible, the box contains no better velocity
         missing_m = now * (1.0 - self.omega_1_s * t) - then - SOLVER_TOLERANCE_M_S * t
-        # usually missing_m <= 0, so the tolerance is not computed
+        # missing_m is usually <= 0; the tolerance is then not computed
         return missing_m <= 0.0 or missing_m <= check.barrier.linearisation_bound_m(
             check.e_m, hypot(vx - tx, vy - ty) * t
         )

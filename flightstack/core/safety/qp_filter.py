@@ -105,7 +105,7 @@ def data_and_start(
 def clipped(point: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
     """Return a solution clipped to the box, and its largest violation of box or barrier, m/s."""
     (x, y, z), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = point, gradient, lower, upper
-    if lx <= x <= hx and ly <= y <= hy and lz <= z <= hz:  # usual, and faster than the general case
+    if lx <= x <= hx and ly <= y <= hy and lz <= z <= hz:  # the usual case, with a faster computation
         return point, max(0.0, bound - (gx * x + gy * y + gz * z))
     cx, cy, cz = min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)
     barrier_miss = bound - (gx * cx + gy * cy + gz * cz)

@@ -174,7 +174,7 @@ class VelocityTracking:
         if not sent or self.by_feedback:
             return (0.0, 0.0), velocity_m_s
         given = (velocity_m_s, memory.model_m_s, memory.model_m_s2, sent)
-        if given == self._carried[0]:  # a second call in one tick: the result is known
+        if given == self._carried[0]:  # this is a second call in one tick
             return self._carried[1]
         (vx, vy, vz), (mx, my, _), (dmx, dmy, _) = given[:3]
         x_m, vx = lead_carried(loop, t, vx, mx, dmx, [x for x, _ in sent])

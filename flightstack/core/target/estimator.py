@@ -178,7 +178,7 @@ class TargetEstimator:
             raise ValueError("no target sample yet: there is no motion to carry on")
         fades, lasts = fading(dt_s, self._fade_s), lasting(dt_s)
         position, velocity, _ = self._moved(fades, lasts)
-        if dt_s < 0.0:  # for an earlier time the uncertainty is not reduced
+        if dt_s < 0.0:  # an earlier time has the uncertainty of the newest estimate
             fades = lasts = _NOW
         xy = _propagate(memory.covariance_xy, fades, self._jerk2_xy())
         z = _propagate(memory.covariance_z, lasts, self.noise_z.jerk2)

@@ -75,7 +75,7 @@ class Plausibility:
             if repeats(last.position_enu_m, own.position_enu_m, own.velocity_enu_m_s):
                 return
             dt_s = own.arrival_s - last.arrival_s
-            if 0.0 < dt_s <= checks.own_age_max_s:  # longer gaps: the velocity between the states is unknown
+            if 0.0 < dt_s <= checks.own_age_max_s:  # after a longer gap the velocity in it is unknown
                 memory.drift_m = drifted(memory.drift_m, last, own, dt_s, checks.own_drift_memory_s)
         memory.last = own
         most_m = checks.own_drift_max_m

@@ -72,7 +72,7 @@ class ReserveEstimate:
         fresh = power is not None and now_s - power.arrival_s <= AGE_MAX_S
         standing = status is None or not status.armed
         self.receive(power if fresh else None, standing)
-        # on the ground, the throttle of spinning motors does not show the weight
+        # on the ground, the throttle of spinning motors does not depend on the weight
         self.update(rise_m_s, flies, status is not None and status.landed is not Landed.ON_GROUND)
 
     def receive(self, power: Power | None, standing: bool) -> bool:
