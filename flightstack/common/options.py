@@ -35,7 +35,7 @@ class Option:
     help: str = ""
     metavar: str | None = None
     span: tuple[float | None, float | None] = (None, None)  # smallest and largest allowed number, if limited
-    # allowed texts, or MODULE:NAME of their tuple in a package above this one; empty: any text
+    # allowed texts, or MODULE:NAME of a tuple of them in another package; empty: any text
     choices: tuple[str, ...] | str = ()
     path: str = "any"  # allowed kind of path: any, file or folder
     exists: bool = False  # whether the path has to exist

@@ -65,8 +65,8 @@ def socket_folder() -> Path:
 class Child:
     """One process of the run; its standard error is written to the file ``name``.txt in ``folder``.
 
-    Without ``program``, it runs a command of ``flightstack``: in a fork of this process, which has loaded
-    the modules already, or, if a fork is not possible, as a program.
+    Without ``program``, the child runs a command of ``flightstack``: in a fork of this process, which has
+    loaded the modules already, or, if a fork is not possible, as a program.
     """
 
     end_signal = signal.SIGTERM  # signal that a program receives when this process ends
@@ -117,7 +117,7 @@ class Child:
                     if line.startswith("ready"):
                         self._read = lines[number + 1 :]
                         return line.removeprefix("ready").strip()
-        except BaseException:  # a signal, too, must end this child: no other code does
+        except BaseException:  # the child must end after a signal, too; no other code ends it
             self.end()
             raise
         hung, code = self.alive(), self.end()
@@ -175,8 +175,8 @@ def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM)
 class Port:
     """TCP port on loopback for a later server; other runs cannot take the port while this object is open.
 
-    A port from a bind to port 0 is in the range of outgoing connections, so one of these can take the port a
-    moment later. The ports of this class are below that range, and each is reserved by a bound UDP port.
+    If the kernel chose the port (bind to port 0), an outgoing connection could take the port a moment later.
+    The ports of this class are below the range of outgoing connections; a bound UDP port reserves each.
     """
 
     _RANGE = range(20_000, 32_000)  # Linux uses outgoing ports from 32768 on (ip_local_port_range)
@@ -199,7 +199,7 @@ class Port:
 
 
 def may_fork() -> bool:
-    """Whether a fork is safe: only on Linux and without other threads; a child cannot release their locks."""
+    """Whether a fork is safe: only on Linux and without other threads, whose locks a child cannot release."""
     if sys.platform != "linux" or threading.current_thread() is not threading.main_thread():
         return False
     return len(list(Path("/proc/self/task").iterdir())) == 1
@@ -209,7 +209,7 @@ def hand_on_niceness(pid: int) -> None:
     """Apply the niceness of this process to the session of a child, or to its own session.
 
     Linux schedules sessions before processes (sched(7), autogroup), and a new session has niceness 0: without
-    this, ``nice`` would have no effect on other programs.
+    this call, ``nice`` would have no effect on other programs.
     """
     steps = os.getpriority(os.PRIO_PROCESS, 0)
     if steps > 0:

@@ -52,7 +52,7 @@ def chosen_core(core: str, config: FlightConfig, *, lockstep: bool) -> str:
 
 
 def compiled(config: FlightConfig) -> Controller:
-    """Return a controller with compiled ticks; if these are not possible, one in plain Python."""
+    """Return a controller with compiled ticks; if compilation is not possible, a plain ``Controller``."""
     if is_off() or not suits(config) or not hypot_is_known():
         return Controller(config)
     from flightstack.compiled.tick import CompiledController

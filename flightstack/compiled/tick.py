@@ -151,7 +151,7 @@ class CompiledController(Controller):
         land: Any = _land
         with suppress(NotOrdinary):
             land(self._objects, self._given)
-        # called without numba's dispatcher, which needs 2 us for the types of the arguments
+        # entry point for calls without numba's dispatcher, which needs 2 us for the types of the arguments
         self._land = land.overloads[self._objects.kind, land.typeof_pyval(self._given)].entry_point
 
     @property

@@ -193,7 +193,7 @@ class Launcher(contextlib.ExitStack):
             return None
         problem = f"{child.name} ended in flight: {child.errors()}"
         flight.aborted = True
-        if others_fly:  # if no other flies, the result of the run has this text
+        if others_fly:  # otherwise the result of the run has this text
             self.hint(problem, style="red")
         return problem
 

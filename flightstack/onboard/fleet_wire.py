@@ -10,8 +10,8 @@ In flight no call blocks. Rejected messages are counted; a text reports each dou
 ``OtherClock`` estimates the offset between the clocks of two processes. A message arrives after it was sent.
 With d = this clock - other clock at one moment:
 
-    arrival here  - stamp of the other one  >=  d      the minimum is ``ahead_ns``
-    arrival there - stamp of this process   >= -d      the other process reports its minimum, ``echo_ns``
+    arrival at this process      - stamp of the other process  >=  d    minimum: ``ahead_ns``
+    arrival at the other process - stamp of this process       >= -d    reported minimum: ``echo_ns``
 
 So d lies between -echo_ns and ahead_ns. The estimate is the centre, and its bound is half the width: half the
 sum of both directions' minimum delays. The delays need not be known or equal. Cristian's method (1989) does
@@ -189,7 +189,7 @@ class LiveStatuses(FleetWire):
 
     def statuses(self) -> tuple[MemberStatus, ...]:
         rows = self._rows()
-        now_s = self._now_s()  # read after the queue, so that no message is newer than this time
+        now_s = self._now_s()  # the clock is read after the queue, so no message is newer than this time
         now_ns = self._epoch_ns + round(now_s * 1e9)
         newest: dict[int, MemberStatus] = {}
         for row in rows:

@@ -139,7 +139,7 @@ class LockstepWires(VehicleTicks):
         self._credit.put(msgpack.encode((tick, self._go_tick)))
 
     def _complete(self, tick: int) -> bool:
-        """Whether the number of samples up to this tick has arrived, and then all these samples."""
+        """Whether the number of samples up to this tick, and all these samples, have arrived."""
         if tick not in self._counts:
             for sample in zenoh_link.drain(self._ticks):
                 first, counts = msgpack.decode(sample.payload.to_bytes(), type=tuple[int, list[int]])

@@ -47,9 +47,9 @@ class Most(NamedTuple):
 def most(function: Callable[[Span], float], domain: Span, likely: tuple[float, ...] = ()) -> Most:
     """Bound a function from above over an interval.
 
-    ``function``: upper bound in an interval; in an interval of one point it is the value. ``likely``: points
-    to evaluate first. Of points with equal values the first is returned.
-    Raises ValueError: the function is not a number somewhere.
+    ``function``: upper bound in an interval; for an interval of one point, the value itself. ``likely``:
+    points to evaluate first. Of points with equal values the first is returned. Raises ValueError: the
+    function is not a number somewhere.
     """
     ends = domain if math.isfinite(domain.high) else (domain.low,)
     points = [*likely, domain.middle(), *ends]

@@ -2,10 +2,10 @@
 
     h(p) = r_xy (rho - 1),   rho = sqrt((dx^2 + dy^2) / r_xy^2 + dz^2 / r_z^2)
 
-p = (dx, dy, dz) is the position of this vehicle minus that of the other one; r_xy and r_z are the semi-axes
-of the ellipsoid. h is convex in p, and its gradient has at most length 1 if r_xy is the smaller semi-axis: a
-motion never reduces h more than the linear prediction. The ellipsoid grows with the uncertainty of the other
-vehicle's position.
+p = (dx, dy, dz) is the position of this vehicle minus that of the other vehicle; r_xy and r_z are the
+semi-axes of the ellipsoid. h is convex in p, and its gradient has at most length 1 if r_xy is the smaller
+semi-axis: a motion never reduces h more than the linear prediction. The ellipsoid grows with the uncertainty
+of the other vehicle's position.
 
 This vehicle takes a share of the avoidance: none, half or all. The shares of two vehicles always sum to at
 least 1, also with late or lost messages; docs/how_it_works/fleet.md proves this from the order of the rules
@@ -112,9 +112,9 @@ def estimate(
     """Estimate the current position of another vehicle, and the largest error of this estimate.
 
     A vehicle whose messages are late is extrapolated for ``CARRIED_AGES`` with its last possible set-point,
-    about as long as an autopilot continues without its companion. It can drift from this path and sink to the
-    ground. Its region grows until ``silent_flight_s``, when its own fail-safe has ended the flight. A vehicle
-    that is down stands still, or moves with a pad that can have stopped since the message.
+    about as long as an autopilot continues without its companion. The vehicle can drift from this path and
+    sink to the ground. Its region grows until ``silent_flight_s``, when its own fail-safe has ended the
+    flight. A vehicle that is down stands still, or moves with a pad that can have stopped since the message.
     """
     v, p = message.velocity_enu_m_s, message.position_enu_m
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])

@@ -116,7 +116,7 @@ def by_active_set(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) 
 
 
 def _split(n: Vec3, others: Sequence[Vec3]) -> tuple[tuple[float, ...], Vec3]:
-    """Split a unit vector: return its components along up to three others, and the orthogonal part."""
+    """Split a unit vector: return its parts along up to three other unit vectors, and the orthogonal part."""
     if not others:
         return (), n
     (nx, ny, nz), (ax, ay, az) = n, others[0]

@@ -92,7 +92,7 @@ def climbed(s: Situation, own: OwnState) -> bool:
 
 
 def flown_clear(s: Situation, own: OwnState) -> bool:
-    """Whether an aborting vehicle can land clear of the target, or its time for this is over."""
+    """Whether an aborting vehicle can land clear of the target, or the time to fly clear is over."""
     target, clearance_m = s.memory.target_position_enu_m, s.config.checks.clearance_m
     if target is None:
         return False
@@ -273,7 +273,7 @@ def check_fails(s: Situation, at: Relative, now_s: float, over_pad: bool, permit
     """
     memory, checks = s.memory, s.config.checks
     if memory.phase is Phase.LAND and permitted and s.strategy.watches_swinging:
-        # the vehicle oscillates: it leaves the cone over the pad too often, or stays in it for too long
+        # the vehicle oscillates: it leaves the cone over the pad too often, or is over the pad for too long
         most_s, leaves = checks.over_pad_time_max_s, memory.swings >= checks.swings_max
         waited_s = now_s - max(memory.phase_since_s, memory.started_s + s.config.touchdown.calm_wait_s)
         if waited_s > most_s if over_pad else leaves:

@@ -26,7 +26,7 @@ CIRCLE_LATENCIES = 8.0  # time until a cycle is broken, in latencies times (1 + 
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """This vehicle and the other members; a fleet of one without this table."""
+    """This vehicle and the other members of its fleet; without this table the vehicle is alone."""
 
     id: Annotated[int, span(1, ID_MAX)]  # id of this member
     members: tuple[Annotated[int, span(1, ID_MAX)], ...]  # ids of all members, including this one

@@ -42,7 +42,7 @@ from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, V
 
 
 class Filter:
-    """Base class of a safety filter, which changes the nominal velocity of a tick if it is not safe.
+    """Base class of a safety filter, which changes the nominal velocity if this velocity is not safe.
 
     Write one method in a subclass: ``filter``, which returns the velocity. All other methods and attributes
     have defaults. Velocities are ENU, m/s; positions ENU, m.

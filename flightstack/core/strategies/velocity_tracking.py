@@ -11,9 +11,9 @@ of the inverse model). Its feedback is only k (r - v), k = gain_xy, and a slow d
 
     u = r + lag * r' + k (r - v) - d,      d = low-pass of (v - M(u))
 
-The velocity feedback ("feedback") uses the whole state; an observer estimates the unmeasured part. It rejects
-gusts sooner and does not oscillate, but needs the model of the vehicle's loop. The acceleration a* corrects
-the velocity at the rate l, and the loop reaches a* at the rate m:
+The velocity feedback ("feedback") uses the whole state; an observer estimates the unmeasured part. This
+correction rejects gusts sooner and does not oscillate, but needs the model of the vehicle's loop. The
+acceleration a* corrects the velocity at the rate l, and the loop reaches a* at the rate m:
 
     a* = r' + l (r - v) - f,      a' = m (a* - a),      u = v + (2 z w a + m (a* - a)) / w^2
 

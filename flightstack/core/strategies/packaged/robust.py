@@ -141,7 +141,7 @@ class RobustFilter(Filter):
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
         """Return the vertical velocity that satisfies eq. 11 at the measured horizontal velocity.
 
-        The horizontal velocity responds later than the vertical one, so the measured one is used. The bound
+        The horizontal velocity responds later than the vertical one, so its measured value is used. The bound
         uses the h that remains when the vertical loop has reached its command.
         """
         v, t = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s
