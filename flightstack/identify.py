@@ -7,7 +7,7 @@ The model of one axis of the velocity loop has a gain, a second-order low-pass a
 (v: velocity, u: command, theta: dead time, w: natural frequency, zeta: damping). The same high-pass filter is
 applied to command and velocity: the filter removes wind and weight and does not change the model. The initial
 state of each segment is free. The fit minimises the squared difference between model and flight. The standard
-errors are computed from blocks of one second, since gusts correlate neighbouring differences.
+errors are computed from blocks of one second, because gusts correlate neighbouring differences.
 
 Noise is the residual of a parabola in a short window; the parabola follows any real motion. Correlated noise
 (of an estimator, or a slow drift) has no residual, so the values are lower bounds.
@@ -149,7 +149,7 @@ def _covariance(jacobian: Floats, difference: Floats, block: int) -> Floats:
 NOISE_SAMPLES = 9  # number of samples in a window for the noise
 MOTION_S = 0.6  # length of a window for velocity and acceleration, s
 SAMPLES_MIN = 100  # minimum number of samples for the noise
-OFTEN = 99.0  # percentile that replaces the largest value, since single windows contain noise
+OFTEN = 99.0  # percentile that replaces the largest value, because single windows contain noise
 MAD_TO_SIGMA = 1.4826  # ratio of standard deviation to median absolute value in a normal distribution
 
 

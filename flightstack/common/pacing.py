@@ -278,7 +278,7 @@ def ask_for_priority() -> bool:
 
 
 def give_up_priority() -> None:
-    """Restore ordinary priority, since an overloaded process must not block a core."""
+    """Restore ordinary priority, because an overloaded process must not block a core."""
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 

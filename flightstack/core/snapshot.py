@@ -48,7 +48,8 @@ class Snapshot(NamedTuple):
     follows: bool = True  # whether the vehicle follows the commanded velocity
     charge: Charge = Charge.FIT  # state of the battery; FIT without a table [reserve]
     permissions: Permissions = ALONE  # permissions by the fleet; a single vehicle has all of them
-    # whether the velocity of ``target`` comes from its positions, since its reported velocity is not trusted
+    # whether the velocity of ``target`` comes from its positions, because its reported velocity is not
+    # trusted
     target_placed: bool = False
 
     @property

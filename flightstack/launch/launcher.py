@@ -91,7 +91,7 @@ class Launcher(contextlib.ExitStack):
         return child
 
     def hint(self, line: str, style: str | None = "dim") -> None:
-        """Print a line for the operator; the default style is dim, since the line is not an event."""
+        """Print a line for the operator; the default style is dim, because a hint is not an event."""
         self.console.print(line, style=style, soft_wrap=True)
 
     def record(self, log: Path) -> None:

@@ -158,7 +158,7 @@ def _ardupilot(run: Run) -> Flying:
 
 # Parameters of ArduCopter's simulated quadrotor that differ from the defaults: frame, battery, calibrations
 # of the sensors (Tools/autotest/default_params/copter.parm), no radio, values for the pre-flight check. The
-# table has the names of all known releases, since a release ignores unknown names.
+# table has the names of all known releases, because a release ignores unknown names.
 ARDUPILOT_PARAMETERS: Mapping[str, float] = {
     "FRAME_CLASS": 1,
     "FRAME_TYPE": 0,

@@ -215,7 +215,7 @@ def wider(basic: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
 
     While a flight of the other vehicle is possible, this vehicle remains outside the wider ellipsoid or, if
     it is inside, does not approach the centre. After that time the other vehicle has landed inside. This
-    vehicle then remains outside or, if it is inside, has only the constraint ``basic``, since it must land.
+    vehicle then remains outside or, if it is inside, has only the constraint ``basic``, because it must land.
     """
     bound_m_s = -fleet.rate_1_s * outer_m
     if now.age_s <= fleet.silent_flight_s:

@@ -82,7 +82,7 @@ class Filter:
     acceleration_max_m_s2: Vec3
     contact_speed_max_m_s: float
     stopped_below_m: float
-    motion: Annotated[MotionMemory, UNSEEN]  # unused, since this class has no estimator
+    motion: Annotated[MotionMemory, UNSEEN]  # unused, because this class has no estimator
     tracking: TrackingMemory
     own: OwnMemory
     late: LateMemory

@@ -91,7 +91,7 @@ class RobustFilter(Filter):
         )  # fmt: skip
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
-        """Return the current target estimate; the shortest delay is a parameter, since it cannot be measured.
+        """Return the current target estimate; the shortest delay is a parameter: it cannot be measured.
 
         The prediction ends at the age limit, after which the target counts as lost.
         """
