@@ -173,7 +173,7 @@ class Motion(NamedTuple):
 
 
 def noise(time_s: Floats, values: Floats) -> float:
-    """Return a robust standard deviation of values around parabolas of ``NOISE_SAMPLES`` samples.
+    """Return a robust standard deviation of the values from parabolas fitted to ``NOISE_SAMPLES`` samples.
 
     ``time_s``: (n,) increasing; ``values``: (n,) or (n, axes); all axes are combined.
     Raises ValueError: there are too few samples.

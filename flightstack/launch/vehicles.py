@@ -68,7 +68,7 @@ class Flying:
 
     options: Sequence[Mapping[str, Any]]  # options of each vehicle's onboard process
     teller: Child | None = None  # process that prints a line when a vehicle arms or disarms
-    # options with which robot and onboard process follow the vehicle's clock; empty: option --speed applies
+    # options that make robot and onboard process follow the vehicle's clock; empty: both run at --speed
     clock: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -279,7 +279,7 @@ def _preflight(onboard: Onboard) -> Ended | None:
 
 
 def _wires(onboard: Onboard) -> LockstepWires | LiveWires:
-    """Return the wires of the ticks, in lockstep or in real time."""
+    """Return the connections that a tick uses: clock, vehicle, target, fleet."""
     options, link, zenoh, fleet = onboard.options, onboard.link, onboard.wires, onboard.fleet
     rate_hz, person = onboard.config.loop.rate_hz, onboard.person
     if options.lockstep:

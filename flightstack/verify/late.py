@@ -1,7 +1,7 @@
 """Check that errors decay in the loop of position control, lag compensation and vehicle, for all lags.
 
 docs/how_it_works/robust_filter.md, *Limits of the lead*: one axis is simulated tick by tick with the filter's
-functions (``velocity_tracking.py``), which are linear within their bounds. A tick is therefore a matrix.
+functions (``velocity_tracking.py``), which are linear within their bounds. So a matrix describes a tick.
 Delays are rounded to whole ticks. Only vehicles on a grid are checked: the decay rate is continuous in the
 parameters of a vehicle, and the required rate leaves room for vehicles between the grid points.
 """

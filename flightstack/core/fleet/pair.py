@@ -57,7 +57,7 @@ class Estimate(NamedTuple):
 
 
 def barrier(p_m: Vec3, radius_xy_m: float, radius_z_m: float, *, first: bool = True) -> tuple[float, Vec3]:
-    """Return value (m) and gradient of the barrier function; ``p_m``: offset from the other vehicle."""
+    """Return the value (m) and the gradient of the barrier; ``p_m``: offset from the other vehicle."""
     x, y, z = p_m
     flat = radius_xy_m / radius_z_m
     far_m = math.sqrt(x * x + y * y + flat * flat * z * z)  # rho times r_xy

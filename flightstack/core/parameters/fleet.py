@@ -17,7 +17,7 @@ OTHERS_MAX = 8  # largest number of other members; each can add a constraint to 
 PART_OF_LAG = 0.25  # largest rate_1_s * lag of the velocity loop for which h of two vehicles cannot overshoot
 # time after its last announcement for which a yielding vehicle takes the whole share, in latencies
 HOLD_LATENCIES = 3.0
-ZERO_LATENCIES = 2.0  # time for which a neighbour relies on an announcement, in latencies
+ZERO_LATENCIES = 2.0  # time for which a neighbour relies on ``yields_to``, in latencies
 DECIDE_LATENCIES = 4.0  # time until the higher id yields if two members both claim to be first, in latencies
 CARRIED_AGES = 2.2  # ratio of a silent vehicle's extrapolation time to ``age_max_s``
 KEPT_PART = 0.2  # ratio of the horizon of a vehicle with the right of way to ``descent_s``

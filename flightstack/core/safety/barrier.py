@@ -84,7 +84,7 @@ class Barrier:
 
     # inverse of the peak's horizontal distance from the landing spot
     alpha_1_m: Annotated[float, span(0.05, 20.0)]
-    beta_m: Annotated[float, span(0.05, 20.0)]  # height of the peak above the landing spot, times e
+    beta_m: Annotated[float, span(0.05, 20.0)]  # Euler's number times the height of the peak
     omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper filter: largest decay rate of h
     # radius around the landing spot within which the gradient fades to vertical
     apex_smoothing_m: Annotated[float, span(0.001, 0.02)] = 0.005
