@@ -73,7 +73,7 @@ def test_parameters() -> None:
         if p.low < p.high
     ]
     assert rows("Parameters") == wanted
-    fixed = MAVLINK.split("and fixed:\n", 1)[1].split(".", 1)[0].replace("\n", " ").split(", ")
+    fixed = " ".join(MAVLINK.split("and fixed:", 1)[1].split(".", 1)[0].split()).split(", ")
     assert fixed == [p.name for p in px4_parameters(1) if p.low == p.high]
 
 
