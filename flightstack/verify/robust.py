@@ -107,7 +107,9 @@ def outside_pad(config: FlightConfig, x: Extremes) -> list[Check]:
     falls_m_s, lowest_m = shortfall(x.shape, box_m_s, x.target_speed_m_s, x.target_climb_m_s)
     rises_m_s = -falls_m_s - robust.tracking_error_m_s
     deep_m = x.barrier.peak_height_m + x.shape.margin_m.high
-    lasts = f"at most {deep_m / rises_m_s:.3g} s from the deepest point"
+    lasts = "never from some points"
+    if rises_m_s > 0.0:
+        lasts = f"at most {deep_m / rises_m_s:.3g} s from the deepest point"
     steep, growth = outside(x, lambda d: demand(x, x.shape.slope(d))), demand_growth(config, x)
     climb_m_s = steep.bound + x.target_climb_m_s + robust.tracking_error_m_s
     depth, where = depth_m(config, x)
@@ -119,8 +121,7 @@ def outside_pad(config: FlightConfig, x: Extremes) -> list[Check]:
     jump_m, noise_m = config.checks.target_jump_max_m, NOISE_SIGMAS * link.position_noise_m
     return [
         Check("recovery", "from h < 0 the vehicle returns to h >= 0", rises_m_s, "m/s",
-              f"at {lowest_m:.3g} m h rises with {rises_m_s:.3g} m/s: "
-              f"{lasts if rises_m_s > 0.0 else 'never from some points'}",
+              f"at {lowest_m:.3g} m h rises with {rises_m_s:.3g} m/s: {lasts}",
               "lower touchdown.target_speed_max_m_s or robust.tracking_error_m_s, or raise "
               "limits.velocity_max_m_s"),
         Check("robust.rate_1_s",
