@@ -57,5 +57,5 @@ def compiled(config: FlightConfig) -> Controller:
         return Controller(config)
     from flightstack.compiled.tick import CompiledController
 
-    with compiling(f"core-{config.filter}", "the controller, about 10 s, once"):
+    with compiling(f"core-{config.filter}", "the controller, about 15 s, once"):
         return CompiledController(config)
