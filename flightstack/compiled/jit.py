@@ -154,7 +154,9 @@ def at_once(here: Callable[[], object], apart: Callable[[], object]) -> None:
         here()
         return
     ended, ends = os.pipe()  # readable when the process has ended
-    child = os.fork()
+    child = -1
+    with contextlib.suppress(OSError):  # too many processes
+        child = os.fork()
     if child == 0:
         with contextlib.suppress(BaseException):
             apart()
@@ -162,11 +164,14 @@ def at_once(here: Callable[[], object], apart: Callable[[], object]) -> None:
     os.close(ends)
     try:
         here()
-        select.select([ended], (), (), _APART_MAX_S)
+        end = select.poll()
+        end.register(ended, select.POLLIN)
+        end.poll(1e3 * _APART_MAX_S)
     finally:
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
         os.close(ended)
+        if child > 0:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
 
 
 def _say(text: str) -> None:

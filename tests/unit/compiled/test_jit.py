@@ -218,6 +218,17 @@ def test_a_second_process_that_fails_or_hangs_does_not_stop_the_first(tmp_path, 
     assert done == [True]
 
 
+def test_without_room_for_a_second_process_the_first_goes_on(tmp_path, monkeypatch):
+    def refuse():
+        raise BlockingIOError("Resource temporarily unavailable")
+
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    monkeypatch.setattr(jit.os, "fork", refuse)
+    done = []
+    jit.at_once(lambda: done.append(True), lambda: None)
+    assert done == [True]
+
+
 def test_without_a_cache_directory_no_second_process_is_started(monkeypatch):
     monkeypatch.setattr(jit, "cache_directory", lambda: None)
     monkeypatch.setattr(jit.os, "fork", lambda: pytest.fail("forked"))
