@@ -78,7 +78,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
 
     @property
     def _given(self) -> list[Flies]:
-        return [each for each in Flies if getattr(self, each.name.lower(), None) is not None]
+        return [each for each in Flies if each.value and getattr(self, each.name.lower()) is not None]
 
     @property
     def flies(self) -> Flies:

@@ -46,6 +46,12 @@ def prepare(options: RunOptions) -> Scenario:
     if VEHICLES[options.flies].own_physics:
         members = tuple(map(around_the_start, members))
     fleets = [each.onboard.fleet for each in members]
+    if len({fleet.id for fleet in fleets}) != len(fleets):
+        raise ConfigError(
+            f"{options.scenario}: onboard.fleet.id: found {_ids(fleet.id for fleet in fleets)}; each member "
+            "needs its own id, and the ids of all in onboard.fleet.members, so that vehicles which share a "
+            "room keep clear of each other (docs/how_it_works/fleet.md)"
+        )
     for n, fleet in enumerate(fleets):
         neighbours, known = {each.id for each in (*fleets[:n], *fleets[n + 1 :])}, {*fleet.others}
         if missing := neighbours - known:

@@ -301,6 +301,7 @@ def team_checks(
     first, pairs = configs[0].fleet, list(combinations(configs, 2))
     ids = sorted(config.fleet.id for config in configs)
     tables = [_differences(one.fleet, other.fleet, ids) for one, other in pairs]
+    different = list(dict.fromkeys(chain.from_iterable(tables)))
     starts = [
         (barrier((x - ox, y - oy, z - oz), first.radius_xy_m, first.radius_z_m)[0], i, j)
         for (i, (ox, oy, oz)), (j, (x, y, z)) in combinations(enumerate(starts_enu_m, 1), 2)
@@ -317,7 +318,7 @@ def team_checks(
                 0.0 - len(keys), "keys", f"{len(ids)} members; different keys: {', '.join(keys) or 'none'}",
                 f"give all members the same fleet.{', fleet.'.join(keys)}" if keys else "", PROOF,
             )
-            for keys in sorted(tables, key=len)[-1:]
+            for keys in ([different] if pairs else [])
         ),
         *(
             Check(

@@ -159,6 +159,8 @@ class MeasurementChannel:
         Returns the index of the time at which each sample is released, and the m released samples,
         (m, 1 + width): time of measurement, ns, and values.
         """
+        if not times_ns:
+            return [], self._waiting[:0]
         due: list[int] = []
         for n, now_ns in enumerate(times_ns):
             if now_ns >= self._due_ns:

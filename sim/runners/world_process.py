@@ -209,7 +209,7 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
     lockstep, grid, here = options.lockstep, TickGrid(team.rate_hz), _here(team, options)
     names, ids = team.namespaces(options.namespace), {n: options.system_id + n - 1 for n in here}
     endpoints = {n: _opened(options, n, ids[n], stack) for n in here}
-    session = _session(options, stack)
+    session = _session(team, options, stack)
     warm_up_room(team)
     singles = dict(enumerate(team.singles(options.seed), 1))
     simulated = {n: VehicleSim(*singles[n]) for n in here}
@@ -290,13 +290,22 @@ def _opened(options: VehicleOptions, number: int, system_id: int, stack: ExitSta
     return endpoint, f"{kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}"
 
 
-def _session(options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
+def _session(team: Scenario, options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
     """Open the Zenoh session of robots and onboard processes; return None if no endpoint is configured."""
     with_robots = isinstance(options, WorldOptions)
+    fleets = [each.onboard.fleet for each in team.members]
+    talk_to = {number for fleet in fleets for number in fleet.others} if options.lockstep else set()
+    if absent := talk_to - {fleet.id for fleet in fleets}:
+        raise ValueError(
+            f"[fleet]: found members {', '.join(map(str, sorted(absent)))}, which this command does not "
+            "simulate; in lockstep one command simulates all members"
+        )
     if not (options.connect or options.listen or options.zenoh_config is not None):
-        if not with_robots:
+        if not (with_robots or talk_to):
             return None
-        raise ValueError("robots are on Zenoh: give --connect, --listen or --zenoh-config")
+        raise ValueError(
+            "robots and messages between vehicles are on Zenoh: give --connect, --listen or --zenoh-config"
+        )
     if options.lockstep and not with_robots:
         raise ValueError(
             "in lockstep a vehicle follows no robot of another process; `flightstack world` simulates both"

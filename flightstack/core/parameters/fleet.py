@@ -80,6 +80,8 @@ class Fleet:
         members = f"fleet.members: found {list(self.members)}"
         if len(set(self.members)) != len(self.members) or self.id not in self.members:
             raise ConfigError(f"{members}; each once is needed, and id {self.id}")
+        if not self.others:  # the other keys do not act
+            return
         if len(self.others) > OTHERS_MAX:
             raise ConfigError(
                 f"fleet.members: found {len(self.members)}, allowed are 1 to {OTHERS_MAX + 1}: as many "
@@ -100,7 +102,7 @@ class Fleet:
                 raise ConfigError(
                     f"fleet.{key}: found {found:g}; at least {least:.3g} {unit} is needed: {why}"
                 )
-        if self.others and self.rate_1_s * lag_s > PART_OF_LAG:
+        if self.rate_1_s * lag_s > PART_OF_LAG:
             raise ConfigError(
                 f"fleet.rate_1_s: found {self.rate_1_s:g}; with a lag of {lag_s:g} s at most "
                 f"{PART_OF_LAG / lag_s:.3g} 1/s come to rest without an overshoot: lower it"

@@ -60,7 +60,7 @@ def problem_of(boundary: Any, e_m: Vec3) -> str:
 class Peak:
     """Highest ring of the boundary, which a configuration can contain instead of alpha and beta (eq. 7)."""
 
-    peak_height_m: Annotated[float, span(0.05, 10.0)]
+    peak_height_m: Annotated[float, span(0.05, 7.0)]  # beta is e times this
     peak_distance_m: Annotated[float, span(0.05, 20.0)] | None = None  # radius of the ring
     # angle at the landing spot between the vertical and the ring, instead of the radius
     cone_half_angle_rad: Annotated[float, span(0.05, 1.5)] | None = None
@@ -68,14 +68,23 @@ class Peak:
     def __post_init__(self) -> None:
         if (self.peak_distance_m is None) == (self.cone_half_angle_rad is None):
             raise ConfigError("give peak_height_m with either peak_distance_m or cone_half_angle_rad")
+        if not 0.05 <= self.distance_m <= 20.0:
+            raise ConfigError(
+                f"cone_half_angle_rad: found {self.cone_half_angle_rad:g}; with this height the peak is "
+                f"{self.distance_m:.3g} m from the landing spot, allowed are 0.05 to 20"
+            )
+
+    @property
+    def distance_m(self) -> float:
+        """Radius of the ring, m."""
+        if self.peak_distance_m is not None:
+            return self.peak_distance_m
+        return self.peak_height_m * math.tan(self.cone_half_angle_rad or 0.0)
 
     @property
     def numbers(self) -> dict[str, float]:
         """Alpha and beta of the boundary."""
-        distance_m = self.peak_distance_m
-        if distance_m is None:
-            distance_m = self.peak_height_m * math.tan(self.cone_half_angle_rad or 0.0)
-        return {"alpha_1_m": 1.0 / distance_m, "beta_m": E * self.peak_height_m}
+        return {"alpha_1_m": 1.0 / self.distance_m, "beta_m": E * self.peak_height_m}
 
 
 @dataclass(frozen=True, slots=True)

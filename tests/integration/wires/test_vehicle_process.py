@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.ros2.cdr import decode_odometry
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import Phase
+from tests.integration.runs import flightstack
 from tests.integration.sim_processes import (
     Client,
     is_a,
@@ -234,3 +235,18 @@ def test_the_robots_poses_wait_for_no_other_program_but_in_lockstep(lockstep: bo
 
 def controller_step(phase: Phase) -> bytes:
     return step_row(phase=int(phase)).pack()
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("--scenario", "fleet_3"), "robots and messages between vehicles are on Zenoh: give --connect"),
+        (
+            ("--scenario", "fleet_3", "--member", "1"),
+            "found members 2, 3, which this command does not simulate",
+        ),
+    ],
+)
+def test_a_fleet_in_lockstep_that_could_not_talk_is_refused(words: tuple[str, ...], why: str) -> None:
+    done = flightstack("vehicle", *words, "--lockstep")
+    assert (done.code, why in done.err) == (2, True)

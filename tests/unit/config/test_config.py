@@ -55,6 +55,10 @@ def paper(**sections):
         ({"barrier": {"peak_height_m": 0.55}}, ["either peak_distance_m or cone_half_angle_rad"]),
         ({"barrier": {"peak_height_m": 0.55, "cone_half_angle_rad": 2}}, ["found 2", "0.05 to 1.5"]),
         (
+            {"barrier": {"peak_height_m": 0.5, "cone_half_angle_rad": 0.05}},
+            ["cone_half_angle_rad: found 0.05", "0.025 m from", "0.05 to 20"],
+        ),
+        (
             {"barrier": {"peak_height_m": 0.55, "peak_distance_m": 1.0, "beta_m": 1.5}},
             ["barrier: found peak_height_m, peak_distance_m, beta_m", "alpha_1_m = 1, beta_m = 1.495"],
         ),

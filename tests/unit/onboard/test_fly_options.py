@@ -124,7 +124,7 @@ def test_a_configuration_that_does_not_say_where_to_begin_begins_where_the_scena
 @pytest.mark.parametrize(
     ("members", "lockstep", "why"),
     [
-        ("[[member]]\n[[member]]\n", False, "member 1: onboard.fleet.members: 1 missing"),
+        ("[[member]]\n[[member]]\n", False, "onboard.fleet.id: found 1, 1; each member needs its own id"),
         (
             "[onboard.fleet]\nid = 1\nmembers = [1, 2]\n[[member]]\n[[member]]\nonboard.fleet.id = 3\n"
             "onboard.fleet.members = [1, 3]\n",
