@@ -229,12 +229,12 @@ def read_config(data: bytes) -> FlightConfig:
 class Sizes(NamedTuple):
     barrier: Barrier | None  # None: unknown
     pad_radius_m: float
-    # semi-axes, m (horizontal, vertical), of the ellipsoids that separate this vehicle from its neighbours
-    ellipsoids_m: frozenset[tuple[float, float]] = frozenset()
+    # horizontal and vertical semi-axis, m, of the ellipsoid that separates two vehicles; None: no neighbours
+    ellipsoid_m: tuple[float, float] | None = None
 
 
 def sizes_of(config: FlightConfig | None, run: Mapping[str, str]) -> Sizes:
-    """Return barrier, pad radius and separation ellipsoids of a flight.
+    """Return barrier, pad radius and separation ellipsoid of a flight.
 
     The metadata of a simulated run contain the pad radius.
     """
@@ -242,9 +242,9 @@ def sizes_of(config: FlightConfig | None, run: Mapping[str, str]) -> Sizes:
     if config is None:
         return Sizes(None, PAD_RADIUS_M if radius_m is None else radius_m)
     fleet = config.fleet
-    ellipsoids_m = frozenset({(fleet.radius_xy_m, fleet.radius_z_m)} if fleet.others else ())
+    ellipsoid_m = (fleet.radius_xy_m, fleet.radius_z_m) if fleet.others else None
     radius_m = config.touchdown.pad_radius_m if radius_m is None else radius_m
-    return Sizes(config.barrier, radius_m, ellipsoids_m)
+    return Sizes(config.barrier, radius_m, ellipsoid_m)
 
 
 def number(values: Mapping[str, str], key: str) -> float | None:

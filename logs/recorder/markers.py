@@ -95,11 +95,12 @@ def shapes(own_frame: str, target_frame: str, sizes: Sizes) -> list[Marker]:
     )  # fmt: skip
     found = [pad, Marker(own_frame, "vehicle", 0, CUBE, BODY_SIZE_M, OWN_COLOR)]
     if sizes.barrier is not None:
-        mesh = surface(sizes.barrier, min([REACH, *(REACH_BESIDE for _ in sizes.ellipsoids_m)]))
+        mesh = surface(sizes.barrier, REACH if sizes.ellipsoid_m is None else REACH_BESIDE)
         scale = (1.0, 1.0, 1.0)
         frame = f"{target_frame}_pad"
         found.insert(0, Marker(frame, "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh))
-    for beside_m, above_m in sizes.ellipsoids_m:  # a vehicle has an ellipsoid half as large as that of a pair
+    if sizes.ellipsoid_m is not None:  # a vehicle has an ellipsoid half as large as that of a pair
+        beside_m, above_m = sizes.ellipsoid_m
         scale = (beside_m, beside_m, above_m)
         found.append(Marker(own_frame, "ellipsoid", 0, SPHERE, scale, ELLIPSOID_COLOR))
     return found

@@ -22,7 +22,7 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import COMPANION_SILENT_S, EPOCH_NS, wait_until
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid
 from sim.runners.robot import Robot
-from sim.runners.room import FleetEnd, Room, in_pairs
+from sim.runners.room import FleetEnd, Room, several
 from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # wall time between two checks for signals, s
@@ -224,7 +224,7 @@ def fly_in_lockstep(
 
     for vehicle in vehicles:
         vehicle.begin()
-    _, fleet = in_pairs(vehicles)  # vehicles that exchange messages
+    fleet = several(vehicles)  # vehicles that exchange messages
     tick = 0
     while tick != ticks and not ended():
         if all(each.rests for each in vehicles):  # in real time, because a silent companion may return

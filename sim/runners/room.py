@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from itertools import chain, combinations
+from itertools import combinations, islice
 from typing import Any, TypeVar
 
 import numpy as np
@@ -64,11 +64,9 @@ def blow(team: Sequence[VehicleSim], jets: F64) -> None:
 T = TypeVar("T")
 
 
-def in_pairs(items: Sequence[T]) -> tuple[list[tuple[T, T]], list[T]]:
-    """Return all pairs, (1, 2) first, and the items that are in a pair: all, or none of a single item."""
-    pairs = list(combinations(range(len(items)), 2))
-    found = dict.fromkeys(chain.from_iterable(pairs))
-    return [(items[one], items[other]) for one, other in pairs], [items[number] for number in found]
+def several(items: Sequence[T]) -> Sequence[T]:
+    """Return the items if there are at least two, else none: a single vehicle meets no other."""
+    return items if len(items) > 1 else ()
 
 
 TOPIC = "/fleet/pairs"
@@ -87,7 +85,8 @@ class Room:
 
     def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
         self._grid, self._feed = grid, feed
-        self._pairs, members = in_pairs(members)
+        members = several(members)
+        self._pairs = list(combinations(members, 2))  # (1, 2) first
         self._vehicles, self._jets = [member.vehicle for member in members], np.zeros((len(members), JET))
         shapes = [Shape.of(each.params) for each in self._vehicles]
         self._team = Team(shapes)
@@ -174,7 +173,7 @@ class Words:
     """
 
     def __init__(self, team: Scenario, seed: int) -> None:
-        link, (_, numbers) = team.exchange, in_pairs(range(1, len(team.members) + 1))
+        link, numbers = team.exchange, several(range(1, len(team.members) + 1))
         ticks = max(1, math.ceil(link.delay_s * team.rate_hz - 1e-9))
         self._loss = link.loss
         # random streams: one for each receiver and sender
@@ -202,8 +201,7 @@ class Words:
 def warm_up_room(team: Scenario) -> None:
     """Compile the code of the room, or load it from the cache."""
     warm_up_vehicle(team)
-    pairs, _ = in_pairs(team.members)
-    for pair in pairs[:1]:  # the code is the same for all pairs
+    for pair in islice(combinations(team.members, 2), 1):  # the code is the same for all pairs
         two = [VehicleSim(each, 0) for each in pair]
         blow(two, np.zeros((2, JET)))
         overlapping([Shape.of(each.params) for each in two], np.zeros((2, 3)))

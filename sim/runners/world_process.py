@@ -42,7 +42,7 @@ from sim.options import TargetOptions, VehicleOptions, WorldOptions
 from sim.runners.lockstep import LockstepVehicle, fly_in_lockstep
 from sim.runners.log import EventLog, VehicleLog
 from sim.runners.published_robot import LockstepRobot, R, RealTimeDeck, RealTimeRobot, robots_of
-from sim.runners.room import FleetEnd, MemberWords, Room, Words, in_pairs, warm_up_room
+from sim.runners.room import FleetEnd, MemberWords, Room, Words, several, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
@@ -248,7 +248,7 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
     ]
     room = Room(loops, grid, feed)
     _ready([url for _, url in endpoints.values()], stop)
-    for each in in_pairs(loops)[1]:
+    for each in several(loops):
         each.words.await_listener(stop)
     flown = fly_in_lockstep(loops, room, Words(team, options.seed), stop, ticks)
     feed.flush()
