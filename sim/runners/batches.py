@@ -41,7 +41,7 @@ TICKS = 20  # maximum number of ticks in one call; the robot is computed for thi
 SPAN_S = 0.25  # maximum simulated time of one call, s; a longer gap would restart the set-point stream
 _SOON_S = 1e-6  # time before a due message in which ticks run in Python, s
 SPEED_MAX_M_S = 2.5  # largest set-point on each axis, m/s, that the autopilot surely does not clip
-_BACK_OFF = 4  # maximum number of ticks in Python after a failed attempt to start a batch
+_BACK_OFF = 4  # maximum number of ticks in Python after calls without a flown tick
 
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
@@ -94,7 +94,7 @@ class Batches:
         self._off = False  # whether Python runs all ticks from now on
         self._asked_s = math.nan  # time of the newest tick that called an agent or a user's filter, s
         self._raised: BaseException | None = None  # exception of an agent or a user's filter
-        self._next, self._wait = 0, 1  # first tick of the next attempt; ticks to wait after a failed one
+        self._next, self._wait = 0, 1  # first tick of the next attempt; ticks to wait after a failed call
         self._sender = (node.autopilot.system_id, COMPANION_ID, PEER)
 
     def warm_up_controller(self) -> None:
@@ -115,18 +115,20 @@ class Batches:
         done = 0
         if self._asked_s != self._grid.ns(tick) / 1e9:  # else Python repeats the tick with the same answer
             self._strategy.answer = self._strategy.own_result = None
-        if self._off or tick < self._next:
+        if self._off or tick < self._next or self._controller.memory.phase not in ORDINARY:
             return 0
+        tried = False
         while (until_s := self._until_s(tick + done)) is not None and self._take_power():
             if done == 0 and not (self._prepare() and self._objects.write()):
                 break
+            tried = True
             flown, how = self._call(tick + done, until_s)
             done += flown
             if how == BEFORE or flown == 0:
                 break
         if done:
             self._objects.read()
-        self._wait = 1 if done else min(2 * self._wait, _BACK_OFF)
+        self._wait = min(2 * self._wait, _BACK_OFF) if tried and not done else 1
         self._next = tick + done + self._wait  # Python runs the tick at which a batch ended
         return done
 

@@ -125,8 +125,14 @@ class Notes(VehicleLog):
     def __init__(self, config: FlightConfig, pad_radius_m: float, names: Names) -> None:
         super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, names)
         self._config, self._pad_radius_m = config, pad_radius_m
-        self._steps: list[tuple[int, int, float, float]] = []
-        self._truth_ticks: list[tuple[int, int]] = []
+        # of each step: time, ns; phase; ages of the states of vehicle and target, s
+        self._times_ns: list[int] = []
+        self._phases: list[int] = []
+        self._own_ages_s: list[float] = []
+        self._target_ages_s: list[float] = []
+        # tick and time of each true state
+        self._ticks: list[int] = []
+        self._truth_times_ns: list[int] = []
         self._truths: list[Sequence[float] | Floats] = []  # each: ``TRUTH`` values of one or more states
         self._events: list[Event] = []
 
@@ -136,13 +142,17 @@ class Notes(VehicleLog):
         own, target = seen.inputs.own, seen.target
         own_age_s = tick.now_s - own.arrival_s if own is not None else math.nan
         target_age_s = target.age_s if target is not None else math.nan
-        self._steps.append((tick.unix_ns - EPOCH_NS, int(out.phase), own_age_s, target_age_s))
+        self._times_ns.append(tick.unix_ns - EPOCH_NS)
+        self._phases.append(int(out.phase))
+        self._own_ages_s.append(own_age_s)
+        self._target_ages_s.append(target_age_s)
         for event in out.events:
             self.note(tick.now_s, event.level, "controller", event.text)
 
     def truth(self, tick: int, now_ns: int, values: Sequence[float]) -> None:
         """Record a true state."""
-        self._truth_ticks.append((tick, now_ns))
+        self._ticks.append(tick)
+        self._truth_times_ns.append(now_ns)
         self._truths.append(values)
 
     def target(self, now_ns: int, payload: bytes) -> None:
@@ -156,9 +166,13 @@ class Notes(VehicleLog):
         ``first``: number of the first tick; ``times_ns``: times of the n ticks; ``phase``: phase of all
         ticks; ``ages_s``: (n,) age of the target state; ``truths``: (n, 41) values of the true states.
         """
-        number = int(phase)
-        self._steps += [(t, number, 0.0, age_s) for t, age_s in zip(times_ns, ages_s.tolist(), strict=True)]
-        self._truth_ticks += enumerate(times_ns, first)
+        count = len(times_ns)
+        self._times_ns += times_ns
+        self._phases += [int(phase)] * count
+        self._own_ages_s += [0.0] * count
+        self._target_ages_s += ages_s.tolist()
+        self._ticks += range(first, first + count)
+        self._truth_times_ns += times_ns
         self._truths.append(truths)
 
     def event(self, now_ns: int, level: int, text: str) -> None:
@@ -171,10 +185,10 @@ class Notes(VehicleLog):
 
     def seen(self) -> Seen:
         """Return all recorded steps, true states and events as arrays."""
-        times_ns, phases, own_age_s, target_age_s = zip(*self._steps, strict=True)
         return Seen(
             steps=SeenSteps(
-                _seconds(times_ns), np.array(phases), np.array(own_age_s), np.array(target_age_s)
+                _seconds(self._times_ns), np.array(self._phases), np.array(self._own_ages_s),
+                np.array(self._target_ages_s),
             ),
             truth=self._arrays(),
             events=tuple(sorted(self._events, key=lambda event: event.t_s)),
@@ -185,10 +199,9 @@ class Notes(VehicleLog):
     def _arrays(self) -> Truth:
         of: Any = truth_of(np.vstack(self._truths).T)
         columns = {name: np.ascontiguousarray(getattr(of, name).T) for name in _SHARED}
-        ticks, times_ns = zip(*self._truth_ticks, strict=True)
         return Truth(
-            t_s=_seconds(times_ns),
-            tick=np.array(ticks),
+            t_s=_seconds(self._truth_times_ns),
+            tick=np.array(self._ticks),
             contacts=of.contacts.astype(np.int64),
             motors_running=of.motors_running.astype(np.bool_),
             **columns,
