@@ -37,7 +37,7 @@ from sim.runners.robot import DirectTarget
 from sim.runners.ticks import BEFORE, MIDDLE, BatchRecord, decided, fly_ticks, narrow
 from sim.runners.vehicle_node import VehicleNode
 
-TICKS = 20  # maximum number of ticks in one call; the robot is computed for this number of future ticks
+TICKS = 25  # maximum number of ticks in one call; the robot is computed for this number of future ticks
 SPAN_S = 0.25  # maximum simulated time of one call, s; a longer gap would restart the set-point stream
 _SOON_S = 1e-6  # time before a due message in which ticks run in Python, s
 SPEED_MAX_M_S = 2.5  # largest set-point on each axis, m/s, that the autopilot surely does not clip
@@ -144,7 +144,8 @@ class Batches:
         until_s = self._link.silent_until_s(request) - _SOON_S
         if not now_s < until_s or not self._node.undisturbed:
             return None
-        until_s = min(until_s, self._node.autopilot.silent_until_s(now_s, self._link.heeded) - _SOON_S)
+        new = self._link.heeded - self._link.state.repeated
+        until_s = min(until_s, self._node.autopilot.silent_until_s(now_s, new) - _SOON_S)
         return until_s if now_s < until_s else None
 
     def _speak(self, tick: int) -> bool:
@@ -240,9 +241,10 @@ class Batches:
         self._notes.batch(tick, times_ns, self._controller.memory.phase, self._ages[:done], truths[:done])
         self._target.skip(done)
         self._ticks.passed(times_ns[-1])
-        node.autopilot.streams.skip([each / 1e9 for each in times_ns])
+        passed = node.autopilot.streams.skip([each / 1e9 for each in times_ns])
         source_s, x, y, z, vx, vy, vz, yaw_rad = self._own_sent.tolist()
-        self._link.took(OwnState(now_s, source_s, (x, y, z), (vx, vy, vz), yaw_rad), done, setpoints=flies)
+        own = OwnState(now_s, source_s, (x, y, z), (vx, vy, vz), yaw_rad)
+        self._link.took(own, done, passed, setpoints=flies)
         ux, uy, uz = self._setpoint.tolist()
         setpoint = Setpoint((ux, uy, uz), self._yaw_rad, 0.0) if flies else None
         ahead_ms = min(grid.ms(last + 1) - grid.ms(last), node.radio_ms)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -214,12 +214,18 @@ class VehicleLink:
             self.flush()
         return True
 
-    def took(self, own: OwnState, ticks: int, *, setpoints: bool) -> None:
-        """Record ticks that ran without ``poll``; ``setpoints``: all of them sent a set-point, else none."""
+    def took(self, own: OwnState, ticks: int, passed: Iterable[int], *, setpoints: bool) -> None:
+        """Record ticks that ran without ``poll``.
+
+        ``passed``: ids of the messages that arrived besides the vehicle states, all of them ``repeated``; ``setpoints``: all ticks sent
+        a set-point, else none.
+        """
         self.state.took(own)
         self._setpoints += ticks if setpoints else 0
         for id_ in (dialect.MAVLINK_MSG_ID_ATTITUDE, dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
             self._streams.seen(id_, ticks)
+        for id_ in passed:
+            self._streams.seen(id_)
         if setpoints:
             self._sequencer.note_setpoint(own.arrival_s)
 

@@ -107,6 +107,15 @@ class VehicleState:
         counts_from_home = self.profile is None or self.profile.takeoff_above_home
         return frozenset(self._handlers) - (set() if counts_from_home else {_GLOBAL_POSITION})
 
+    @property
+    def repeated(self) -> frozenset[int]:
+        """Ids of the messages that repeat known values as long as the vehicle's condition does not change.
+
+        SYS_STATUS also contains the battery, which the controller uses only after ``watch_power``.
+        """
+        landed, battery = dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, dialect.MAVLINK_MSG_ID_SYS_STATUS
+        return frozenset((landed,) if self._watches_power else (landed, battery))
+
     def took(self, own: OwnState) -> None:
         """Record a vehicle state that other code decoded, and its heading as the newest one."""
         self.own, self._yaw_enu_rad, self._yaw_time_s = own, own.yaw_rad, own.source_time_s

@@ -265,12 +265,14 @@ class Streams(Generic[V]):
         self._lazy_due_s = min((stream.due_s for stream in self._lazy), default=_OFF)
         return passed
 
-    def skip(self, ticks_s: Sequence[float]) -> None:
-        """Advance as ``due`` does at each of these times, without building messages."""
+    def skip(self, ticks_s: Sequence[float]) -> list[int]:
+        """Advance as ``due`` does at each of these times; return the ids of the messages not built."""
         half_s = 0.5 * self._period_s
+        skipped = []
         for now_s in ticks_s:
             if self._lazy_due_s <= now_s + half_s:
-                self._passed(now_s)
+                skipped += [stream.message_id for stream in self._passed(now_s)]
+        return skipped
 
     def _sort(self) -> None:
         streams = [stream for id_, stream in self._streams.items() if id_ not in self._hidden]
