@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import mujoco
@@ -72,7 +72,7 @@ class World:
     def __init__(
         self, params: Params, mass_kg: float, target: TargetSpec, record: WorldRecord | None = None
     ) -> None:
-        self._model = model = mujoco.MjModel.from_xml_string(model_xml(params, mass_kg, target))
+        self._model = model = compiled_model(params, mass_kg, target)
         self._data = data = mujoco.MjData(model)
         self.record = r = new(WorldRecord) if record is None else record  # state of vehicle and deck
         measure_reach(model, r.reach)
@@ -156,7 +156,22 @@ def robot_geoms(params: Params, target: TargetSpec) -> str:
     return f'{pad}<body name="below_pad">{below}</body>'
 
 
-def model_xml(params: Params, mass_kg: float, target: TargetSpec) -> str:
+def compiled_model(params: Params, mass_kg: float, target: TargetSpec) -> mujoco.MjModel:
+    """Return the model of a vehicle with this mass; its inertia scales with the mass."""
+    if not math.isfinite(mass_kg) or mass_kg <= 0.0:
+        raise ValueError(f"mass_kg: found {mass_kg}, a positive number is needed")
+    spec, scale = _parsed(model_xml(params, target)), mass_kg / params.body.mass_kg
+    vehicle = spec.body("vehicle")
+    vehicle.mass, vehicle.inertia = mass_kg, [each * scale for each in params.body.inertia_kg_m2]
+    return spec.compile()
+
+
+@lru_cache(maxsize=16)  # the vehicles of a campaign differ only in mass
+def _parsed(xml: str) -> mujoco.MjSpec:
+    return mujoco.MjSpec.from_string(xml)
+
+
+def model_xml(params: Params, target: TargetSpec) -> str:
     """Return the MuJoCo model as XML. Joints: free joint of the vehicle; x, y, z and yaw of the robot.
 
     The robot is a body with a velocity, because only a moving body carries others by friction (a mocap body
@@ -164,12 +179,7 @@ def model_xml(params: Params, mass_kg: float, target: TargetSpec) -> str:
     The friction cone is elliptic: a pyramid has only 0.7 of the friction along the diagonals. Gravity is off
     and the vehicle's weight is applied as a force, so that the robot needs no support.
     """
-    jxx, jyy, jzz = params.body.inertia_kg_m2
-    scale = mass_kg / params.body.mass_kg
-    inertia = f"{jxx * scale} {jyy * scale} {jzz * scale}"
-    c = params.contact
-    if not math.isfinite(scale) or scale <= 0.0:
-        raise ValueError(f"mass_kg: found {mass_kg}, a positive number is needed")
+    inertia, c = " ".join(map(str, params.body.inertia_kg_m2)), params.contact
     return f"""
 <mujoco model="landing">
   <compiler autolimits="false"/>
@@ -187,7 +197,7 @@ def model_xml(params: Params, mass_kg: float, target: TargetSpec) -> str:
     <geom name="floor" type="plane" size="0 0 1"/>
     <body name="vehicle">
       <freejoint/>
-      <inertial pos="0 0 0" mass="{mass_kg}" diaginertia="{inertia}"/>
+      <inertial pos="0 0 0" mass="{params.body.mass_kg}" diaginertia="{inertia}"/>
       {vehicle_geoms(params)}
     </body>
     <body name="robot_body">

@@ -58,6 +58,11 @@ def compiled_solver() -> Any:
     return module
 
 
+@cache
+def _library() -> ctypes.PyDLL:
+    return ctypes.PyDLL(compiled_solver().__file__)
+
+
 def _settings() -> Any:
     """Return solver settings with which a result depends only on the data of the current tick."""
     osqp = compiled_solver()
@@ -94,7 +99,7 @@ class Osqp:
 
     def __init__(self, rows: int) -> None:
         osqp, settings = compiled_solver(), _settings()
-        library, sides = ctypes.PyDLL(osqp.__file__), rows + 3
+        library, sides = _library(), rows + 3
         self.rows, self.infinity = rows, float(osqp.OSQP_INFTY)
         self.solved = int(osqp.osqp_status_type.OSQP_SOLVED)
         nothing = [-self.infinity] * rows
