@@ -187,7 +187,9 @@ class Notes(VehicleLog):
         """Return all recorded steps, true states and events as arrays."""
         return Seen(
             steps=SeenSteps(
-                _seconds(self._times_ns), np.array(self._phases), np.array(self._own_ages_s),
+                _seconds(self._times_ns),
+                np.array(self._phases),
+                np.array(self._own_ages_s),
                 np.array(self._target_ages_s),
             ),
             truth=self._arrays(),
