@@ -185,8 +185,7 @@ class Scenario:
             wind = each.wind
             if wind.direction_rad is None:
                 wind = replace(wind, direction_rad=drawn_rad)
-            name = f"{self.name}.{member_name(number)}" if self.others else self.name
-            yield replace(each, name=name, wind=wind), seed_of(seed, number)
+            yield replace(each, wind=wind), seed_of(seed, number)
 
     def one(self, seed: int, number: int | None) -> tuple[Scenario, int]:
         """Return scenario and seed of one vehicle.

@@ -31,7 +31,7 @@ def test_a_member_overrides_the_team_and_the_team_its_base(written):
     first, second = found.members
     assert (first.wind.mean_m_s, first.wind.gust_rms_m_s) == (0.0, 0.1)
     assert (second.wind.mean_m_s, second.wind.gust_rms_m_s) == (0.0, 0.6)
-    assert [each.name for each, _ in found.singles(0)] == ["mine.cf1", "mine.cf2"]
+    assert [each.name for each, _ in found.singles(0)] == ["mine", "mine"]
 
 
 BASED = ABOUT + 'base = "field"\n'
