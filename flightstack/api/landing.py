@@ -162,7 +162,7 @@ class Landing:
         need_libraries()
         from logs.report.space import trajectory_3d
 
-        figure = trajectory_3d(self.flight)
+        figure = trajectory_3d({"vehicle": self.flight})
         if figure is None:
             raise ValueError("no path: in no tick the positions of both vehicle and target are known")
         return figure

@@ -214,9 +214,7 @@ def report(
     )] = None,
     as_json: JsonVerdict = False,
 ) -> None:  # fmt: skip
-    """Write the report of a LOG: one self-contained HTML page.
-
-    A fleet has one page for all members together, and one page for each member.
+    """Write the report of a LOG: one self-contained HTML page with all its vehicles.
 
     The command prints the verdict on the LOG and the path of the page. Exit status: 0 written, 2 wrong input.
     """

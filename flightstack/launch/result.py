@@ -141,16 +141,16 @@ def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
         path = str(flown.log) if flown.log is not None and flown.log.exists() else None
         more = {"realtime_factor": None, "log": path, "report": None, "vehicles": vehicles}
         return {**flown.about, **values, **more}
-    verdict, pages = judge_fleet(log), None
+    verdict, page = judge_fleet(log), None
     if with_report:
         try:
-            pages = write_report(log, verdict, flown.folder / "report.html")
+            page = write_report(log, verdict, flown.folder / "report.html")
         except (ReportError, MissingExtraError) as error:  # the flight is valid without a report
             print(f"flightstack: {error}", file=sys.stderr)
     times = [flight.steps.t_s for flight in log.flights.values() if flight.steps is not None]
     longest_s = max((float(t_s[-1] - t_s[0]) for t_s in times), default=None)
     factor = longest_s / flown.wall_s if longest_s is not None and flown.wall_s > 0.0 else None
-    return result(log, verdict, pages, flown.about, factor)
+    return result(log, verdict, page, flown.about, factor)
 
 
 def _of_process(flight: Followed, log: Path | None) -> Verdict:

@@ -199,6 +199,16 @@ class Fleet:
         """Log time of the first step or true state of any member."""
         return min(flight.origin_ns for flight in self.flights.values())
 
+    @property
+    def landing_start_s(self) -> float | None:
+        """Time of the first landing start of any member, s; None: no landing started."""
+        starts_s = [
+            flight.landing_start_s + self.shift_s(flight)
+            for flight in self.flights.values()
+            if flight.landing_start_s is not None
+        ]
+        return min(starts_s, default=None)
+
     def shift_s(self, flight: Flight) -> float:
         """Return the offset that converts the times of a member to the origin of the fleet, s."""
         return (flight.origin_ns - self.origin_ns) * 1e-9

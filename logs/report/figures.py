@@ -1,6 +1,6 @@
 """All figures of the report in order, each with its description and source: charts and timeline.
 
-The lanes of the timeline are phases, faults, valid and sent data, right of way, and events.
+The lanes of the timeline are phases, right of way, faults, valid and sent data of each vehicle, and events.
 """
 
 from __future__ import annotations
@@ -15,16 +15,14 @@ import plotly.graph_objects as go
 from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import Intent
 from logs.curves import BOUNDARY, CHARTS, COMMAND, INK, LIMIT, NOMINAL, Chart, Curve
-from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, Steps, phase_name
+from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, phase_name
 from logs.report import space
 from logs.report.derived import Side, fault_spans
 from logs.report.page import Panel
 from logs.report.style import (
     FAULT,
     Axis,
-    axis_of,
     chart,
-    fleet_axis,
     light,
     line,
     low_envelope,
@@ -84,38 +82,40 @@ def timeline(axis: Axis, bars: Iterable[Bar], events: Sequence[Event], zero_s: f
         hovertemplate="%{x:.2f} s<br>%{text}<extra></extra>",
     )  # fmt: skip
     rows = {"categoryorder": "array", "categoryarray": lanes[::-1], "showgrid": False, "automargin": True}
-    shown_first = axis._replace(first=axis.whole, flight=None)
+    shown_first = axis._replace(first=axis.whole)
     height_px = 116 + _ROW_PX * len(lanes)
     figure = chart(shown_first, height_px, [(1, drawn), (1, said)], rows, hovermode="closest")
     labels = {"minsize": 10, "mode": "hide"}
     return figure.update_layout(showlegend=False, uniformtext=labels, margin={"t": 32, "b": 50, "l": 150})
 
 
-def _bars(side: Side, of: str, more: Iterable[Bar] = ()) -> Iterator[Bar]:
-    """Yield phases, further bars, faults and right of way of a flight; ``of``: prefix of the names."""
-    flight, zero_s = side.flight, side.offset_s
+def _bars(side: Side) -> Iterator[Bar]:
+    """Yield phases, right of way and faults of a flight."""
+    flight, zero_s, of = side.flight, side.offset_s, side.name
     for phase, begin_s, end_s in flight.phase_spans():
         name, color = phase_name(phase), phase_color(phase, bar=True)
-        yield Bar(f"{of}phase", begin_s + zero_s, end_s + zero_s, color, f"{of}{name}", name)
-    yield from more
-    for fault in fault_spans(flight):
-        yield Bar(f"{of}fault injected", fault.begin_s + zero_s, fault.end_s + zero_s, FAULT, fault.text)
+        yield Bar(f"{of} phase", begin_s + zero_s, end_s + zero_s, color, f"{of} {name}", name)
     for span in flight.spans:
         name, others = span.intent.name.lower(), ", ".join(span.gives_way_to)
         color = NOMINAL if span.waits else _INTENT_COLORS[span.intent]
-        text = f"{of}{name}" + (f", gives way to {others}" if others else "")
+        text = f"{of} {name}" + (f", gives way to {others}" if others else "")
         label = f"waits for {others}" if span.waits else name
-        yield Bar(f"{of}right of way", span.begin_s + zero_s, span.end_s + zero_s, color, text, label)
+        yield Bar(f"{of} right of way", span.begin_s + zero_s, span.end_s + zero_s, color, text, label)
+    for fault in fault_spans(flight):
+        yield Bar(f"{of} fault injected", fault.begin_s + zero_s, fault.end_s + zero_s, FAULT, fault.text)
 
 
-def _ticks(steps: Steps, zero_s: float) -> Iterator[Bar]:
+def _ticks(side: Side) -> Iterator[Bar]:
     """Yield bars of the times with set-points sent, barrier active, set-points refused, or data missing."""
 
     def lost(valid: Bools) -> Bools:
         return np.maximum.accumulate(valid) & ~valid  # missing now, but valid at an earlier tick
 
+    steps = side.flight.steps
+    if steps is None:
+        return
     refused = (steps.gate != GateVerdict.APPROVED) & (steps.gate != GateVerdict.NOT_IN_CONTROL)
-    for lane, mask, color in (
+    for what, mask, color in (
         ("set-points sent", steps.setpoint_sent, COMMAND),
         ("barrier active", steps.barrier_active, BOUNDARY),
         ("refused by the gate", refused, FAULT),
@@ -124,22 +124,22 @@ def _ticks(steps: Steps, zero_s: float) -> Iterator[Bar]:
         ("link silent", lost(steps.link_valid), FAULT),
     ):
         edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-        times_s = steps.t_s[np.minimum(edges, len(mask) - 1)] + zero_s
+        times_s = steps.t_s[np.minimum(edges, len(mask) - 1)] + side.offset_s
+        lane = f"{side.name} {what}"
         for begin_s, end_s in times_s.reshape(-1, 2).tolist():
             yield Bar(lane, begin_s, end_s, color, lane)
 
 
-def _chart(what: Chart, flight: Flight) -> go.Figure | None:
+def _chart(what: Chart, side: Side, axis: Axis) -> go.Figure | None:
     """Draw a chart of a flight; ``None`` if the log has no data for it."""
-    axis = axis_of(flight)
     traces, axes, named = [], [], set[str]()
     for number, row in enumerate(what.rows, 1):
         shown: list[tuple[Floats, Floats]] = []
         for curve in row.curves:
-            found = curve.values(flight)
+            found = curve.values(side.flight)
             if found is None or not np.isfinite(found[1]).any():
                 continue
-            t_s, values = found[0] - axis.zero_s, found[1]
+            t_s, values = found[0] + side.offset_s, found[1]
             if row.lowest:
                 t_s, values = low_envelope(t_s, values)
             traces.append((number, _trace(curve, t_s, values, first=curve.key not in named)))
@@ -147,7 +147,7 @@ def _chart(what: Chart, flight: Flight) -> go.Figure | None:
             if not curve.hidden:
                 shown.append((t_s, values))
         axes.append({"title_text": row.title, **(row.axis or {"range": value_range(axis, shown)})})
-    return chart(axis, what.height_px, traces, *axes) if traces else None
+    return chart(axis, what.height_px, traces, *axes, side=side) if traces else None
 
 
 def _trace(curve: Curve, t_s: Floats, values: Floats, *, first: bool) -> go.Scatter:
@@ -161,54 +161,60 @@ def _trace(curve: Curve, t_s: Floats, values: Floats, *, first: bool) -> go.Scat
     return go.Scatter(x=x, y=y, mode="markers", name=curve.name, marker=marker, **look)
 
 
-def panels(side: Side) -> list[Panel]:
-    """Return the figures of one flight; the first is the main picture."""
-    flight, axis = side.flight, axis_of(side.flight)
-    ticks = _ticks(flight.steps, side.offset_s) if flight.steps is not None else ()
-    both = "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
-    source = both if flight.truth is not None else "The vehicle's own estimate; the log holds no true states."
-    edge = "" if flight.barrier is not None else " The log does not name the barrier; none is drawn."
-    return [
+def overview(fleet: Fleet, sides: Sequence[Side], axis: Axis) -> tuple[Panel, Panel, Panel]:
+    """Return the figures of all vehicles together: the main picture, the timeline, the paths in the room."""
+    drawn = " ".join(dict.fromkeys(_drawn(side.flight) for side in sides))
+    edges = "".join(dict.fromkeys(_edge(side.flight) for side in sides))
+    bars = chain(*map(_bars, sides), *map(_ticks, sides))
+    return (
         Panel(
             "relative", "Landing relative to the pad, over the barrier",
-            f"{source} Surface: h = 0; unsafe below it.{edge}", space.trajectory_3d(flight), "Fig. 7, 10",
+            f"{drawn} Surface: h = 0; unsafe below it.{edges}",
+            space.trajectory_3d(fleet.flights), "Fig. 7, 10",
         ),
         Panel(
             "timeline", "The flight at a glance", _TIMELINE,
-            timeline(axis, _bars(side, "", ticks), flight.events, axis.zero_s),
+            timeline(axis, bars, fleet.events, fleet.landing_start_s or 0.0),
         ),
+        Panel("room", "All paths in the room", _ROOM, space.room_3d(sides)),
+    )  # fmt: skip
+
+
+def panels(side: Side, axis: Axis) -> list[Panel]:
+    """Return the figures of one vehicle, whose name is the first part of each key."""
+    flight, drawn, of = side.flight, _drawn(side.flight), side.name
+    return [
         Panel(
-            "altitude", "Relative altitude over horizontal distance",
-            f"{source} Shaded: unsafe, h < 0.{edge}",
+            f"{of}-altitude", "Relative altitude over horizontal distance",
+            f"{drawn} Shaded: unsafe, h < 0.{_edge(flight)}",
             space.altitude_over_distance(flight), "Fig. 8, 11",
         ),
-        Panel("plan", "Paths from above", f"{source} {_PLAN}", space.plan(flight), "Fig. 12"),
-        *(Panel(of.key, of.title, of.note, _chart(of, flight), of.paper) for of in CHARTS),
-    ]  # fmt: skip
-
-
-def fleet_panels(fleet: Fleet, sides: Sequence[Side]) -> list[Panel]:
-    """Return the figures of a fleet; the first is the main picture."""
-    bars = chain.from_iterable(_bars(side, f"{side.name} ") for side in sides)
-    return [
-        Panel("room", "All paths in the room", _ROOM, space.room_3d(sides)),
-        Panel(
-            "timeline", "Who did what, and who waited for whom", _LANES,
-            timeline(fleet_axis(fleet), bars, fleet.events, 0.0),
+        Panel(f"{of}-plan", "Paths from above", f"{drawn} {_PLAN}", space.plan(flight), "Fig. 12"),
+        *(
+            Panel(f"{of}-{what.key}", what.title, what.note, _chart(what, side, axis), what.paper)
+            for what in CHARTS
         ),
     ]  # fmt: skip
 
 
-_LANES = (
-    "Two lanes for each member: its phase, and the intent that it sent to the others. Orange: it flew and "
-    "gave way to a neighbour. Touch or point at a bar to read it."
-)
+def _drawn(flight: Flight) -> str:
+    """Return the source of the drawn paths."""
+    if flight.truth is None:
+        return "The vehicle's own estimate; the log holds no true states."
+    return "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
+
+
+def _edge(flight: Flight) -> str:
+    return "" if flight.barrier is not None else " The log does not name the barrier; none is drawn."
+
+
 _ROOM = (
     "True paths, or the vehicles' own estimates where the log has no true states. Dotted: the pads. Circle: "
     "start. Square: end."
 )
 _TIMELINE = (
-    "The whole log. Touch or point at a bar or an event to read it; bands in the figures below have the same "
-    "colours."
+    "The whole log. Right of way: the intent that a vehicle sent to the others; orange: it flew and gave way "
+    "to a neighbour. Touch or point at a bar or an event to read it; bands in the figures below have the "
+    "same colours."
 )
 _PLAN = "Circle: where the landing began. Triangle: first contact with the pad. Square, ring: end of the log."

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,25 +65,31 @@ def _distance_max_m(paths: Sequence[Floats]) -> float:
     return 1.1 * max(_DISTANCE_MIN_M, *(float(np.nanmax(np.hypot(e_m[:, 0], e_m[:, 1]))) for e_m in paths))
 
 
-def trajectory_3d(flight: Flight) -> go.Figure | None:
-    """Draw the relative trajectory over the barrier's surface."""
-    found = _relative(flight)
+def trajectory_3d(flights: Mapping[str, Flight]) -> go.Figure | None:
+    """Draw the relative trajectories over the barrier's surface; ``flights``: by name of the vehicle."""
+    found = {name: paths for name, flight in flights.items() if (paths := _relative(flight))}
     if not found:
         return None
-    figure = go.Figure()
-    if flight.barrier is not None:
-        figure.add_trace(_surface(flight.barrier, _distance_max_m([e_m for _, e_m in found])))
+    figure, far_m = go.Figure(), _distance_max_m([e_m for paths in found.values() for _, e_m in paths])
+    for barrier in dict.fromkeys(flights[name].barrier for name in found):
+        if barrier is not None:
+            figure.add_trace(_surface(barrier, far_m))
     angle = np.linspace(0.0, 2.0 * np.pi, 61)
-    rim_m = flight.pad_radius_m * np.column_stack((np.cos(angle), np.sin(angle), np.zeros(61)))
-    _line_3d(figure, rim_m, "rim of the pad", TARGET, 6)
-    for track, e_m in reversed(found):
-        width = 7 if track.dash == "solid" else 4
-        _line_3d(figure, e_m, f"vehicle ({track.source})", track.color, width, track.dash)
-    places = _places(flight, found[0][1])
-    for name, at_m, symbol in places:
-        _marker(figure, at_m, name, _SYMBOLS_3D[symbol], INK)
-    # the camera is beside the approach, so that the path is in front of the surface
-    bearing = float(np.arctan2(places[0][1][1], places[0][1][0])) - 0.9
+    for radius_m in dict.fromkeys(flights[name].pad_radius_m for name in found):
+        rim_m = radius_m * np.column_stack((np.cos(angle), np.sin(angle), np.zeros(61)))
+        _line_3d(figure, rim_m, "rim of the pad", TARGET, 6)
+    colors, named = dict(zip(flights, cycle(COLORS), strict=False)), set[str]()
+    for name, paths in found.items():
+        for track, e_m in reversed(paths):
+            width, color = (7, colors[name]) if track.dash == "solid" else (4, ESTIMATED)
+            _line_3d(figure, e_m, f"{name} ({track.source})", color, width, track.dash, legendgroup=name)
+        for what, at_m, symbol in _places(flights[name], paths[0][1]):
+            more = {"showlegend": what not in named, "legendgroup": name}
+            _marker(figure, at_m, what, _SYMBOLS_3D[symbol], INK, **more)
+            named.add(what)
+    # the camera is beside the first approach, so that the path is in front of the surface
+    x_m, y_m, _ = _known(next(iter(found.values()))[0][1])[0]
+    bearing = float(np.arctan2(y_m, x_m)) - 0.9
     eye = {"x": 1.8 * float(np.cos(bearing)), "y": 1.8 * float(np.sin(bearing)), "z": 0.9}
     return layout_3d(
         figure,

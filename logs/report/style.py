@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,8 +13,8 @@ from plotly.subplots import make_subplots
 from flightstack.common.text import one_line
 from flightstack.core.types import Phase
 from logs.curves import INK
-from logs.reader.flight_data import Fleet, Flight, Floats, phase_name
-from logs.report.derived import fault_spans
+from logs.reader.flight_data import Floats, phase_name
+from logs.report.derived import Side, fault_spans
 
 UNSAFE = "rgba(213, 94, 0, 0.13)"
 GRID = "#e4e7eb"
@@ -91,51 +91,41 @@ class Axis(NamedTuple):
     landing: list[float]  # range of the page's button "Landing"
     whole: list[float]  # range of the page's button "Whole flight"
     first: list[float]  # initial range of the axis
-    flight: Flight | None = None  # flight whose phases and faults the charts show; None: they show none
-
-    @property
-    def zero_s(self) -> float:
-        """Time of the flight, s, that is zero on the axis."""
-        return -self.whole[0]
 
 
-def axis_of(flight: Flight) -> Axis:
-    """Return the axis of a flight; zero is the start of its landing, or of the log if there is none."""
-    began, zero_s = flight.landing_start_s is not None, flight.landing_start_s or 0.0
-    whole = [-zero_s, flight.duration_s - zero_s]
+def axis_of(sides: Sequence[Side]) -> Axis:
+    """Return the axis of a page; zero is the start of the first landing, or of the log if there is none."""
+    began = any(side.flight.landing_start_s is not None for side in sides)
+    whole = [min(s.offset_s for s in sides), max(s.flight.duration_s + s.offset_s for s in sides)]
     landing = whole
-    if began:  # the range is the landing, with some seconds before and after it
-        ends_s = [begin_s for phase, begin_s, _ in flight.phase_spans() if phase in _LAST]
-        end_s = min(ends_s[0] + AFTER_S, flight.duration_s) if ends_s else flight.duration_s
-        landing = [max(-BEFORE_S, -zero_s), end_s - zero_s]
-    return Axis(f"time since the {'landing' if began else 'log'} began [s]", landing, whole, landing, flight)
+    if began:  # the range is the landings, with some seconds before and after them
+        landing = [max(-BEFORE_S, whole[0]), max(map(_landing_end_s, sides))]
+    return Axis(f"time since the {'landing' if began else 'log'} began [s]", landing, whole, landing)
 
 
-def fleet_axis(fleet: Fleet) -> Axis:
-    """Return the axis of all members together, from the beginning of the log."""
-    members = [(flight, fleet.shift_s(flight)) for flight in fleet.flights.values()]
-    end_s = max(flight.duration_s + shift_s for flight, shift_s in members)
-    begins = [f.landing_start_s + shift_s for f, shift_s in members if f.landing_start_s is not None]
-    landing = [max(0.0, min(begins, default=0.0) - 1.0), end_s]
-    return Axis("time since the log began [s]", landing, [0.0, end_s], [0.0, end_s])
+def _landing_end_s(side: Side) -> float:
+    """Return the time on the page, s, at which the range of a landing ends."""
+    duration_s = side.flight.duration_s
+    ends_s = (begin_s + AFTER_S for phase, begin_s, _ in side.flight.phase_spans() if phase in _LAST)
+    return min(next(ends_s, duration_s), duration_s) + side.offset_s
 
 
-def _add_phases(figure: go.Figure, axis: Axis, flight: Flight) -> None:
+def _add_phases(figure: go.Figure, axis: Axis, side: Side) -> None:
     """Shade the phases in a figure, write their names above it, and mark the faults by a strip."""
-    (low, high), zero_s, spans = axis.first, axis.zero_s, flight.phase_spans()
+    (low, high), offset_s, spans = axis.first, side.offset_s, side.flight.phase_spans()
     bands = [(begin_s, end_s, 0.0, phase_color(phase)) for phase, begin_s, end_s in spans]
-    bands += [(fault.begin_s, fault.end_s, _FAULT_STRIP, FAULT) for fault in fault_spans(flight)]
+    bands += [(fault.begin_s, fault.end_s, _FAULT_STRIP, FAULT) for fault in fault_spans(side.flight)]
     # all shapes are added at once, because plotly checks all of them at each addition
     figure.layout.shapes += tuple(
         go.layout.Shape(
-            type="rect", xref="x", yref="paper", x0=begin_s - zero_s, x1=end_s - zero_s, y0=bottom, y1=1,
+            type="rect", xref="x", yref="paper", x0=begin_s + offset_s, x1=end_s + offset_s, y0=bottom, y1=1,
             fillcolor=color, line={"width": 0}, layer="below",
         )
         for begin_s, end_s, bottom, color in bands
     )  # fmt: skip
     names = []
     for phase, begin_s, end_s in spans:
-        left, right = max(begin_s - zero_s, low), min(end_s - zero_s, high)
+        left, right = max(begin_s + offset_s, low), min(end_s + offset_s, high)
         if right - left >= LABEL_SHARE * (high - low):
             names.append(
                 go.layout.Annotation(
@@ -148,16 +138,19 @@ def _add_phases(figure: go.Figure, axis: Axis, flight: Flight) -> None:
 
 def chart(
     axis: Axis, height_px: int, traces: Iterable[tuple[int, go.Scatter]], *axes: dict[str, Any],
-    hovermode: str = "x unified",
+    side: Side | None = None, hovermode: str = "x unified",
 ) -> go.Figure:  # fmt: skip
-    """Draw traces over time, each in its row (1 is the top); ``axes``: y axis of each row."""
+    """Draw traces over time, each in its row (1 is the top).
+
+    ``axes``: y axis of each row; ``side``: flight whose phases and faults are marked; None: none are.
+    """
     rows = len(axes)
     figure = make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=0.05)
     for row, trace in traces:
         figure.add_trace(trace, row=row, col=1)
     layout(figure, height_px)
-    if axis.flight is not None:
-        _add_phases(figure, axis, axis.flight)
+    if side is not None:
+        _add_phases(figure, axis, side)
     time = {"time": True, "rows": rows, "landing": axis.landing, "whole": axis.whole}
     figure.update_layout(hovermode=hovermode, meta=time)
     figure.update_xaxes(range=axis.first)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from logs.reader.flight_data import Event, Fleet, Floats, Span, Steps
 from logs.report.derived import Side, fault_spans
 from logs.report.page import part
-from logs.schema import FLEET, LOSSES
+from logs.schema import LOSSES
 from logs.schema.events import Severity
 from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, FALL_M_S, FALLS, Outcome
 from logs.verdict.verdict import FleetVerdict
@@ -38,11 +37,17 @@ def headline(verdict: FleetVerdict) -> tuple[str, str]:
     return text, style
 
 
-def run_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
-    """Return an HTML table of run, versions and numbers of lost records, from the metadata of a log."""
-    found = {**metadata.get(FLEET, {}), **metadata.get("run", {}), **metadata.get("made", {})}
+def run_table(run: Mapping[str, str], fleet: Fleet) -> str:
+    """Return an HTML table of run, vehicles, versions and numbers of lost records.
+
+    ``run``: values of the run; a vehicle's own values, for example its seed, follow with its name.
+    """
+    found = {**run, **fleet.metadata.get("made", {})}
+    for name, flight in fleet.flights.items():
+        own = flight.metadata.get("run", {})
+        found |= {f"{name} {key}": value for key, value in own.items() if run.get(key) != value}
     rows = [(key.replace("_", " "), value or "–") for key, value in found.items()]
-    rows += [(f"records lost by {who}", n) for who, n in metadata.get(LOSSES, {}).items()]
+    rows += [(f"records lost by {who}", n) for who, n in fleet.metadata.get(LOSSES, {}).items()]
     return part("table", ("run", "value"), rows, empty="The log has no metadata of the run.")
 
 
@@ -120,15 +125,18 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
 
 def key_numbers(verdict: FleetVerdict, sides: Sequence[Side]) -> list[tuple[str, str, str]]:
     """Return name, value and unit of each key number; the value is the worst one of all flights."""
-    worst = sides[0]._replace(verdict=verdict)
-    return [
+    worst, distance_m = sides[0]._replace(verdict=verdict), verdict.distance_min_m
+    found = [
         (name, number(value(worst), digits, factor), unit)
         for name, unit, digits, factor, value, _ in _NUMBERS
         if name in _KEYS
     ]
+    if distance_m is not None:
+        found.append(("smallest distance of two vehicles", number(distance_m, 2), "m"))
+    return found
 
 
-def result_table(verdict: FleetVerdict, sides: Sequence[Side], pages: Mapping[str, Path]) -> str:
+def result_table(verdict: FleetVerdict, sides: Sequence[Side]) -> str:
     """Return the table of the verdict: a row for each result, a column for each flight."""
     members = [side.verdict for side in sides]
     rows = [
@@ -142,7 +150,7 @@ def result_table(verdict: FleetVerdict, sides: Sequence[Side], pages: Mapping[st
         if name == _VERTICAL and any((each or 0.0) > FALL_M_S for each in found):
             meaning = f"{meaning}. {FALLS}"
         rows.append((name, *(number(each, digits, factor) for each in found), unit, meaning))
-    names = [part("link", pages[s.name].name, s.name) if s.name in pages else "value" for s in sides]
+    names = [part("link", f"#{side.name}", side.name) for side in sides]
     text = part("table", ("result", *names, "unit", "meaning"), rows, numbers=range(1, len(sides) + 1))
     return text + part("definitions")
 
@@ -162,7 +170,7 @@ def pairs_table(fleet: Fleet) -> str:
         inside = number(pair.inside_ms, 2, 1e-3)
         rows.append((names, number(least, 2), number(flying_m, 3), str(pair.violations), inside, hit))
     head = ("pair", "measure [1]", "distance [m]", "times inside", "inside [s]", "collided [s]")
-    return part("table", head, rows, numbers=range(1, 6), empty="The log has no simulator records of pairs.")
+    return _filled(head, rows, range(1, 6))
 
 
 def waits_table(sides: Sequence[Side]) -> str:
@@ -171,9 +179,12 @@ def waits_table(sides: Sequence[Side]) -> str:
         (part("at_link", at_s, f"{at_s:.2f}"), name, ", ".join(s.gives_way_to), f"{s.end_s - s.begin_s:.2f}")
         for at_s, name, s in sorted(waits)
     ]
-    return part(
-        "table", ("from [s]", "who", "for whom", "for [s]"), rows, numbers=(0, 3), empty="No member waited."
-    )
+    return _filled(("from [s]", "who", "for whom", "for [s]"), rows, (0, 3))
+
+
+def _filled(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> str:
+    """Return a table, or an empty text if it has no rows: the page then leaves its panel out."""
+    return part("table", head, rows, numbers=numbers) if rows else ""
 
 
 def _waits(sides: Sequence[Side]) -> list[tuple[Side, Span]]:

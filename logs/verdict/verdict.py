@@ -31,6 +31,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -164,7 +165,7 @@ def _reason(outcome: Outcome, judged: Mapping[str, Verdict], hits: Collection[st
 def judge_fleet(fleet: Fleet) -> FleetVerdict:
     """Return the verdicts on all members of a fleet, and the verdict on the fleet."""
     members = {name: judge(flight) for name, flight in fleet.flights.items()}
-    return fleet_verdict(members, fleet.pairs.values(), fleet.ids, complete=pairs_known(fleet))
+    return fleet_verdict(members, fleet.pairs.values(), fleet.ids, complete=not unobserved(fleet))
 
 
 def judged(log: Path) -> tuple[Fleet, FleetVerdict]:
@@ -173,30 +174,32 @@ def judged(log: Path) -> tuple[Fleet, FleetVerdict]:
     return fleet, judge_fleet(fleet)
 
 
-def pairs_known(fleet: Fleet) -> bool:
-    """Whether every pair of a fleet was observed until the end of the true states, in a complete log."""
-    number = len(fleet.flights)
-    ends_ns = [f.origin_ns + f.truth.t_s[-1] * 1e9 for f in fleet.flights.values() if f.truth is not None]
-    if not all(flight.complete for flight in fleet.flights.values()):
-        return False
-    if len(fleet.pairs) < number * (number - 1) // 2 or len(ends_ns) < number:
-        return False
-    return all(max(ends_ns) - pair.stamp_ns <= GAP_MAX_S * 1e9 for pair in fleet.pairs.values())
+def unobserved(fleet: Fleet) -> list[tuple[str, str]]:
+    """Return the pairs of members that were not observed until the end of the true states, by their names."""
+    flights = fleet.flights.values()
+    whole = all(flight.complete and flight.truth is not None for flight in flights)
+    ends_ns = [f.origin_ns + f.truth.t_s[-1] * 1e9 for f in flights if f.truth is not None]
+    since_ns = max(ends_ns, default=math.inf) - GAP_MAX_S * 1e9
+    seen = {ids for ids, pair in fleet.pairs.items() if whole and pair.stamp_ns >= since_ns}
+    return [
+        (fleet.ids[one], fleet.ids[other])
+        for one, other in combinations(sorted(fleet.ids), 2)
+        if (one, other) not in seen
+    ]
 
 
 def result(
     fleet: Fleet,
     verdict: FleetVerdict,
-    pages: Mapping[str, Path] | None = None,
+    page: Path | None = None,
     about: Mapping[str, object] | None = None,
     realtime_factor: float | None = None,
 ) -> dict[str, Any]:
     """Return the result of a log for JSON, with the keys of ``flightstack sitl --json``.
 
-    ``pages``: path of each member's report, and of the main page under the key ""; ``about``: additional
-    keys, which come first.
+    ``page``: path of the report; ``about``: additional keys, which come first.
     """
-    pages = pages or {}
+    report = str(page) if page is not None else None
     vehicles = {
         name: {
             **_flown_by(_run(flight)),
@@ -204,7 +207,7 @@ def result(
             "outside_envelope": outside_envelope(flight),
             "judged_apart": judged_apart(flight),
             "records_lost": sum(records_lost(flight).values()),
-            "report": _path(pages.get(name, pages.get(""))),
+            "report": report,
         }
         for name, flight in fleet.flights.items()
     }
@@ -220,7 +223,7 @@ def result(
         "records_lost": sum(int(n) for n in fleet.metadata.get(LOSSES, {}).values()),
         "realtime_factor": realtime_factor,
         "log": str(fleet.path),
-        "report": _path(pages.get("")),
+        "report": report,
         "vehicles": vehicles,
     }
 
@@ -243,7 +246,3 @@ def _flown_by(run: Mapping[str, Any]) -> dict[str, Any]:
 
 def _joined(between: str, texts: Iterable[str | None]) -> str:
     return between.join(dict.fromkeys(text for text in texts if text))
-
-
-def _path(page: Path | None) -> str | None:
-    return str(page) if page is not None else None

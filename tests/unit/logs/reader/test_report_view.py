@@ -111,7 +111,7 @@ def test_the_command_repeats_the_run(written, tmp_path):
     assert command(run, "a b.toml") == told
     written(landing())
     fleet = load_fleet(tmp_path / "flight.mcap")
-    fleet = dataclasses.replace(fleet, metadata={"run": run}, attachments={"scenario.toml": b"name = 'x'"})
+    fleet = dataclasses.replace(fleet, metadata={"fleet": run}, attachments={"scenario.toml": b"name = 'x'"})
     text = repeat_section(fleet)
     assert "--scenario scenario.toml --seed 7 --filter robust --lockstep" in text
     assert "--scenario &#39;my odd name&#39;" in text
