@@ -94,6 +94,7 @@ class Part(NamedTuple):
 def _parts(name_or_file: str, name: str | None) -> list[Part]:
     """Check the configuration or the scenario with the filter ``name``; None: the configured filter."""
     from flightstack.verify.certificate import checks
+    from flightstack.verify.types import worst
 
     config = _configuration(name_or_file)
     if config is not None:
@@ -123,11 +124,8 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
         alike.setdefault(repr(table), []).append(n)
     for numbers in alike.values():
         config = scenario.members[numbers[0]].onboard
-        worst: dict[str, Check] = {}  # result with the smallest distance to its limit, by name of the check
-        for result in (each for n in numbers for each in declared(scenario.members[n])):
-            if result.name not in worst or result.room < worst[result.name].room:
-                worst[result.name] = result
-        add(config, [*checks(config), *worst.values()], [shown[n] for n in numbers])
+        found = worst(each for n in numbers for each in declared(scenario.members[n]))
+        add(config, [*checks(config), *found], [shown[n] for n in numbers])
     if found := crowd(scenario):
         add(scenario.onboard, found, shown, " together")
     return parts if len(parts) > 1 else [parts[0]._replace(of="")]

@@ -26,18 +26,22 @@ from flightstack.core.types import Vec3
 from flightstack.verify import paper, touchdown
 from flightstack.verify.bound import Most, Shape, Span, most
 from flightstack.verify.envelope import extremes
-from flightstack.verify.types import PROOF, Check
+from flightstack.verify.types import PROOF, Check, worst
 
 LATE_TICKS = 1.0  # number of consecutive late ticks, in addition to the tick of a command
 
 
 def fleet_checks(config: FlightConfig) -> list[Check]:
-    """Return the claims about the neighbours; a vehicle alone has none."""
-    return _about_neighbours(config) if config.fleet.others else []
+    """Return the claims about the neighbours, each for its worst neighbour in the order of the landings."""
+    before = range(1, len(config.fleet.members))
+    return worst(chain.from_iterable(_about_neighbour(config, number) for number in before))
 
 
-def _about_neighbours(config: FlightConfig) -> list[Check]:
-    """Return the claims about any neighbour: the table [fleet] has the same numbers for all."""
+def _about_neighbour(config: FlightConfig, before: int) -> list[Check]:
+    """Return the claims about one neighbour if ``before`` members land before this vehicle.
+
+    The table [fleet] has the same numbers for all neighbours; only the wait depends on ``before``.
+    """
     fleet, loop, touch, spread = (
         config.fleet, config.velocity_loop, config.touchdown, config.envelope.lag_spread,
     )  # fmt: skip
@@ -58,7 +62,7 @@ def _about_neighbours(config: FlightConfig) -> list[Check]:
     return [
         *_separation(config, lags * max(loop.lag_xy_s, loop.lag_z_s)),
         *_common_points(config, steepest(config, shape), climb_m_s),
-        *_landings(config, descent_s, landing_s),
+        *_landings(config, descent_s, landing_s, before),
     ]
 
 
@@ -169,15 +173,14 @@ def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
     return found
 
 
-def _landings(config: FlightConfig, descent_s: float, landing_s: float) -> list[Check]:
-    """Return the checks of simultaneous touchdowns and of the wait for the right of way."""
+def _landings(config: FlightConfig, descent_s: float, landing_s: float, before: int) -> list[Check]:
+    """Return the checks of simultaneous touchdowns and of the wait for ``before`` landings."""
     fleet, target_m_s = config.fleet, config.touchdown.target_speed_max_m_s
     ahead_s = fleet.age_max_s + descent_s  # horizon of the conflict check, s: message age plus descent
     closer_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time in which pads can come nearer, s
     accelerated_m = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
     moved_m = min(accelerated_m + target_m_s * closer_s, 2.0 * target_m_s * ahead_s)
     needed_m = fleet.radius_xy_m + 2.0 * config.touchdown.pad_radius_m + 2.0 * moved_m
-    before = len(fleet.others)
     return [
         Check(
             "touchdowns",
@@ -300,52 +303,45 @@ def team_checks(
     """
     first, pairs = configs[0].fleet, list(combinations(configs, 2))
     ids = sorted(config.fleet.id for config in configs)
-    tables = [_differences(one.fleet, other.fleet, ids) for one, other in pairs]
-    different = list(dict.fromkeys(chain.from_iterable(tables)))
-    starts = [
-        (barrier((x - ox, y - oy, z - oz), first.radius_xy_m, first.radius_z_m)[0], i, j)
-        for (i, (ox, oy, oz)), (j, (x, y, z)) in combinations(enumerate(starts_enu_m, 1), 2)
-    ]
-    rooms = []
-    for each in chain.from_iterable(pairs):
-        fleet, lost_m = each.fleet, max(0.0, errors_m(each) - each.fleet.margin_m)
-        touch_h_m, _ = barrier(touch_m, fleet.radius_xy_m, fleet.radius_z_m)
-        rooms.append((-touch_h_m - lost_m, touch_h_m, lost_m, fleet.rate_1_s * (fleet.margin_m - touch_h_m)))
-    return [
+    return worst([
+        *(_one_table(one.fleet, other.fleet, ids) for one, other in pairs),
         *(
             Check(
-                "one table", "all members have the same table [fleet], with exactly the members of the team",
-                0.0 - len(keys), "keys", f"{len(ids)} members; different keys: {', '.join(keys) or 'none'}",
-                f"give all members the same fleet.{', fleet.'.join(keys)}" if keys else "", PROOF,
-            )
-            for keys in ([different] if pairs else [])
-        ),
-        *(
-            Check(
-                "starts", "no vehicle starts inside the ellipsoid around another one", least_m, "m",
+                "starts", "no vehicle starts inside the ellipsoid around another one",
+                barrier((x - ox, y - oy, z - oz), first.radius_xy_m, first.radius_z_m)[0], "m",
                 f"members {i} and {j} are nearest to each other", "give them other start positions", PROOF,
             )
-            for least_m, i, j in sorted(starts)[:1]
+            for (i, (ox, oy, oz)), (j, (x, y, z)) in combinations(enumerate(starts_enu_m, 1), 2)
         ),
-        *(_pads(configs[0], apart_m) for apart_m in sorted(pads_apart_m)[:1]),
-        *(
-            Check(
-                "contact", "two vehicles that meet their rows do not touch, in spite of velocity errors",
-                room_m, "m",
-                f"errors of robust.tracking_error_m_s, in any direction, reduce h to -{lost_m:.3g} m; the "
-                f"shapes touch at {touch_h_m:.3g} m; together, errors of {allowed_m_s:.3g} m/s are allowed",
-                "raise fleet.margin_m, fleet.radius_xy_m or fleet.rate_1_s", PROOF,
-            )
-            for room_m, touch_h_m, lost_m, allowed_m_s in sorted(rooms)[:1]
-        ),
-    ]  # fmt: skip
+        *(_pads(configs[0], apart_m) for apart_m in pads_apart_m),
+        *(_contact(each, touch_m) for each in chain.from_iterable(pairs)),
+    ])  # fmt: skip
 
 
-def _differences(one: Fleet, other: Fleet, ids: Sequence[int]) -> list[str]:
-    """Return the keys that differ between the tables of two members; ``ids``: ids of all members, sorted."""
+def _one_table(one: Fleet, other: Fleet, ids: Sequence[int]) -> Check:
+    """Return the check that two members have the same table; ``ids``: ids of all members, sorted."""
     keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
     found = [key for key in keys if getattr(one, key) != getattr(other, key)]
-    return found + ["members"] * any(sorted(each.members) != ids for each in (one, other))
+    found += ["members"] * any(sorted(each.members) != ids for each in (one, other))
+    return Check(
+        "one table", "all members have the same table [fleet], with exactly the members of the team",
+        0.0 - len(found), "keys", f"{len(ids)} members; different keys: {', '.join(found) or 'none'}",
+        f"give all members the same fleet.{', fleet.'.join(found)}" if found else "", PROOF,
+    )  # fmt: skip
+
+
+def _contact(config: FlightConfig, touch_m: Vec3) -> Check:
+    """Return the check that a pair with this member's table does not touch; ``touch_m`` as in team_checks."""
+    fleet, lost_m = config.fleet, max(0.0, errors_m(config) - config.fleet.margin_m)
+    touch_h_m, _ = barrier(touch_m, fleet.radius_xy_m, fleet.radius_z_m)
+    allowed_m_s = fleet.rate_1_s * (fleet.margin_m - touch_h_m)
+    return Check(
+        "contact", "two vehicles that meet their rows do not touch, in spite of velocity errors",
+        -touch_h_m - lost_m, "m",
+        f"errors of robust.tracking_error_m_s, in any direction, reduce h to -{lost_m:.3g} m; the "
+        f"shapes touch at {touch_h_m:.3g} m; together, errors of {allowed_m_s:.3g} m/s are allowed",
+        "raise fleet.margin_m, fleet.radius_xy_m or fleet.rate_1_s", PROOF,
+    )  # fmt: skip
 
 
 def _pads(config: FlightConfig, apart_m: float) -> Check:

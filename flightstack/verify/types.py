@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -48,3 +49,14 @@ class Check:
     def text(self) -> str:
         """The check as one line of an error message."""
         return f"{self.name}: {self.worst}; short by {-self.room:.3g} {self.unit}: {self.remedy}"
+
+
+def worst(found: Iterable[Check]) -> list[Check]:
+    """Return for each name the check with the smallest room, in the order of the first check of each name."""
+    by_name: dict[str, list[Check]] = {}
+    for check in found:
+        by_name.setdefault(check.name, []).append(check)
+    return [
+        min(each, key=lambda check: -math.inf if math.isnan(check.room) else check.room)
+        for each in by_name.values()
+    ]
