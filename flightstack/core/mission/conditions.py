@@ -1,6 +1,6 @@
 """Flags of the phase tables, computed from the snapshot of a tick; the functions have no state.
 
-``landing_flags`` decides on go-arounds: it sets DRIFTED in TOUCHDOWN (``Filter.drifts``, ``_sets_off``).
+``landing_flags`` decides on go-arounds: it sets DRIFTED (``Filter.drifts``) and SET_OFF in TOUCHDOWN.
 """
 
 from __future__ import annotations
@@ -260,7 +260,8 @@ def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_
     return (
         (C.OVER_PAD if over_pad else 0)
         | (C.TOUCH if touches else 0)
-        | (C.DRIFTED if descends and (strategy.drifts(at) or _sets_off(s, at, now_s)) else 0)
+        | (C.DRIFTED if descends and strategy.drifts(at) else 0)
+        | (C.SET_OFF if descends and _sets_off(s, at, now_s) else 0)
         | (C.CHECK_FAILED if check_fails(s, at, now_s, over_pad, may_land and may_touch) else 0)
     )
 

@@ -67,7 +67,7 @@ _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
 COMPUTED = (
     C.TARGET_KNOWN | C.RETRIES_LEFT | C.CLEAR | C.ARMED | C.EXTERNAL | C.STANDING | C.WAS_ARMED
     | C.WAS_EXTERNAL | C.STARTED | C.LANDING_TIME_OVER | C.PHASE_TIME_OVER | C.ON_PAD | C.OVER_PAD | C.TOUCH
-    | C.DRIFTED | C.CHECK_FAILED
+    | C.DRIFTED | C.CHECK_FAILED | C.SET_OFF
 )  # fmt: skip
 # flags that no ordinary tick has: ``Controller.land`` leaves such a tick to ``Controller.step``
 EXCLUDED = (

@@ -49,7 +49,6 @@ class Condition(IntEnum):
     LANDING_TIME_OVER = 1 << 19  # the landing or the wait for the right of way takes too long
     COMMAND_FAILED = 1 << 20  # the vehicle has refused a command, also after repetitions
     # in TOUCHDOWN, with enough h to climb away: the vehicle is about to leave the corridor above the pad
-    # (``Filter.drifts``), or a slow target has become fast (``conditions.py``)
     DRIFTED = 1 << 21
     NOT_FOLLOWING = 1 << 22  # the vehicle does not follow the commanded velocity
     TIRED = 1 << 23  # the battery is too low, and the pad is not the shortest way down
@@ -61,6 +60,7 @@ class Condition(IntEnum):
     CUT_OFF = 1 << 29  # too few fleet members send messages, and the pad is not the shortest way down
     CHECK_FAILED = 1 << 30  # a check in ``conditions.check_fails`` ends the flight and gives the reason
     NO_RESULT = 1 << 31  # the user's filter returned no velocity in the last tick
+    SET_OFF = 1 << 32  # in TOUCHDOWN, with enough h to climb away: a slow target has become fast
 
 
 C = Condition
@@ -165,6 +165,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         _CHECK,
         Rule(C.DRIFTED | C.RETRIES_LEFT, Phase.APPROACH, "going to miss the pad: go around"),
         Rule(C.DRIFTED, Phase.ABORT, "going to miss the pad, and no retry left"),
+        Rule(C.SET_OFF | C.RETRIES_LEFT, Phase.APPROACH, "the target has become too fast: go around"),
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "no contact, or motors did not stop"),
     ),
     Phase.LANDED: (

@@ -46,7 +46,7 @@ def goes_around(height_m=0.6, speed_m_s=0.1, **memory):
         CALM, (0.0, 0.0, height_m), target_velocity=moving, velocity=moving,
         memory=Memory(phase=Phase.TOUCHDOWN, **memory),
     )  # fmt: skip
-    return bool(at & Condition.DRIFTED)
+    return bool(at & Condition.SET_OFF)
 
 
 def test_a_target_that_sets_off_during_the_descent_is_gone_around_from_while_there_is_height():

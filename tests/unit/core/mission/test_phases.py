@@ -74,6 +74,7 @@ not_following -> ABORT: vehicle does not follow its velocity set-points
 = CHECK
 drifted & retries_left -> APPROACH: going to miss the pad: go around
 drifted -> ABORT: going to miss the pad, and no retry left
+set_off & retries_left -> APPROACH: the target has become too fast: go around
 phase_time_over -> ABORT: no contact, or motors did not stop
 HOLD
 = OPERATOR, VEHICLE, CUT_OFF
@@ -174,7 +175,7 @@ def leads_to(phase, asked=0, unless=0):
 
 
 def test_conditions_are_one_bit_each_and_phases_are_numbered_as_in_the_log():
-    assert [int(c) for c in Condition.__members__.values()] == [1 << n for n in range(32)]
+    assert [int(c) for c in Condition.__members__.values()] == [1 << n for n in range(33)]
     assert set(TABLE) == set(Phase)
     assert [(p.name, int(p)) for p in Phase] == [
         ("WAIT", 0), ("TAKEOFF", 1), ("APPROACH", 2), ("LAND", 3), ("TOUCHDOWN", 4), ("LANDED", 5),
