@@ -23,6 +23,8 @@ from flightstack.launch.sitl import prepare
 from sim.options import Px4SimOptions, TargetOptions, VehicleOptions
 from sim.scenarios.scenario import load as load_scenario
 
+ROOT = Path(__file__).parents[3]
+
 
 @pytest.fixture
 def started(monkeypatch):
@@ -138,3 +140,9 @@ def test_members_are_the_vehicles_of_the_run(members, lockstep, why, tmp_path):
     file.write_text(f'name = "team"\nbase = "field"\n{members}')
     with pytest.raises(ConfigError, match=why):
         prepare(RunOptions(scenario=str(file), lockstep=lockstep))
+
+
+def test_sitl_flies_the_team_of_the_page_on_campaigns(tmp_path):
+    page, file = (ROOT / "docs/how_to/campaign.md").read_text(), tmp_path / "team.toml"
+    file.write_text(page[page.index('name = "mine"') :].partition("```")[0])
+    assert len(prepare(RunOptions(scenario=str(file), lockstep=True)).members) == 2
