@@ -307,5 +307,6 @@ class Controller:
         own = seen.inputs.own
         if own is None or not seen.own_ok:
             return None
-        base = self.velocity.base(own.velocity_enu_m_s)
-        return self._fleet.message(self.memory, own, seen.inputs.status, base, seen.target, now_s)
+        return self._fleet.message(
+            self.memory, own, seen.inputs.status, self.velocity.base, seen.target, now_s
+        )

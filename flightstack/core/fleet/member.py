@@ -250,6 +250,8 @@ class FleetMember:
 
     def texts(self, permissions: Permissions, in_phase_s: float, why: str, now_s: float) -> list[str]:
         """Return event texts on relaxed constraints and a blocked pad; ``why``: reason against a take-off."""
+        if self._is_alone:
+            return []
         return self._crowded(now_s) + self.remains_on_pad(permissions, in_phase_s, why)
 
     def _crowded(self, now_s: float) -> list[str]:
@@ -265,10 +267,13 @@ class FleetMember:
         return []
 
     def message(
-        self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
+        self, memory: Memory, own: OwnState, status: VehicleStatus | None, base: Callable[[Vec3], Vec3],
         target: TargetState | None, now_s: float,
     ) -> MemberStatus | None:  # fmt: skip
-        """Return the message to the other members after this tick; None: there are no other members."""
+        """Return the message to the other members after this tick; None: there are no other members.
+
+        ``base``: as in ``beside``; its result is the velocity that the message announces.
+        """
         if self._is_alone:
             return None
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
@@ -287,7 +292,7 @@ class FleetMember:
             now_s,
             (x + v[0] * late_s, y + v[1] * late_s, z + v[2] * late_s),
             v,
-            wanted_m_s,
+            base(v),
             self._sigma_m,
             0.0,
             intent,

@@ -104,11 +104,11 @@ def test_it_may_touch_when_all_know_that_it_gives_way_to_nobody():
     member = claimed()
     own = OwnState(1.2, 1.2, ZERO, ZERO, 0.0)
     member.permissions(Phase.APPROACH, HERE, 1.2)
-    member.message(Memory(phase=Phase.LAND), own, FLYING, ZERO, HERE, 1.2)
+    member.message(Memory(phase=Phase.LAND), own, FLYING, lambda _: ZERO, HERE, 1.2)
     least_s = FLEET.age_max_s + FLEET.latency_max_s
     assert not member.permissions(Phase.LAND, HERE, 1.19 + least_s).may_touch
     assert member.permissions(Phase.LAND, HERE, 1.21 + least_s).may_touch
-    member.message(Memory(phase=Phase.APPROACH), own, FLYING, ZERO, HERE, 2.0)
+    member.message(Memory(phase=Phase.APPROACH), own, FLYING, lambda _: ZERO, HERE, 2.0)
     assert not member.permissions(Phase.LAND, HERE, 2.1).may_touch
 
 
@@ -166,7 +166,7 @@ class Claimant:
         elif self.memory.phase is Phase.LAND and way.may_touch and t_s >= self.down_s:
             self.memory.phase = Phase.LANDED
         own = OwnState(t_s, t_s, AWAY, ZERO, 0.0)
-        return self.member.message(self.memory, own, FLYING, ZERO, HERE, t_s)
+        return self.member.message(self.memory, own, FLYING, lambda _: ZERO, HERE, t_s)
 
 
 @examples(40)

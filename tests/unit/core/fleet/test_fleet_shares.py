@@ -53,7 +53,7 @@ class Side:
         firm = mission.phase in (Phase.TOUCHDOWN, Phase.LANDED)
         self.part = NONE if firm or slot.message is None else share(slot, slot.message, now_s, self.fleet)
         own = OwnState(now_s, now_s, ZERO, ZERO, 0.0)
-        return self.member.message(mission, own, FLYING, ZERO, None, now_s)
+        return self.member.message(mission, own, FLYING, lambda _: ZERO, None, now_s)
 
 
 @examples(60)
@@ -245,7 +245,7 @@ def test_what_the_others_are_told_of_each_phase(phase, keys, granted, landed, ex
     member.memory.granted = granted
     own = OwnState(0.9, 0.9, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0), 0.0)
     status = VehicleStatus(0.0, True, Mode.EXTERNAL, landed, True)
-    said = member.message(Memory(phase=phase, **keys), own, status, (0.1, 0.2, 0.3), None, 1.0)
+    said = member.message(Memory(phase=phase, **keys), own, status, lambda _: (0.1, 0.2, 0.3), None, 1.0)
     assert said.intent is expected
     assert (said.id, said.stamp_s, said.wanted_enu_m_s) == (3, 1.0, (0.1, 0.2, 0.3))
     assert said.position_enu_m == pytest.approx((1.05, 2.0, 3.0))  # extrapolated to the time stamp
