@@ -57,7 +57,7 @@ class Watch:
         role: zenoh_link.Role = zenoh_link.Role.PEER,
     ) -> None:
         """Subscribe over a session of this role, which the caller closes; ``clock``: monotonic time, s."""
-        self._session, self._clock, self._role = session, clock, role
+        self.namespace, self._session, self._clock, self._role = namespace, session, clock, role
         self._steps, self._timings, self._healths = (
             zenoh_link.ring_subscriber(session, f"{namespace}/{name}", _RING)
             for name in ("controller/step", "loop/timing", "health")
@@ -123,6 +123,7 @@ class Watch:
 def snapshot(watch: Watch) -> dict[str, Any]:
     """Return the fields of the newest step and health for scripts; ``fresh``: whether they are recent."""
     values: dict[str, Any] = {
+        "namespace": watch.namespace,
         "fresh": watch.fresh,
         "age_s": round(watch.age_s, 3),
         "connections": watch.connections,

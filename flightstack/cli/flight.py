@@ -6,8 +6,9 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
@@ -21,7 +22,6 @@ from sim.options import Px4SimOptions, TargetOptions, VehicleOptions, WorldOptio
 if TYPE_CHECKING:
     from flightstack.common.terminal import Terminal
     from flightstack.launch.result import Flown
-    from flightstack.watch import Watch
     from logs.view.live import LiveRecording
 
 
@@ -169,7 +169,7 @@ NICER = 10  # niceness of a 3-D view, so that the processes of the flight have p
 @click.command()
 @takes(WatchOptions)
 def watch(options: WatchOptions) -> None:
-    """Show a running flight: phase, h, set-points, ages, battery, loop timing. Ctrl-C ends it.
+    """Show running flights: phase, h, set-points, ages, battery, loop timing. Ctrl-C ends it.
 
     The command only receives data. Exit status: 0 normal end, 1 no recent data with --once, 2 wrong input.
     """
@@ -181,63 +181,75 @@ def watch(options: WatchOptions) -> None:
 
     if options.view is not None and (options.once or options.as_json):
         raise click.UsageError("--view draws until it is ended; --once and --json print: give one of them")
-    recording = _recording(options, options.view) if options.view is not None else None
+    names = options.namespaces or ("cf1",)
+    recording = _recording(options, options.view, names) if options.view is not None else None
     stop = Stop().install()
     connect = options.connect or ((WATCHED,) if options.zenoh_config is None else ())
     session = zenoh_link.open_session([], connect, config_file=options.zenoh_config)
     try:
         role, dialled = zenoh_link.dialled(connect, config_file=options.zenoh_config)
-        name, endpoint = options.namespace, ", ".join(dialled)
-        flight = Watch(session, name, role=role)
+        title, endpoint = ", ".join(names), ", ".join(dialled)
+        flights = {name: Watch(session, name, role=role) for name in names}
+
+        def polls(period_s: float) -> Iterator[None]:
+            """Poll all flights until a signal or the end of the output's reader; yield after each poll."""
+            while not stop.is_set and not reader_gone():
+                time.sleep(period_s)
+                for flight in flights.values():
+                    flight.poll()
+                yield
+
+        def print_all() -> None:
+            for flight in flights.values():
+                click.echo(json.dumps(snapshot(flight)))
+
         if options.once:
             until_s = time.monotonic() + options.timeout_s
-            for _ in _polls(flight, stop, LOOK_S):
-                if (flight.fresh and flight.health is not None) or time.monotonic() >= until_s:
+            for _ in polls(LOOK_S):
+                complete = all(flight.fresh and flight.health is not None for flight in flights.values())
+                if complete or time.monotonic() >= until_s:
                     break
             if options.as_json:
-                click.echo(json.dumps(snapshot(flight)))
+                print_all()
             else:
-                Terminal().print(draw({name: flight}, name, endpoint))
-            sys.exit(FRESH if flight.fresh else NOTHING)
+                Terminal().print(draw(flights, title, endpoint))
+            sys.exit(FRESH if all(flight.fresh for flight in flights.values()) else NOTHING)
         elif recording is not None:
-            for _ in _polls(flight, stop, DRAW_S):
+            for _ in polls(DRAW_S):
                 if recording.closed:
                     break
-                reason = flight.health.reason if flight.health else ""
-                recording.add(flight.new_steps, flight.new_timings, reason)
+                for name, flight in flights.items():
+                    reason = flight.health.reason if flight.health else ""
+                    recording.add(name, flight.new_steps, flight.new_timings, reason)
         elif options.as_json:
-            for _ in _polls(flight, stop, PRINT_S):
-                click.echo(json.dumps(snapshot(flight)))
+            for _ in polls(PRINT_S):
+                print_all()
         else:
             with Live(console=Terminal(), auto_refresh=False) as view:
-                for _ in _polls(flight, stop, 1.0 / REFRESH_HZ):
-                    view.update(draw({name: flight}, f"{name} at {endpoint}", endpoint), refresh=True)
+                for _ in polls(1.0 / REFRESH_HZ):
+                    view.update(draw(flights, f"{title} at {endpoint}", endpoint), refresh=True)
     finally:
         session.close()
         if recording is not None:
             recording.close()
 
 
-def _polls(flight: Watch, stop: Stop, period_s: float) -> Iterator[None]:
-    """Poll a flight until a signal arrives or the reader of the output ends; yield after each poll."""
-    while not stop.is_set and not reader_gone():
-        time.sleep(period_s)
-        flight.poll()
-        yield
-
-
-def _recording(options: WatchOptions, where: str) -> LiveRecording:
-    """Open the 3-D view at ``where``, the value of ``--view``."""
+def _recording(options: WatchOptions, where: str, names: Sequence[str]) -> LiveRecording:
+    """Open the 3-D view at ``where``, the value of ``--view``, of the vehicles with these namespaces."""
     from flightstack.config import load
     from logs.view.live import LiveRecording
 
-    config = None if options.config_file is None else load(options.config_file)
-    if config is None:
+    configs = dict(zip_longest(names, map(load, options.config_files)))
+    if configs.keys() != {*names}:
+        raise click.UsageError(
+            f"--config: found {len(options.config_files)}; one for each --namespace is needed"
+        )
+    if None in configs.values():
         click.echo(
             "flightstack: without --config there is no barrier, and the pad is drawn in a Crazyflie's size",
             err=True,
         )
     os.nice(NICER)  # the viewer that Rerun starts inherits this niceness
-    recording = LiveRecording(where, options.namespace, config)
+    recording = LiveRecording(where, configs)
     click.echo(f"ready {recording.address}")
     return recording

@@ -48,6 +48,10 @@ def _configuration(given: str) -> Path:
     return path_of(given)
 
 
+def _configurations(given: tuple[str, ...]) -> tuple[Path, ...]:
+    return tuple(map(_configuration, given))
+
+
 def safety_filter(help: str) -> Option:
     return Option("--filter", f"{help}: {ALLOWED}.", metavar="NAME", read=_filter_name)
 
@@ -276,23 +280,27 @@ class OnboardOptions(Clocked, FlightOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class WatchOptions:
-    """Options to watch a flight: its endpoint, and the kind of view."""
+    """Options to watch flights: their endpoints, and the kind of view."""
 
     connect: Annotated[tuple[str, ...], Option(
         "--connect",
-        "Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: "
+        "Zenoh endpoint of an onboard process, as `sitl` prints it; repeatable; default: "
         f"{WATCHED}, or the endpoint of --zenoh-config.", "ENDPOINT"
     )] = ()  # fmt: skip
     zenoh_config: ZenohConfig = None
-    namespace: Namespace = "cf1"
+    namespaces: Annotated[tuple[str, ...], Option(
+        "--namespace", "First part of all Zenoh keys of a vehicle; repeatable; default: cf1."
+    )] = ()  # fmt: skip
     once: Annotated[
         bool, Option("--once", "Show the state once and end; exit status 1 if no fresh data arrive.")
     ] = False
     as_json: Annotated[
-        bool, Option("--json", "Print one JSON object a line, two a second (--once: one).")
+        bool, Option("--json", "Print one JSON object a line for each vehicle, two a second (--once: one).")
     ] = False
     timeout_s: Annotated[float, seconds("--timeout", "Longest wait of --once.", 0.1, 3600.0)] = 5.0
     view: View = None
-    config_file: Annotated[
-        Path | None, config("Configuration of the flight, for the barrier and the pad in --view")
-    ] = None
+    config_files: Annotated[tuple[Path, ...], Option(
+        "--config", "Configuration of the flight, for the barrier and the pad in --view: a name (see "
+        "`config`) or a file; repeatable, one for each --namespace in the same order.", "NAME_OR_FILE",
+        read=_configurations
+    )] = ()  # fmt: skip

@@ -37,7 +37,7 @@ def run(options: FlyOptions, console: Terminal) -> Flown:
                     "--view: a client of a Zenoh router has no endpoint of its own; run `flightstack watch "
                     "--view ... --connect ROUTER` beside it"
                 )
-            launcher.view(options.view, at[0], config_file, namespace)
+            launcher.view(options.view, [(namespace, at[0], config_file)])
         socket = launcher.socket if log is not None else None
         plugged = shared(
             options, OnboardOptions, config_file=config_file, listen=(*options.listen, *at), recorder=socket

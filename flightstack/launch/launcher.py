@@ -7,7 +7,7 @@ import math
 import shutil
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -99,9 +99,13 @@ class Launcher(contextlib.ExitStack):
         self._recorder = start_recorder(self.socket, log)
         self.children.append(self._recorder)
 
-    def view(self, where: str, endpoint: str, config: Path, namespace: str) -> None:
-        """Start the 3-D view of an onboard process and wait until it is ready; ``where``: value of --view."""
-        options = WatchOptions(view=where, connect=(endpoint,), config_file=config, namespace=namespace)
+    def view(self, where: str, flights: Iterable[tuple[str, str, Path]]) -> None:
+        """Start the 3-D view of onboard processes and wait until it is ready.
+
+        ``where``: value of --view; ``flights``: namespace, endpoint and configuration of each process.
+        """
+        namespaces, endpoints, configs = zip(*flights, strict=True)
+        options = WatchOptions(view=where, connect=endpoints, namespaces=namespaces, config_files=configs)
         self.hint(f"view: {self.start('watch', options).wait_ready()}")
 
     def end_all(self) -> None:

@@ -71,7 +71,8 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
     )] = field(default_factory=dict)  # fmt: skip
     listen: Annotated[tuple[str, ...], Option(
         "--listen",
-        "Additional Zenoh endpoint for watchers, beside the printed one on loopback; repeatable.",
+        "Additional Zenoh endpoint for watchers, beside the printed one on loopback; repeatable; a second "
+        "vehicle has the next port, and so on.",
         "ENDPOINT"
     )] = ()  # fmt: skip
     zenoh_config: shared.ZenohConfig = None
@@ -99,25 +100,20 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
             **described(self, shared.Repeated),
         }
 
-    def check(self, vehicles: int) -> None:
-        """Raise ConfigError if options cannot be combined with each other or with this number of vehicles."""
+    def check(self) -> None:
+        """Raise ConfigError if options cannot be combined with each other."""
         if len(self._given) > 1:
             raise ConfigError(
                 f"only one of {', '.join(flies.value for flies in Flies if flies.value)} can be flown"
             )
-        flies, one, several = self.flies, vehicles == 1, "a scenario of several vehicles"
+        flies = self.flies
         own, flown = flies is Flies.OWN, flies.value or "the simulated vehicle"
-        shows_one = "shows one vehicle; open the log in a viewer after the flight"
         for name, given, allowed, other, why in (
             ("--lockstep", self.lockstep, own, flown, f"{_SIMULATED}; --speed flies PX4 faster"),
             ("--signing-key", self.signing_key, own, flown, "is not given to a PX4 or ArduPilot in software"),
             ("--speed", self.speed != 1.0, not own, flown, f"{_REAL}; --lockstep is faster"),
             ("--instance", self.instance is not None, not own, flown, _REAL),
             ("--mocap", self.mocap, flies is Flies.PX4, flown, "works with --px4 only, not with satellites"),
-            (flies.value, not own, one, several, "the vehicles of a team are simulated together"),
-            ("--ros2", self.ros2_where, one, several, shows_one),
-            ("--view", self.view, one, several, shows_one),
-            ("--listen", self.listen, one, several, "each vehicle has its own endpoint, which is printed"),
             ("--member", self.members, not self.lockstep, "--lockstep", "it cannot run in lockstep"),
         ):  # fmt: skip
             if given and not allowed:

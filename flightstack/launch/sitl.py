@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from sim.scenarios.scenario import Scenario, load, path_of, text
 from sim.vehicle.declared import not_proven, outside
 
 GRACE_S = 60.0  # wall time after the longest flight at which a run is stopped, s
+_PORT = re.compile(r"([^?#]*:)(\d+)((?:[?#].*)?)")  # Zenoh endpoint with a port: tcp/HOST:PORT#options
 LOCKSTEP_SLOWEST = 0.05  # ratio of simulated to wall time below which one vehicle in lockstep is stopped
 
 
@@ -36,7 +38,12 @@ def prepare(options: RunOptions) -> Scenario:
     for each in scenario.members:
         try_out(each.target)
     number, requested = len(scenario.members), options.members
-    options.check(number)
+    options.check()
+    if number > (most := VEHICLES[options.flies].vehicles_max):
+        raise ConfigError(
+            f"{options.flies.value} with a scenario of {number} vehicles: it flies at most {most}; the "
+            "vehicles of a team are simulated together: leave it out"
+        )
     if any(not 1 <= n <= number for n in requested) or len(requested) == number:
         raise ConfigError(
             f"--member: found {_ids(requested)}; allowed are 1 to {number}, and one at least "
@@ -114,8 +121,8 @@ def run(options: RunOptions, console: Terminal) -> Flown:
         run = Run(launcher, options, scenario, launcher.endpoint())
         launcher.record(log)
         if options.view is not None:
-            first = vehicles[0]
-            launcher.view(options.view, first.endpoint, first.config, first.names.member)
+            flown = [(each.names.member, each.endpoint, each.config) for each in vehicles]
+            launcher.view(options.view, flown)
         _describe(run, vehicles)
         flying = kind.start(run)
         if not kind.with_robots:
@@ -160,11 +167,20 @@ def _fly(run: Run, vehicle: _Vehicle, own: Mapping[str, Any], connect: Sequence[
     onboard = shared(
         options, OnboardOptions, **{"system_id": vehicle.names.system_id, **own},
         target_key=f"{name}/target/odom", connect=(run.robots_at, *connect), namespace=name,
-        listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
+        listen=(vehicle.endpoint, *(at_port(each, vehicle.names.system_id) for each in options.listen)),
+        config_file=vehicle.config,
         duration_s=vehicle.scenario.duration_max_s, recorder=run.launcher.socket,
         unproven=True,  # in simulation, a configuration without proof is allowed
     )  # fmt: skip
     return Followed(run.launcher.start("onboard", onboard, of=name), name, onboard.listen)
+
+
+def at_port(endpoint: str, number: int) -> str:
+    """Return the endpoint of vehicle ``number``, from 1: each has the next port; 0 stays any free port."""
+    found = _PORT.fullmatch(endpoint)
+    if found is None or not int(found[2]):
+        return endpoint
+    return f"{found[1]}{int(found[2]) + number - 1}{found[3]}"
 
 
 def _describe(run: Run, vehicles: Sequence[_Vehicle]) -> None:

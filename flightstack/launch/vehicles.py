@@ -27,7 +27,7 @@ from sim.autopilot.telemetry import ORIGIN_WGS84
 from sim.options import Px4SimOptions, WorldOptions
 from sim.px4.program import Px4Model, Px4Program, free_instance
 from sim.scenarios.scenario import Scenario
-from sim.scenarios.tables import StartKind
+from sim.scenarios.tables import MEMBERS_MAX, StartKind
 from sim.vehicle.vehicle import compile_first
 
 T = TypeVar("T")
@@ -204,11 +204,12 @@ class Vehicle(NamedTuple):
     with_robots: bool = False  # whether the vehicle's process also simulates the robots
     # whether the autopilot's program simulates the physics: without a pad, and from the position 0
     own_physics: bool = False
+    vehicles_max: int = 1  # largest number of vehicles of a run
 
 
 _PX4_CONFIGURATIONS = {"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}  # names by airframe
 VEHICLES: Mapping[Flies, Vehicle] = {
-    Flies.OWN: Vehicle(_own, with_robots=True),
+    Flies.OWN: Vehicle(_own, with_robots=True, vehicles_max=MEMBERS_MAX),
     Flies.PX4: Vehicle(_px4, lambda scenario, _: _PX4_CONFIGURATIONS.get(scenario.vehicle.airframe)),
     Flies.PX4_SIH: Vehicle(_px4_sih, lambda *_: "px4-1kg", own_physics=True),
     Flies.ARDUPILOT: Vehicle(_ardupilot, _ardupilot_configuration, own_physics=True),

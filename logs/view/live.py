@@ -1,4 +1,4 @@
-"""Shows a running flight in Rerun: the figures of ``view``, made from the rows received so far."""
+"""Shows running flights in Rerun: the figures of ``view``, made from the rows received so far."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import contextlib
 import socket
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from urllib.parse import quote
 
@@ -18,6 +19,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
 from logs.reader.flight import columns, since
 from logs.reader.flight_data import Event, Flight, Floats, Steps, Timing, phase_name
+from logs.recorder.markers import COLORS
 from logs.schema.events import CONTROLLER, Severity
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.view.view import Canvas, blueprint, draw, events, viewer_program
@@ -30,15 +32,16 @@ MEMORY_LIMIT = "512MB"  # memory limit of the viewer, and of the server; the old
 
 
 class LiveRecording:
-    """Rerun recording of a running flight; each call of ``add`` adds newer data."""
+    """Rerun recording of running flights; each call of ``add`` adds newer data of one of them."""
 
-    def __init__(self, where: str, name: str, config: FlightConfig | None = None) -> None:
-        """Open the view of a vehicle with this name; without ``config`` there is no barrier."""
-        self._name, self._config = name, config
+    def __init__(self, where: str, configs: Mapping[str, FlightConfig | None]) -> None:
+        """Open the view of vehicles with these names; a vehicle without configuration has no barrier."""
+        self._configs = configs
         self._stream = rr.RecordingStream("flightstack")
-        self._stream.send_recording_name(name)
-        self._canvas: Canvas | None = None
-        self._phase: int | None = None
+        self._stream.send_recording_name(", ".join(configs))
+        self._events: Canvas | None = None  # None: no data have arrived
+        self._canvases: dict[str, Canvas] = {}  # canvases of all vehicles by name
+        self._phases: dict[str, int] = {}  # newest phase by name
         self._viewer: subprocess.Popen[bytes] | None = None
         self._stays = where == NATIVE  # whether the window stays open until the user closes it
         self.address = where  # address of the web page with the view, or path of the recording
@@ -58,14 +61,18 @@ class LiveRecording:
         return self._viewer is not None and self._viewer.poll() is not None
 
     def add(
-        self, steps: Sequence[ControllerStepRow], timings: Sequence[LoopTimingRow], reason: str = ""
-    ) -> None:
+        self, name: str, steps: Sequence[ControllerStepRow], timings: Sequence[LoopTimingRow],
+        reason: str = "",
+    ) -> None:  # fmt: skip
         if not steps:
             return
-        if self._canvas is None:
-            self._canvas = Canvas(self._stream, steps[0].stamp_ns, self._name)
-            self._events = Canvas(self._stream, steps[0].stamp_ns)
-            self._stream.send_blueprint(blueprint([self._name]))
+        if self._events is None:
+            first_ns, colors = steps[0].stamp_ns, cycle(COLORS)
+            self._events = Canvas(self._stream, first_ns)
+            self._canvases = {
+                each: Canvas(self._stream, first_ns, each, next(colors)) for each in self._configs
+            }
+            self._stream.send_blueprint(blueprint(list(self._configs)))
         origin_ns, end_ns = steps[0].stamp_ns, steps[-1].stamp_ns
         piece = Flight(
             path=Path(),
@@ -73,10 +80,10 @@ class LiveRecording:
             duration_s=(end_ns - origin_ns) * 1e-9,
             steps=columns(Steps, steps, _since(origin_ns, steps)),
             timing=columns(Timing, timings, _since(origin_ns, timings)) if timings else None,
-            events=tuple(self._entered(origin_ns, steps, reason)),
-            config=self._config,
+            events=tuple(self._entered(name, origin_ns, steps, reason)),
+            config=self._configs[name],
         )
-        draw(self._canvas, piece)
+        draw(self._canvases[name], piece)
         events(self._events, origin_ns, piece.events)
 
     def close(self) -> None:
@@ -106,17 +113,19 @@ class LiveRecording:
         self._stream.connect_grpc(at)
         return at
 
-    def _entered(self, origin_ns: int, steps: Sequence[ControllerStepRow], reason: str) -> list[Event]:
+    def _entered(
+        self, name: str, origin_ns: int, steps: Sequence[ControllerStepRow], reason: str
+    ) -> list[Event]:
         """Return the phases that began since the last call; the reason belongs to the newest phase."""
-        before = [self._phase, *(row.phase for row in steps)]
-        self._phase = before[-1]
+        before = [self._phases.get(name), *(row.phase for row in steps)]
+        self._phases[name] = steps[-1].phase
         begun = [row for row, phase in zip(steps, before, strict=False) if row.phase != phase]
         events = []
         for row in begun:
             level = Severity.ERROR if row.phase == Phase.ABORT else Severity.INFO
             why = f": {reason}" if reason and row is begun[-1] else ""
             text = f"{phase_name(row.phase)}{why}"
-            events.append(Event((row.stamp_ns - origin_ns) * 1e-9, level, CONTROLLER, text))
+            events.append(Event((row.stamp_ns - origin_ns) * 1e-9, level, f"{name}.{CONTROLLER}", text))
         return events
 
 

@@ -124,13 +124,7 @@ def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path):
 @pytest.mark.parametrize(
     ("option", "why"),
     [
-        (("--view", "native"), "--view with a scenario of several vehicles: shows one vehicle"),
-        (("--ros2", "tcp/127.0.0.1:7447"), "--ros2 with a scenario of several vehicles: shows one vehicle"),
-        (("--px4", "/"), "--px4 with a scenario of several vehicles: the vehicles of a team are simulated"),
-        (
-            ("--listen", "tcp/127.0.0.1:7447"),
-            "--listen with a scenario of several vehicles: each vehicle has",
-        ),
+        (("--px4", "/"), "--px4 with a scenario of 3 vehicles: it flies at most 1; the vehicles of a team"),
         (("--duration", "-1"), "--duration"),
     ],
 )

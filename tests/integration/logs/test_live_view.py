@@ -42,17 +42,18 @@ def entities(path):
 
 def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
     whole = tmp_path / "pieces.rrd"
-    recording = LiveRecording(str(whole), "cf1")
+    recording = LiveRecording(str(whole), {"cf1": None, "cf2": None})
     for begin in range(0, len(ROWS), 3):
         piece = ROWS[begin : begin + 3]
         timings = [t for t in landing().timing if piece[0].tick <= t.tick <= piece[-1].tick]
-        recording.add(piece, timings, "made up")
-    recording.add([], [])
+        for name in ("cf1", "cf2"):
+            recording.add(name, piece, timings, "made up")
+    recording.add("cf1", [], [])
     recording.close()
     rows, columns = entities(whole)
-    for entity in ("/cf1/barrier/h/estimate", "/cf1/velocity/z/filtered", "/world/cf1/vehicle"):
-        assert rows[entity] == rows["/world/cf1/target"] == len(ROWS)
-    assert rows["/cf1/phase"] == rows["/events"] == len({r.phase for r in ROWS})
+    for entity in ("/cf1/barrier/h/estimate", "/cf2/velocity/z/filtered", "/world/cf1/vehicle"):
+        assert rows[entity] == rows["/world/cf2/target"] == len(ROWS)
+    assert 2 * rows["/cf1/phase"] == rows["/events"] == 2 * len({r.phase for r in ROWS})
     assert any(name.startswith("LineStrips3D:strips") for name in columns["/world/cf1/vehicle_path"])
     assert any(name.startswith("Arrows3D:vectors") for name in columns["/world/cf1/velocity/nominal"])
     assert "/world/cf1/target_pad/barrier" not in columns  # the shape of the barrier was not published
@@ -160,6 +161,7 @@ def test_a_viewer_that_hangs_holds_up_nobody(sender, watching):
         (["--view", "scene.txt"], "web or a file that ends with .rrd"),
         (["--view", "web", "--json"], "give one of them"),
         (["--view", "x.rrd", "--config", "nonesuch"], "nonesuch"),
+        (["--view", "x.rrd", *["--config", "crazyflie"] * 2], "found 2; one for each --namespace"),
     ],
 )
 def test_wrong_words_are_refused(tmp_path, words, told):
@@ -169,14 +171,20 @@ def test_wrong_words_are_refused(tmp_path, words, told):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_sitl_shows_the_flight_and_flies_as_without(tmp_path):
-    out = tmp_path / "live.rrd"
+def test_sitl_shows_all_vehicles_to_the_view_and_to_ros_2(tmp_path):
+    port, out = Port(), tmp_path / "live.rrd"
+    router = zenoh_link.open_session([port.endpoint], role=zenoh_link.Role.ROUTER)
+    heard = [zenoh_link.ring_subscriber(router, f"0/cf{n}/controller/step/**", 8) for n in (1, 2, 3)]
     done = flightstack(
-        "sitl", "--scenario", "paper_moving_1", "--lockstep", "--json", "--no-report", "--view", out,
-        "--out", tmp_path / "run",
+        "sitl", "--scenario", "fleet_3", "--lockstep", "--json", "--no-report", "--view", out,
+        "--ros2", port.endpoint, "--out", tmp_path / "run",
     )  # fmt: skip
     assert done.code == 0, done.err
     assert done.json["outcome"] == "landed"
+    assert all(map(zenoh_link.drain, heard))
+    router.close()
+    port.close()
     rows, columns = entities(out)
-    assert rows["/world/cf1/vehicle"] > 0  # lockstep is faster than the viewer, which drops old data
-    assert "/world/cf1/target_pad/barrier" in columns
+    for name in ("cf1", "cf2", "cf3"):
+        assert rows[f"/world/{name}/vehicle"] > 0  # lockstep is faster than the viewer, which drops old data
+        assert f"/world/{name}/target_pad/barrier" in columns

@@ -19,7 +19,7 @@ from flightstack.config.options import FlightOptions, OnboardOptions, Piloted, W
 from flightstack.launch import fly
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import FlyOptions, RunOptions
-from flightstack.launch.sitl import prepare
+from flightstack.launch.sitl import at_port, prepare
 from sim.options import Px4SimOptions, TargetOptions, VehicleOptions
 from sim.scenarios.scenario import load as load_scenario
 
@@ -146,3 +146,16 @@ def test_sitl_flies_the_team_of_the_page_on_campaigns(tmp_path):
     page, file = (ROOT / "docs/how_to/campaign.md").read_text(), tmp_path / "team.toml"
     file.write_text(page[page.index('name = "mine"') :].partition("```")[0])
     assert len(prepare(RunOptions(scenario=str(file), lockstep=True)).members) == 2
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "second"),
+    [
+        ("tcp/0.0.0.0:7448", "tcp/0.0.0.0:7449"),
+        ("udp/[::1]:7448#iface=lo", "udp/[::1]:7449#iface=lo"),
+        ("tcp/127.0.0.1:0", "tcp/127.0.0.1:0"),
+        ("unixsock-stream//run/watch", "unixsock-stream//run/watch"),
+    ],
+)
+def test_a_second_vehicle_listens_on_the_next_port(endpoint, second):
+    assert (at_port(endpoint, 1), at_port(endpoint, 2)) == (endpoint, second)
