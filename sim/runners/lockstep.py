@@ -22,7 +22,7 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import COMPANION_SILENT_S, EPOCH_NS, wait_until
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid
 from sim.runners.robot import Robot
-from sim.runners.room import FleetEnd, Room, several
+from sim.runners.room import FleetEnd, Room
 from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # wall time between two checks for signals, s
@@ -224,31 +224,27 @@ def fly_in_lockstep(
 
     for vehicle in vehicles:
         vehicle.begin()
-    fleet = several(vehicles)  # vehicles that exchange messages
     tick = 0
     while tick != ticks and not ended():
         if all(each.rests for each in vehicles):  # in real time, because a silent companion may return
             time.sleep(vehicles[0].grid.period_s)
         flown = batch(tick) if batch is not None else 0
         if not flown:
-            _tick(vehicles, fleet, room, exchange, stop, tick)
+            _tick(vehicles, room, exchange, stop, tick)
         tick += flown or 1
     if tick:
         room.write(tick - 1, EPOCH_NS)
     return tick
 
 
-def _tick(
-    vehicles: Sequence[LockstepVehicle], fleet: Sequence[LockstepVehicle], room: Room, exchange: Exchange,
-    stop: Stop, tick: int,
-) -> None:  # fmt: skip
+def _tick(vehicles: Sequence[LockstepVehicle], room: Room, exchange: Exchange, stop: Stop, tick: int) -> None:
     room.begin()
     for vehicle in vehicles:
         vehicle.ask(tick)
     for vehicle in vehicles:
         vehicle.act(tick)
     room.end(tick, EPOCH_NS)
-    sent = [each.words.take(stop) if each.answers else None for each in fleet]
-    for vehicle, received in zip(fleet, exchange(tick, sent), strict=True):
+    sent = [each.words.take(stop) if each.answers else None for each in vehicles]
+    for vehicle, received in zip(vehicles, exchange(tick, sent), strict=True):
         if vehicle.answers:
             vehicle.words.hear(received)

@@ -42,7 +42,7 @@ from sim.options import TargetOptions, VehicleOptions, WorldOptions
 from sim.runners.lockstep import LockstepVehicle, fly_in_lockstep
 from sim.runners.log import EventLog, VehicleLog
 from sim.runners.published_robot import LockstepRobot, R, RealTimeDeck, RealTimeRobot, robots_of
-from sim.runners.room import FleetEnd, MemberWords, Room, Words, several, warm_up_room
+from sim.runners.room import FleetEnd, MemberWords, Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
@@ -242,13 +242,16 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
         fly_in_real_time(vehicles, list(driven.values()), room, grid, stop, FastClock(), ticks)
         return
     ahead = robots(LockstepRobot)
-    ends = {n: MemberWords(session, names[n]) if session is not None else FleetEnd() for n in here}
+    ends = {n: FleetEnd() for n in here}
+    for n in here:
+        if session is not None and singles[n][0].onboard.fleet.others:  # else its companion has no wire, too
+            ends[n] = MemberWords(session, names[n])
     loops = [
         LockstepVehicle(*parts(n), robot=ahead.get(n), grid=grid, stop=stop, words=ends[n]) for n in here
     ]
     room = Room(loops, grid, feed)
     _ready([url for _, url in endpoints.values()], stop)
-    for each in several(loops):
+    for each in loops:
         each.words.await_listener(stop)
     flown = fly_in_lockstep(loops, room, Words(team, options.seed), stop, ticks)
     feed.flush()
