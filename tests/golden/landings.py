@@ -54,18 +54,17 @@ COLUMNS = (
     "pad_position_enu_m", "pad_velocity_enu_m_s", "pad_yaw_rad", "h_m", "contacts", "battery_v",
     "wind_enu_m_s",
 )  # fmt: skip
+OF_ROBOT = (What.TARGET_ODOMETRY, What.ROBOT)
 OMITTED = ("cells", "wall_s", "seed")  # fields of a campaign row that are not compared
 
 
 def faulty(what: What, kind: Kind) -> Scenario:
-    """Return scenario ``grid`` with one fault that starts in the approach."""
-    grid = fs.scenario("grid", {"duration_max_s": 15.0, "retreat.abort_time_max_s": 10.0})
-    of_robot = what in (What.TARGET_ODOMETRY, What.ROBOT)
+    """Return scenario ``grid``, started in hover, with one fault that starts in the approach."""
+    keys = {"duration_max_s": 15.0, "retreat.abort_time_max_s": 5.0}
+    grid = fs.scenario("grid", {**keys, "start.kind": "hover", "start.offset_m": [-0.7, 0.3, 0.65]})
     given: dict[str, Any] = {"motor": 2} if what is What.MOTOR else {}
     given |= {"offset_m": (0.3, 0.0, 0.0)} if TABLE[what][kind].offset else {}
-    given |= (
-        {"start_s": 0.5, "after": After.LANDING} if of_robot else {"start_s": 4.0, "after": After.TAKEOFF}
-    )
+    given |= {"start_s": 0.5, "after": After.LANDING} if what in OF_ROBOT else {"start_s": 1.0}
     return replace(grid, fault=(Fault(what, kind, **given),))
 
 
