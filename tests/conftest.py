@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import os
 import signal
@@ -94,6 +95,17 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Use one worker per core; ``-n auto`` adds four, because the streams of flights mostly wait."""
     more = 0 if config.option.numprocesses == "logical" else STREAMS + 1
     return more + (os.cpu_count() or 1)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[object]:
+    """Keep garbage collections rare and short; with Python's settings they take a seventh of the time."""
+    gc.disable()
+    done = yield
+    gc.freeze()  # later collections skip all modules and tests that are loaded
+    gc.set_threshold(20_000, 20, 50)
+    gc.enable()
+    return done
 
 
 @pytest.hookimpl(tryfirst=True)  # runs before pytest-xdist reads the groups
