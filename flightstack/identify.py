@@ -19,8 +19,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
 from numpy.typing import NDArray
-from scipy import optimize, signal
 
 Floats = NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:
     def difference(parameters: Floats) -> Floats:
         return np.concatenate([_difference(s, parameters, period_s) for s in passed])
 
-    found = optimize.least_squares(
+    found = scipy.optimize.least_squares(
         difference, START, bounds=(LOW, HIGH), x_scale=(1.0, 5.0, 0.5, 0.05), diff_step=1e-4
     )
     gain, rate, damping, dead_time = (float(p) for p in found.x)
@@ -116,21 +116,21 @@ def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:
 
 def _high_pass(column: Floats, period_s: float) -> Floats:
     a = HIGH_PASS_S / (HIGH_PASS_S + period_s)
-    return np.asarray(signal.lfilter([a, -a], [1.0, -a], column - column[0]), dtype=np.float64)
+    return np.asarray(scipy.signal.lfilter([a, -a], [1.0, -a], column - column[0]), dtype=np.float64)
 
 
 def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
     """Return measured minus modelled velocity, without the response to the segment's initial state."""
     gain, rate, damping, dead_time = parameters
     plant = ([rate * rate], [1.0, 2.0 * damping * rate, rate * rate])
-    numerator, denominator, _ = signal.cont2discrete(plant, period_s, method="zoh")
+    numerator, denominator, _ = scipy.signal.cont2discrete(plant, period_s, method="zoh")
     count = len(passed.command_m_s)
     ticks = np.arange(count, dtype=np.float64)
     late = np.interp(ticks - dead_time / period_s, ticks, passed.command_m_s, left=0.0)
-    left = passed.velocity_m_s - gain * signal.lfilter(numerator.ravel(), denominator, late)
+    left = passed.velocity_m_s - gain * scipy.signal.lfilter(numerator.ravel(), denominator, late)
     # responses to earlier commands, then to initial speed and acceleration
-    responses = [signal.lfilter(numerator.ravel(), denominator, np.ones(count))]
-    responses += [signal.lfilter([1.0], denominator, kick) for kick in np.eye(2, count)]
+    responses = [scipy.signal.lfilter(numerator.ravel(), denominator, np.ones(count))]
+    responses += [scipy.signal.lfilter([1.0], denominator, kick) for kick in np.eye(2, count)]
     past = np.apply_along_axis(_high_pass, 0, np.column_stack(responses), period_s)
     explained = past @ np.linalg.lstsq(past, left, rcond=None)[0]
     return np.asarray(left - explained, dtype=np.float64)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import betaincinv
+import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
 
 from logs.verdict.types import Outcome
 from sim.campaign.rows import ERROR, Row
@@ -50,7 +50,7 @@ def upper_bound(events: int, runs: int, confidence: float = CONFIDENCE) -> float
     """Return the one-sided upper Clopper-Pearson bound of a rate: p with P(X <= events) = 1 - confidence."""
     if not 0 <= events <= runs or runs < 1:
         raise ValueError(f"{events} events in {runs} runs: a number of runs and no more events are needed")
-    return 1.0 if events == runs else float(betaincinv(events + 1, runs - events, confidence))
+    return 1.0 if events == runs else float(scipy.special.betaincinv(events + 1, runs - events, confidence))
 
 
 def quantile(rows: Sequence[Row], column: str, share: float) -> float | None:

@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-import pyarrow.parquet
 from numpy.typing import NDArray
 
 from flightstack.common.strict_toml import decoded
@@ -99,7 +98,9 @@ def read_recording(path: Path) -> Recording:
         if path.suffix == ".csv":
             table = pa.csv.read_csv(pa.BufferReader(decoded(path.read_bytes()).encode()))
         else:
-            table = pa.parquet.read_table(path)
+            from pyarrow.parquet import read_table  # late import: it loads pandas, which takes 0.4 s
+
+            table = read_table(path)
         names = table.column_names
     except (OSError, ValueError, pa.ArrowException) as error:
         raise RecordingError(f"can't be read: {str(error).partition(chr(10))[0]}") from error

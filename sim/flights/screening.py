@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from sim.flights.recording import QUANTITIES, Floats, Recording, RecordingError, read_recording
@@ -132,8 +132,10 @@ def rates_rad_s(recording: Recording) -> Floats:
 def band(rates: Floats, step_s: float) -> Floats:
     """Return (n, 3) rates, filtered to ``BAND_HZ`` without delay; missing values count as 0."""
     high_hz = min(BAND_HZ[1], 0.4 / step_s)
-    sections = butter(2, (BAND_HZ[0], high_hz), "bandpass", fs=1.0 / step_s, output="sos")
-    filtered: Floats = sosfiltfilt(sections, np.nan_to_num(rates, posinf=0.0, neginf=0.0), axis=0)
+    sections = scipy.signal.butter(2, (BAND_HZ[0], high_hz), "bandpass", fs=1.0 / step_s, output="sos")
+    filtered: Floats = scipy.signal.sosfiltfilt(
+        sections, np.nan_to_num(rates, posinf=0.0, neginf=0.0), axis=0
+    )
     return filtered
 
 

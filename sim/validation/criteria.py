@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import bootstrap
+import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
 
 from sim.flights.recording import Floats
 from sim.options import ValidateOptions
@@ -47,7 +47,7 @@ def over_flights(statistic: Statistic, *samples: Sequence[float]) -> Estimate | 
     value = float(statistic(*table, axis=-1))
     if table.shape[1] == 1:
         return Estimate(value, float("nan"), float("nan"))
-    found = bootstrap(
+    found = scipy.stats.bootstrap(
         tuple(table), statistic, paired=True, vectorized=True, n_resamples=RESAMPLES,
         confidence_level=CONFIDENCE, method="percentile", rng=0,
     )  # fmt: skip

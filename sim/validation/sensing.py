@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
 
 from flightstack.compiled.records import cell, new
 from sim.flights.recording import Floats
@@ -51,7 +51,9 @@ def analyse(step_s: float, traces: Sequence[tuple[Floats, Floats, Floats]]) -> E
         left = np.concatenate(errors(delay_s))
         return float(np.sum((left - left.mean(axis=0)) ** 2))
 
-    delay_s = float(minimize_scalar(misfit, bounds=DELAY_S, method="bounded", options={"xatol": 1e-4}).x)
+    delay_s = float(
+        scipy.optimize.minimize_scalar(misfit, bounds=DELAY_S, method="bounded", options={"xatol": 1e-4}).x
+    )
     parts = errors(delay_s)
     speed = np.concatenate([speed_m_s[inner] for _, _, speed_m_s in traces])
     slow = speed <= np.percentile(speed, SLOWEST)  # samples at which a delay has little effect

@@ -15,7 +15,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -34,6 +34,7 @@ FILTERS = ("robust", "paper")
 DURATION_MAX_S = 60.0
 
 
+@cache
 def base(name: str, kind: str) -> Scenario:
     """Return a scenario with a filter; a variant adds velocity feedback or selects another touchdown rule."""
     name, _, variant = name.partition("+")

@@ -88,6 +88,13 @@ def replayed(log: Path, *, apart: bool = False) -> dict:
     return found
 
 
+def rrd_reader(path: Path):
+    """Return the reader of a recording of Rerun."""
+    from rerun.chunk import RrdReader  # late import: it takes 0.4 s in each worker
+
+    return RrdReader(path)
+
+
 class Background:
     """A subcommand that runs during the test: its output so far, line by line, and its exit."""
 

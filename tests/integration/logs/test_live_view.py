@@ -11,12 +11,10 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from rerun.chunk import RrdReader
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import Port
-from logs.view.live import LiveRecording
-from tests.integration.runs import COMMAND, called, flightstack
+from tests.integration.runs import COMMAND, called, flightstack, rrd_reader
 from tests.integration.sim_processes import ROOT
 from tests.processes.bounded import killed, line_of, wait_for
 from tests.synthetic_flight import landing
@@ -34,13 +32,15 @@ PUT_TIME_MAX_S = 0.01
 def entities(path):
     """Return, by entity, the number of rows with a time, and the names of all columns."""
     rows, columns = Counter(), {}
-    for chunk in RrdReader(path).store().stream().to_chunks():
+    for chunk in rrd_reader(path).store().stream().to_chunks():
         rows[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
         columns.setdefault(chunk.entity_path, set()).update(chunk.to_record_batch().schema.names)
     return rows, columns
 
 
 def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
+    from logs.view.live import LiveRecording
+
     whole = tmp_path / "pieces.rrd"
     recording = LiveRecording(str(whole), {"cf1": None, "cf2": None})
     for begin in range(0, len(ROWS), 3):
@@ -57,7 +57,7 @@ def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
     assert any(name.startswith("LineStrips3D:strips") for name in columns["/world/cf1/vehicle_path"])
     assert any(name.startswith("Arrows3D:vectors") for name in columns["/world/cf1/velocity/nominal"])
     assert "/world/cf1/target_pad/barrier" not in columns  # the shape of the barrier was not published
-    reader = RrdReader(whole)
+    reader = rrd_reader(whole)
     assert (len(reader.recordings()), len(reader.blueprints())) == (1, 1)
 
 
@@ -106,7 +106,7 @@ def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching)
     rows, columns = entities(out)
     assert rows["/world/cf1/vehicle"] > 10
     assert any(name.startswith("Mesh3D") for name in columns["/world/cf1/target_pad/barrier"])
-    for chunk in RrdReader(out).store().stream().to_chunks():
+    for chunk in rrd_reader(out).store().stream().to_chunks():
         if chunk.entity_path == "/world/cf1/target/pad":
             batch = chunk.to_record_batch()
             (name,) = [n for n in batch.schema.names if n.startswith("Cylinders3D:radii")]

@@ -17,13 +17,12 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
-from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Nodetype
 
 from logs.reader.reader import LogFile
 from logs.schema.mavlink import unpack_mavlink
-from tests.integration.runs import COMMAND, flightstack
+from tests.integration.runs import COMMAND, flightstack, rrd_reader
 from tests.processes.bounded import killed, lines_of
 
 ROOT = Path(__file__).parents[3]
@@ -99,7 +98,7 @@ def rerun(home, *arguments):
 def rows_of(rrd):
     """Return, by entity, the number of rows with a time and the names of its columns."""
     found: dict[str, tuple[int, set]] = {}
-    for chunk in RrdReader(rrd).store().stream().to_chunks():
+    for chunk in rrd_reader(rrd).store().stream().to_chunks():
         rows, columns = found.get(chunk.entity_path, (0, set()))
         names = set(chunk.to_record_batch().schema.names)
         rows += 0 if chunk.is_static else chunk.num_rows
@@ -112,7 +111,7 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
     done = flightstack("view", log, "--save", out)
     assert done.code == 0, done.err
     rerun(tmp_path, "rrd", "verify", out)
-    reader = RrdReader(out)
+    reader = rrd_reader(out)
     assert len(reader.recordings()) == 1
     assert len(reader.blueprints()) == 1
     found = rows_of(out)

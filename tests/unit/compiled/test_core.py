@@ -58,7 +58,9 @@ def flown(scenario, make):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "filter_name"), [("storm", "robust"), ("storm", "paper"), ("room", "robust")])
+@pytest.mark.parametrize(
+    ("name", "filter_name"), [("storm", "robust"), ("storm", "paper"), ("room", "robust")]
+)
 def test_each_step_of_a_landing_is_the_same_to_the_last_bit(name, filter_name):
     scenario = load(name).with_filter(filter_name)
     by_python = flown(scenario, Controller)

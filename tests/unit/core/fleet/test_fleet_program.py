@@ -3,9 +3,9 @@
 import math
 
 import pytest
+import scipy  # loads scipy.optimize when it is used
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
@@ -52,7 +52,9 @@ def missing(found, lower, upper, point):
 def least_by_scipy(soft, firm, lower, upper):
     a = [[*(-x for x in r.g), -1.0] for r in soft] + [[*(-x for x in r.g), 0.0] for r in firm]
     b = [-r.bound_m_s for r in (*soft, *firm)]
-    found = linprog([0, 0, 0, 1], A_ub=a, b_ub=b, bounds=[*zip(lower, upper, strict=True), (0, None)])
+    found = scipy.optimize.linprog(
+        [0, 0, 0, 1], A_ub=a, b_ub=b, bounds=[*zip(lower, upper, strict=True), (0, None)]
+    )
     return found.fun if found.status == 0 else math.inf
 
 

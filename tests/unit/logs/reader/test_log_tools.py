@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 
-import pandas as pd
 import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
@@ -135,6 +134,8 @@ def test_a_log_of_another_program_keeps_all_its_records(tmp_path):
 
 
 def test_csv_and_parquet_contain_the_same_rows(whole, tmp_path):
+    import pandas as pd  # late import: it takes 0.4 s in each worker
+
     tables = []
     for kind in ("csv", "parquet"):
         out = tmp_path / f"t.{kind}"
