@@ -8,6 +8,7 @@ the descent's gain, tau the vehicle's lag, and rho the relative error of the set
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from itertools import accumulate, pairwise
 
 import numpy as np
@@ -57,6 +58,7 @@ def modelled(config: FlightConfig) -> Check:
     )  # fmt: skip
 
 
+@lru_cache(maxsize=16)  # several checks of one configuration need it
 def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     """Return the largest distance from the centre in the final descent, m, and its time, s, over all lags.
 
