@@ -9,6 +9,8 @@ import flightstack as fs
 from flightstack.common.strict_toml import ConfigError
 from tests.integration.runs import flightstack
 
+QUICKLY = ("--lockstep", "--no-report", "--out", "run")
+MANY = ("--workers", "1", "--no-report", "--out", "many")
 ROBOT = "the robot's function failing.py:drive {} at t = 2.0"
 FILTER = "the filter returned no velocity: failing.py:Nominal raised KeyError: 'down'"
 CODE = """
@@ -78,10 +80,10 @@ def test_a_robots_function_that_fails_is_named_by_check(tmp_path, result, proble
 
 def test_a_robots_function_that_fails_ends_every_flight_with_a_whole_log(tmp_path, monkeypatch):
     folder, text = written(tmp_path, "1 / 0"), ROBOT.format("raised ZeroDivisionError: division by zero")
-    flown = flightstack("sitl", "--scenario", "mine.toml", "--lockstep", "--out", "run", cwd=folder)
+    flown = flightstack("sitl", "--scenario", "mine.toml", *QUICKLY, cwd=folder)
     one_line(flown, text)
     assert fs.read_log(folder / "run/flight.mcap").log.t_s[-1] > 1.5
-    one_line(flightstack("campaign", "mine.toml", "--runs", "2", "--out", "many", cwd=folder), text)
+    one_line(flightstack("campaign", "mine.toml", "--runs", "2", *MANY, cwd=folder), text)
     assert (folder / "many/rows.csv").read_text().count(",error,") == 2
     monkeypatch.chdir(folder)
     with pytest.raises(ConfigError, match="raised ZeroDivisionError"):
@@ -90,9 +92,9 @@ def test_a_robots_function_that_fails_ends_every_flight_with_a_whole_log(tmp_pat
 
 def test_another_method_of_a_filter_that_fails_ends_every_flight(tmp_path):
     folder, failing = written(tmp_path, "(0.1, 0.0)"), ("--filter", "failing:Nominal")
-    flown = flightstack("sitl", "--scenario", "lab", "--lockstep", *failing, "--out", "run", cwd=folder)
+    flown = flightstack("sitl", "--scenario", "lab", *QUICKLY, *failing, cwd=folder)
     one_line(flown, FILTER)
-    many = flightstack("campaign", "lab", "--runs", "1", *failing, "--out", "many", cwd=folder)
+    many = flightstack("campaign", "lab", "--runs", "1", *failing, *MANY, cwd=folder)
     one_line(many, FILTER)
 
 
@@ -109,7 +111,7 @@ def test_another_method_of_a_filter_that_fails_ends_every_flight(tmp_path):
 def test_a_filter_that_fails_aborts_every_flight(tmp_path, name, problem):
     folder, failing = written(tmp_path, "(0.1, 0.0)"), ("--filter", f"failing:{name}")
     text = f"the filter returned no velocity: failing.py:{name} {problem}"
-    flown = flightstack("sitl", "--scenario", "lab", "--lockstep", *failing, "--out", "run", cwd=folder)
+    flown = flightstack("sitl", "--scenario", "lab", *QUICKLY, *failing, cwd=folder)
     one_line(flown, text)
     assert "aborted" in flown.out
     log = folder / "run/flight.mcap"
@@ -117,5 +119,5 @@ def test_a_filter_that_fails_aborts_every_flight(tmp_path, name, problem):
     assert unnamed.code == 2
     assert f"to start it, add --filter failing:{name}" in unnamed.err
     assert flightstack("replay", log, "--check", *failing, cwd=folder).code == 0
-    many = flightstack("campaign", "lab", "--runs", "2", *failing, "--out", "many", cwd=folder)
+    many = flightstack("campaign", "lab", "--runs", "2", *failing, *MANY, cwd=folder)
     one_line(many, text)

@@ -25,8 +25,9 @@ from sim.runners.published_robot import deck_state
 from sim.scenarios.scenario import load as load_scenario
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import verb
-from tests.processes.bounded import PATIENCE_S, wait_for
+from tests.processes.bounded import PATIENCE_S, killed, wait_for
 from tests.processes.ports import free_endpoint, free_port
+from tests.processes.started import Started
 from tests.unit.target.ros2_helpers import ODOMETRY, decode
 
 ROOT = Path(__file__).parents[3]
@@ -192,10 +193,18 @@ TABLES = dict(blocks("toml"))
 
 
 @pytest.mark.parametrize("name", LIBRARY)
-def test_a_program_of_a_page_runs(name, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(go.Figure, "show", lambda figure: figure.to_json())
-    exec(compile(LIBRARY[name], name, "exec"), {"__name__": "page"})
+def test_a_program_of_a_page_runs(name, tmp_path):
+    child = Started(run_program, LIBRARY[name], name, cwd=tmp_path)  # without threads: campaigns may fork
+    try:
+        _, said = child.communicate(WALL_MAX_S)
+    finally:
+        killed(child)
+    assert child.returncode == 0, said
+
+
+def run_program(text, name):
+    go.Figure.show = lambda figure: figure.to_json()
+    exec(compile(text, name, "exec"), {"__name__": "page"})
 
 
 @pytest.mark.parametrize("name", TABLES)

@@ -20,7 +20,7 @@ NS = 1e9
 # ``WHEN_S``: range of the wall time from log size PAST_APPROACH_BYTES to the kill, s; key: whether the flight
 # is in lockstep. At the kill the log is long enough for a replay, and the flight has not ended.
 PAST_APPROACH_BYTES = 1_200_000  # smallest log size at the kill; the approach starts at 980,000 bytes
-WHEN_S = {False: (0.7, 8.0), True: (0.3, 0.8)}
+WHEN_S = {False: (0.7, 3.0), True: (0.3, 0.8)}
 # Topic whose last message shows a victim's loss. None: any topic, because all logging ends with the victim.
 OWN_TOPIC = {
     "world": "/cf1/sim/truth", "onboard-cf1": "/cf1/controller/step", "record": None, "launcher": None,

@@ -16,7 +16,7 @@ GOLDEN = str(path_of("paper_static_1"))
 PRINTING = [
     ["scenarios"], ["log", "verdict", GOLDEN, "--json"],
 ]  # fmt: skip
-SITL = ["sitl", "--scenario", "paper_static_1", "--lockstep", "--no-report", "--json"]
+SITL = ["sitl", "--scenario", "straight", "--lockstep", "--no-report", "--json"]
 WALL_MAX_S = 240.0
 
 
