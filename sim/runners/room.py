@@ -78,7 +78,7 @@ class Room:
 
     def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
         self._grid, self._feed = grid, feed
-        if len(members) == 1:  # saves 6 us a tick, and the compilation of the jets
+        if len(members) == 1:  # saves 6 us a tick, and 1.6 s for the compilation of the jets
             members = ()
         self._pairs = list(combinations(members, 2))  # (1, 2) first
         self._vehicles, self._jets = [member.vehicle for member in members], np.zeros((len(members), JET))
