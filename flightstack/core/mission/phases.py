@@ -3,8 +3,9 @@
 ``conditions.py`` computes the ``Condition`` flags in each tick; a rule fires when all flags of ``when`` and
 none of ``unless`` are set. Nothing else changes a phase.
 
-A go-around is a change to APPROACH or TAKEOFF that uses a retry: from TOUCHDOWN (DRIFTED), or from HOLD or
-CLIMB (RECOVERED). LAND -> APPROACH is not a go-around: the vehicle left the cone; a check counts these cases.
+A go-around is a change to APPROACH or TAKEOFF that uses a retry: from TOUCHDOWN (DRIFTED or SET_OFF), or from
+HOLD or CLIMB (RECOVERED). LAND -> APPROACH is not a go-around: the vehicle left the cone; a check counts
+these cases.
 
 The kinds of abort (``AbortWay``) have their own table: the rules of ``AbortWay.NONE`` choose the kind when an
 abort starts. No rule leaves ABORT. Phase LANDED is left at most once, to free the pad for another fleet
