@@ -28,7 +28,8 @@ $(BIN)/lint-imports --no-logo --no-cache
 $(1) & $(BIN)/mypy && wait $$!
 endef
 # these compile the simulator's loops (also for filters of users) and the sources of the tests once, so that the workers need not
-WARM := $(BIN)/python -m sim.runners.landing robust paper examples.own_filter:Smooth
+LOOPS := $(BIN)/python -m sim.runners.landing
+WARM := $(LOOPS) robust paper examples.own_filter:Smooth
 COLLECT := $(BIN)/python -m pytest --collect-only -q >/dev/null
 
 # one restart only: a test that ends its worker runs again in the next worker, and ends that one, too
@@ -59,8 +60,10 @@ $(VENV)/.fly: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(PIP) --editable '.[sim,report]'
 	@touch $@
 
+# compiles the loops of the filter robust while pip, which uses one core, installs what they do not need
 $(VENV)/.test: pyproject.toml constraints.txt tests/requirements-nodeps.txt | $(VENV)/bin/python
-	$(PIP) --editable '.[all,docs]'
+	$(PIP) --editable '.[sim]'
+	$(LOOPS) robust & $(PIP) --editable '.[all,docs]' && wait $$!
 	$(PIP) --no-deps --requirement tests/requirements-nodeps.txt
 	@touch $@ $(VENV)/.fly
 
