@@ -92,8 +92,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Use one worker per core; ``-n auto`` adds four, because the streams of flights mostly wait."""
-    more = 0 if config.option.numprocesses == "logical" else STREAMS + 1
+    """Use one worker per core; ``-n auto`` adds the streams of flights, because they mostly wait."""
+    more = 0 if config.option.numprocesses == "logical" else STREAMS
     return more + (os.cpu_count() or 1)
 
 
