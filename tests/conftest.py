@@ -23,6 +23,9 @@ from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 STREAMS = int(os.environ.get("FLIGHTSTACK_TEST_STREAMS", "3"))
 STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # "stream 0" flies the real PX4
 
+# numpy is not loaded yet; threads of its matrices would only compete with the other workers
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # In background jobs of a shell, SIGINT is ignored; the processes of the tests would inherit this.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup makes processes ignore SIGHUP
