@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import time
-from collections import Counter
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -14,7 +13,7 @@ import pytest
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import Port
-from tests.integration.runs import COMMAND, called, flightstack, rrd_reader
+from tests.integration.runs import COMMAND, called, entities, flightstack, rrd_reader
 from tests.integration.sim_processes import ROOT
 from tests.processes.bounded import killed, line_of, wait_for
 from tests.synthetic_flight import landing
@@ -27,15 +26,6 @@ PAD_RADIUS_M = 0.5  # radius of the pad in the configuration, m
 ROWS = landing().steps[::5]  # rows at 20 Hz, the published rate
 PUTS = 2000  # number of samples; more than fit into all queues
 PUT_TIME_MAX_S = 0.01
-
-
-def entities(path):
-    """Return, by entity, the number of rows with a time, and the names of all columns."""
-    rows, columns = Counter(), {}
-    for chunk in rrd_reader(path).store().stream().to_chunks():
-        rows[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
-        columns.setdefault(chunk.entity_path, set()).update(chunk.to_record_batch().schema.names)
-    return rows, columns
 
 
 def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):

@@ -22,7 +22,7 @@ from rosbags.interfaces import Nodetype
 
 from logs.reader.reader import LogFile
 from logs.schema.mavlink import unpack_mavlink
-from tests.integration.runs import COMMAND, flightstack, rrd_reader
+from tests.integration.runs import COMMAND, entities, flightstack, rrd_reader
 from tests.processes.bounded import killed, lines_of
 
 ROOT = Path(__file__).parents[3]
@@ -95,17 +95,6 @@ def rerun(home, *arguments):
     return done
 
 
-def rows_of(rrd):
-    """Return, by entity, the number of rows with a time and the names of its columns."""
-    found: dict[str, tuple[int, set]] = {}
-    for chunk in rrd_reader(rrd).store().stream().to_chunks():
-        rows, columns = found.get(chunk.entity_path, (0, set()))
-        names = set(chunk.to_record_batch().schema.names)
-        rows += 0 if chunk.is_static else chunk.num_rows
-        found[chunk.entity_path] = (rows, columns | names)
-    return found
-
-
 def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
     out = tmp_path / "flight.rrd"
     done = flightstack("view", log, "--save", out)
@@ -114,11 +103,11 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
     reader = rrd_reader(out)
     assert len(reader.recordings()) == 1
     assert len(reader.blueprints()) == 1
-    found = rows_of(out)
+    rows, columns = entities(out)
     steps = bag["/cf1/controller/step"]
     for curve in ("barrier/h/estimate", "velocity/z/filtered", "age/age/target", "timing/wall/exec"):
         entity = f"/cf1/{curve}"
-        assert found[entity][0] == len(steps), entity
+        assert rows[entity] == len(steps), entity
     for entity, column in (
         ("/world/cf1/target_pad/barrier", "Mesh3D:vertex_positions"),
         ("/world/cf1/target/pad", "Cylinders3D"),
@@ -127,8 +116,8 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
         ("/world/cf1/velocity/command", "Arrows3D:vectors"),
         ("/cf1/phase", "StateChange:state"),
     ):
-        assert any(c.startswith(column) for c in found[entity][1]), (entity, found[entity])
-    assert found["/events"][0] == len(bag["/rosout"])
+        assert any(c.startswith(column) for c in columns[entity]), (entity, columns[entity])
+    assert rows["/events"] == len(bag["/rosout"])
     for chunk in reader.store().stream().to_chunks():
         if chunk.entity_path == "/cf1/barrier/h/estimate" and not chunk.is_static:
             shown = [v[0] for v in chunk.to_record_batch().column("Scalars:scalars").to_pylist()]
