@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from sim.flights.recording import QUANTITIES, Floats, Recording, RecordingError, read_recording
 
@@ -108,7 +107,7 @@ def _matrix(r: Recording) -> Floats:
     good = r.attitude[np.isfinite(r.attitude).all(axis=1)]
     if not len(good):
         return np.eye(3)[None]
-    made: Floats = Rotation.from_quat(good, scalar_first=True).as_matrix()
+    made: Floats = scipy.spatial.transform.Rotation.from_quat(good, scalar_first=True).as_matrix()
     return made
 
 
@@ -122,7 +121,9 @@ def rates_rad_s(recording: Recording) -> Floats:
     """Return (n, 3) body rates from the attitude, rad/s; 0 next to missing values."""
     r = recording
     good: NDArray[np.bool_] = np.all(np.isfinite(r.attitude), axis=1)
-    turned = Rotation.from_quat(np.where(good[:, None], r.attitude, (1.0, 0.0, 0.0, 0.0)), scalar_first=True)
+    turned = scipy.spatial.transform.Rotation.from_quat(
+        np.where(good[:, None], r.attitude, (1.0, 0.0, 0.0, 0.0)), scalar_first=True
+    )
     rates = np.zeros((len(r.time_s), 3))
     rates[1:] = (turned[:-1].inv() * turned[1:]).as_rotvec() / np.diff(r.time_s)[:, None]
     rates[1:][~(good[:-1] & good[1:])] = 0.0

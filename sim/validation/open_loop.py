@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell, cell, new
@@ -203,9 +203,9 @@ def _predict(
                 end += 1
 
 
-def rotations(quaternion: F64) -> Rotation:
+def rotations(quaternion: F64) -> scipy.spatial.transform.Rotation:
     """Return the rotations from body to world of unit quaternions (n, 4), w first."""
-    return Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
+    return scipy.spatial.transform.Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
 
 
 class Model:
@@ -220,7 +220,7 @@ class Model:
         r.world.wrench.mass, r.world.wrench.inertia[:] = params.body.mass_kg, params.body.inertia_kg_m2
         r.motor_share[:] = 1.0
 
-    def fly(self, piece: Piece, starts: I64, ends: I64) -> tuple[F64, Rotation, F64]:
+    def fly(self, piece: Piece, starts: I64, ends: I64) -> tuple[F64, scipy.spatial.transform.Rotation, F64]:
         """Calibrate before each start and predict.
 
         ``starts``: (m,) samples, later than ``BACK``; ``ends``: (h,) samples after the start, increasing.
@@ -235,7 +235,7 @@ class Model:
         force = self._force(piece, axes, thrust, starts)
         scale = np.linalg.norm(force, axis=1)
         aside = np.stack([-force[:, 1], force[:, 0], np.zeros(len(force))], axis=1) / scale[:, None]
-        misaligned = Rotation.from_rotvec(aside)
+        misaligned = scipy.spatial.transform.Rotation.from_rotvec(aside)
         fast, slow = np.empty((n, 3)), np.empty((n, 3))
         acceleration = self._angular(piece, axes, torque)
         _observe(acceleration, piece.rates, math.exp(-SAMPLE_S / FADES_S), fast, slow)
@@ -294,7 +294,7 @@ def compare(flight: Screened, params: Params) -> OpenLoop | None:
         found, misaligned, scale = model.fly(piece, starts, ends)
         fresh = piece._replace(battery_v=np.full_like(piece.battery_v, mean_v))
         bare, turned, _ = simple.fly(fresh, starts, ends)
-        aligned = Rotation.identity(len(starts))
+        aligned = scipy.spatial.transform.Rotation.identity(len(starts))
         errors = (
             _errors(found, piece, after, misaligned),
             _errors(_constant(piece, starts, ends), piece, after, aligned),
@@ -311,7 +311,7 @@ def compare(flight: Screened, params: Params) -> OpenLoop | None:
     return OpenLoop(horizons, float(1.0 / factors.mean()), len(factors))
 
 
-def _errors(found: F64, piece: Piece, after: I64, misaligned: Rotation) -> F64:
+def _errors(found: F64, piece: Piece, after: I64, misaligned: scipy.spatial.transform.Rotation) -> F64:
     """Return the errors (m, h, 3) of position, velocity and attitude of states (m, h, 10)."""
     position = np.linalg.norm(found[..., :3] - piece.position[after], axis=-1)
     velocity = np.linalg.norm(found[..., 3:6] - piece.velocity[after], axis=-1)
@@ -327,7 +327,7 @@ def _constant(piece: Piece, starts: I64, ends: I64) -> F64:
     rows = []
     attitude, v = rotations(piece.quaternion[starts]), piece.velocity[starts]
     for seconds in ends * SAMPLE_S:
-        turned = attitude * Rotation.from_rotvec(piece.rates[starts] * seconds)
+        turned = attitude * scipy.spatial.transform.Rotation.from_rotvec(piece.rates[starts] * seconds)
         quaternion = turned.as_quat()[:, [3, 0, 1, 2]]
         rows.append(np.concatenate([piece.position[starts] + v * seconds, v, quaternion], axis=1))
     return np.stack(rows, axis=1)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -40,10 +41,8 @@ def wobbling(seconds=16.0, late_s=0.0):
 
 
 def written(tmp_path, columns):
-    from pyarrow.parquet import write_table  # late import: it takes 0.4 s in each worker
-
     path = tmp_path / "flight.parquet"
-    write_table(pa.table(columns), path)
+    pa.parquet.write_table(pa.table(columns), path)
     return path
 
 

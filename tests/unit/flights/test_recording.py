@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
+import pyarrow.parquet
 import pytest
 
 from sim.flights.recording import PWM_MAX, QUANTITIES, RecordingError, read_recording
@@ -31,14 +32,12 @@ def flight(seconds: float = 12.0) -> dict[str, np.ndarray]:
 
 
 def read(tmp_path, columns, suffix=".parquet"):
-    from pyarrow.parquet import write_table  # late import: it takes 0.4 s in each worker
-
     path = tmp_path / f"flight{suffix}"
     table = pa.table(columns)
     if suffix == ".csv":
         pa.csv.write_csv(table, path)
     else:
-        write_table(table, path)
+        pa.parquet.write_table(table, path)
     return read_recording(path)
 
 
