@@ -55,16 +55,24 @@ COLUMNS = (
     "wind_enu_m_s",
 )  # fmt: skip
 OF_ROBOT = (What.TARGET_ODOMETRY, What.ROBOT)
+IN_TAKEOFF = (  # faults that are also flown in a take-off from the ground
+    (What.MOTOR, Kind.WEAK), (What.MOCAP, Kind.OFF), (What.LINK_OUT, Kind.OFF), (What.SETPOINTS, Kind.OFF),
+    (What.CLOCK, Kind.STUCK),
+)  # fmt: skip
 OMITTED = ("cells", "wall_s", "seed")  # fields of a campaign row that are not compared
 
 
-def faulty(what: What, kind: Kind) -> Scenario:
-    """Return scenario ``grid``, started in hover, with one fault that starts in the approach."""
-    keys = {"duration_max_s": 15.0, "retreat.abort_time_max_s": 5.0}
-    grid = fs.scenario("grid", {**keys, "start.kind": "hover", "start.offset_m": [-0.7, 0.3, 0.65]})
+def faulty(what: What, kind: Kind, *, in_takeoff: bool = False) -> Scenario:
+    """Return scenario ``grid`` with one fault, in take-off from the ground or in an approach from hover."""
+    keys: dict[str, Any] = {"duration_max_s": 15.0, "retreat.abort_time_max_s": 5.0}
+    hover = {"start.kind": "hover", "start.offset_m": [-0.7, 0.3, 0.65]}
+    grid = fs.scenario("grid", keys if in_takeoff else keys | hover)
     given: dict[str, Any] = {"motor": 2} if what is What.MOTOR else {}
     given |= {"offset_m": (0.3, 0.0, 0.0)} if TABLE[what][kind].offset else {}
-    given |= {"start_s": 0.5, "after": After.LANDING} if what in OF_ROBOT else {"start_s": 1.0}
+    if in_takeoff:
+        given |= {"start_s": 2.0, "after": After.TAKEOFF}
+    else:
+        given |= {"start_s": 0.5, "after": After.LANDING} if what in OF_ROBOT else {"start_s": 1.0}
     return replace(grid, fault=(Fault(what, kind, **given),))
 
 
@@ -106,6 +114,9 @@ def _cases() -> dict[str, Callable[[], dict[str, Any]]]:
     for what, kinds in TABLE.items():
         for kind in kinds:
             cases[f"{what.value}, {kind.value}"] = one(lambda what=what, kind=kind: faulty(what, kind))
+    for what, kind in IN_TAKEOFF:
+        made = lambda what=what, kind=kind: faulty(what, kind, in_takeoff=True)  # noqa: E731
+        cases[f"take-off, {what.value}, {kind.value}"] = one(made)
     return cases | {"fleet_3": lambda: of_several(land(load("fleet_3"), 1))}
 
 
