@@ -6,7 +6,6 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +58,9 @@ def result_table(values: Mapping[str, Any], problem: str = "") -> Group:
         for name, key, unit in _ROWS
         if (value := values[key]) is not None
     ]
-    pairs = combinations(vehicles, 2) if values["collisions"] is None else ()
-    unobserved = ", ".join(f"collision of {one} and {other} not known" for one, other in pairs)
+    unobserved = ""
+    if len(vehicles) > 1 and values["collisions"] is None:
+        unobserved = "not all pairs of vehicles were observed to the end: a collision cannot be excluded"
     sources = dict.fromkeys(SOURCES[each["judged_from"]] for each in vehicles.values())
     fell = any(
         each["outcome"] == "landed" and (each["touchdown_speed_vertical_m_s"] or 0.0) > FALL_M_S

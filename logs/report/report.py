@@ -123,11 +123,12 @@ def _warnings(fleet: Fleet, verdict: FleetVerdict) -> list[str]:
         if verdict.members[name].violation is None:
             found.append("data is missing, so that a barrier violation cannot be excluded")
         texts += [f"{name}: {text}" for text in found]
-    return texts + [
-        f"{one} and {other}: the simulator did not follow this pair to the end: a collision or an ellipsoid "
-        "violation cannot be excluded"
-        for one, other in unobserved(fleet)
+    pairs = [
+        f"{' and '.join(names)}: the log does not show this pair to the end" for names in unobserved(fleet)
     ]
+    if pairs and not any(flight.complete for flight in fleet.flights.values()):
+        pairs = ["the log is incomplete"]
+    return texts + [f"{text}: a collision or an ellipsoid violation cannot be excluded" for text in pairs]
 
 
 def command(run: Mapping[str, str], scenario: str) -> str:

@@ -175,17 +175,17 @@ def judged(log: Path) -> tuple[Fleet, FleetVerdict]:
 
 
 def unobserved(fleet: Fleet) -> list[tuple[str, str]]:
-    """Return the pairs of members that were not observed until the end of the true states, by their names."""
+    """Return the pairs of members that were not observed until the end of the true states, by their names.
+
+    A pair was not observed either if one of its two members has no true states or an incomplete log.
+    """
     flights = fleet.flights.values()
-    whole = all(flight.complete and flight.truth is not None for flight in flights)
     ends_ns = [f.origin_ns + f.truth.t_s[-1] * 1e9 for f in flights if f.truth is not None]
     since_ns = max(ends_ns, default=math.inf) - GAP_MAX_S * 1e9
-    seen = {ids for ids, pair in fleet.pairs.items() if whole and pair.stamp_ns >= since_ns}
-    return [
-        (fleet.ids[one], fleet.ids[other])
-        for one, other in combinations(sorted(fleet.ids), 2)
-        if (one, other) not in seen
-    ]
+    whole = {name for name, f in fleet.flights.items() if f.complete and f.truth is not None}
+    seen = {ids for ids, pair in fleet.pairs.items() if pair.stamp_ns >= since_ns}
+    pairs = {ids: (fleet.ids[ids[0]], fleet.ids[ids[1]]) for ids in combinations(sorted(fleet.ids), 2)}
+    return [names for ids, names in pairs.items() if ids not in seen or not whole.issuperset(names)]
 
 
 def result(

@@ -12,7 +12,7 @@ from logs.schema import schemas
 from logs.schema.events import pack_log
 from logs.schema.rows import FleetPairRow, LogRow
 from logs.verdict.types import TRUTH, Outcome, Verdict
-from logs.verdict.verdict import fleet_verdict, judge, judge_fleet, result
+from logs.verdict.verdict import fleet_verdict, judge, judge_fleet, result, unobserved
 from tests.synthetic_flight import landing, write_log
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("fleet_log")]
@@ -116,16 +116,37 @@ def test_without_the_end_of_a_pair_nothing_is_safe():
     assert cut.members["cf1"].reason == "collision with cf2"
 
 
-@pytest.mark.parametrize("missing", ["none", "late", "absent"])
-def test_pairs_have_to_be_followed_to_the_end(fleet, missing):
+LATE_NS = 300_000_000  # more than the longest allowed time without data
+
+
+@pytest.mark.parametrize(
+    ("missing", "unknown"),
+    [
+        ("none", []),
+        ("end of the pair", [("cf1", "cf2")]),
+        ("pair", [("cf1", "cf2")]),
+        ("truth of cf3", [("cf1", "cf3"), ("cf2", "cf3")]),
+        ("bytes of cf3", [("cf1", "cf3"), ("cf2", "cf3")]),
+        ("end of all pairs", [("cf1", "cf2"), ("cf1", "cf3"), ("cf2", "cf3")]),
+    ],
+)
+def test_pairs_have_to_be_followed_to_the_end(fleet, missing, unknown):
+    """The data of a third member do not matter for a pair; the number of collisions needs all pairs."""
     read = fleet.read
-    pairs = dict(read.pairs)
-    if missing == "late":
-        pairs[1, 2] = pairs[1, 2]._replace(stamp_ns=pairs[1, 2].stamp_ns - 300_000_000)
-    elif missing == "absent":
+    pairs, last = dict(read.pairs), read.flights["cf3"]
+    if missing == "end of the pair":
+        pairs[1, 2] = pairs[1, 2]._replace(stamp_ns=pairs[1, 2].stamp_ns - LATE_NS)
+    elif missing == "pair":
         del pairs[1, 2]
-    verdict = judge_fleet(replace(read, pairs=pairs))
-    assert verdict.collisions == (0 if missing == "none" else None)
+    elif missing == "truth of cf3":
+        last = replace(last, truth=None)
+    elif missing == "bytes of cf3":
+        last = replace(last, complete=False)
+    elif missing == "end of all pairs":  # true states of one member end later
+        last = replace(last, origin_ns=last.origin_ns + LATE_NS)
+    read = replace(read, pairs=pairs, flights={**read.flights, "cf3": last})
+    assert unobserved(read) == unknown
+    assert judge_fleet(read).collisions == (None if unknown else 0)
 
 
 def test_what_has_no_members_name_in_front_belongs_to_all(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from click.testing import CliRunner
 
 from flightstack.cli.main import main
 from flightstack.core.types import Intent
+from logs.report.report import write_report
+from logs.verdict.verdict import judge_fleet
 
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
 MEMBERS = ("cf1", "cf2", "cf3")
@@ -73,6 +76,23 @@ def test_the_page_shows_all_members_together_and_each_of_them(told):
                   "flightstack replay flight.mcap --check<", "cf3.controller", "cf3 seed"):  # fmt: skip
         assert words in text
     assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # waiting vehicle, vehicle with the right of way
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group("fleet_log")
+@pytest.mark.parametrize(
+    ("poor", "begins"),
+    [
+        (("cf3",), [f"{one} and cf3: the log does not show this pair to the end" for one in ("cf1", "cf2")]),
+        (MEMBERS, ["the log is incomplete"]),
+    ],
+)
+def test_the_page_names_the_pairs_that_may_have_collided(read, tmp_path, poor, begins):
+    incomplete = {name: replace(read.flights[name], complete=False) for name in poor}
+    cut = replace(read, flights={**read.flights, **incomplete})
+    text = write_report(cut, judge_fleet(cut), tmp_path / "report.html").read_text(encoding="utf-8")
+    ending = ": a collision or an ellipsoid violation cannot be excluded"
+    assert re.findall(f"<li>([^<]*){ending}</li>", text) == begins
 
 
 @pytest.mark.slow
