@@ -100,7 +100,7 @@ def axis_of(sides: Sequence[Side]) -> Axis:
     landing = whole
     if began:  # the range is the landings, with some seconds before and after them
         landing = [max(-BEFORE_S, whole[0]), max(map(_landing_end_s, sides))]
-    return Axis(f"time since the {'landing' if began else 'log'} began [s]", landing, whole, landing)
+    return Axis(f"time since the {'first landing' if began else 'log'} began [s]", landing, whole, landing)
 
 
 def _landing_end_s(side: Side) -> float:

@@ -117,7 +117,7 @@ def test_the_page_of_a_fleet_is_drawn_without_a_complaint(tmp_path, browse, flow
     seen = Page(dom)
     assert seen.body["data-figures"] == seen.body["data-figures-drawn"] == str(FLEET_FIGURES)
     assert seen.tags["canvas"] >= 1  # 3-D figure of the paths in the room
-    for words in ("all 3 landed", "cf1–cf3", "cf3 right of way", "time since the landing began [s]"):
+    for words in ("all 3 landed", "cf1–cf3", "cf3 right of way", "time since the first landing began [s]"):
         assert words in seen.text.replace("\N{WORD JOINER}", "")
     assert {"#cf1", "#cf2", "#cf3"} <= set(seen.sources)  # links to the figures of each member
     assert len(page.read_text(encoding="utf-8")) < SIZE_MAX
