@@ -296,15 +296,14 @@ def team_checks(
     touch_m: Vec3,
     pads_apart_m: Sequence[float],
 ) -> list[Check]:
-    """Return the checks that involve all members, each for its worst pair of vehicles.
+    """Return the checks that involve all members; those of two vehicles or pads are for the worst pair.
 
     ``configs``: configurations of the members; ``starts_enu_m``: known start places in the air; ``touch_m``:
     largest offset of two vehicles at which they overlap; ``pads_apart_m``: smallest distances of two pads.
     """
     first, pairs = configs[0].fleet, list(combinations(configs, 2))
-    ids = sorted(config.fleet.id for config in configs)
     return worst([
-        *(_one_table(one.fleet, other.fleet, ids) for one, other in pairs),
+        *([_one_table([config.fleet for config in configs])] if pairs else []),
         *(
             Check(
                 "starts", "no vehicle starts inside the ellipsoid around another one",
@@ -318,11 +317,12 @@ def team_checks(
     ])  # fmt: skip
 
 
-def _one_table(one: Fleet, other: Fleet, ids: Sequence[int]) -> Check:
-    """Return the check that two members have the same table; ``ids``: ids of all members, sorted."""
+def _one_table(tables: Sequence[Fleet]) -> Check:
+    """Return the check that all members have the same table; it names each key that differs."""
+    ids = sorted(each.id for each in tables)
     keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
-    found = [key for key in keys if getattr(one, key) != getattr(other, key)]
-    found += ["members"] * any(sorted(each.members) != ids for each in (one, other))
+    found = [key for key in keys if any(getattr(each, key) != getattr(tables[0], key) for each in tables)]
+    found += ["members"] * any(sorted(each.members) != ids for each in tables)
     return Check(
         "one table", "all members have the same table [fleet], with exactly the members of the team",
         0.0 - len(found), "keys", f"{len(ids)} members; different keys: {', '.join(found) or 'none'}",

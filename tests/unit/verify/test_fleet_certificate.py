@@ -189,9 +189,12 @@ def test_all_members_together():
     assert found()["starts"].room == pytest.approx(barrier((0.5, 1.0, 0.0), 0.25, 0.75)[0])
     assert not found(places=[(0.0, 0.0, 1.0), (0.1, 0.1, 1.3)])["starts"].proven
     other = replace(members[1], fleet=replace(members[1].fleet, rate_1_s=0.9))
-    unlike = found([members[0], other, members[2]])["one table"]
+    last = replace(members[2], fleet=replace(members[2].fleet, members=(1, 3), wait_max_s=9.0))
+    unlike = found([members[0], other, last])["one table"]
     assert not unlike.proven
-    assert "rate_1_s" in unlike.worst
+    assert unlike.room == -3.0  # the keys of all members count, not only those of two
+    assert unlike.worst == "3 members; different keys: rate_1_s, wait_max_s, members"
+    assert unlike.remedy == "give all members the same fleet.rate_1_s, fleet.wait_max_s, fleet.members"
     assert "members" in found(members[:2])["one table"].worst
     # the loss of h is 2 * 0.05 m / 0.8, minus the margin of 0.045 m
     assert found()["contact"].proven
