@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import IntEnum
 from typing import Any
 
@@ -57,7 +57,7 @@ class Watch:
         role: zenoh_link.Role = zenoh_link.Role.PEER,
     ) -> None:
         """Subscribe over a session of this role, which the caller closes; ``clock``: monotonic time, s."""
-        self.namespace, self._session, self._clock, self._role = namespace, session, clock, role
+        self.namespace, self.role, self._session, self._clock = namespace, role, session, clock
         self._steps, self._timings, self._healths = (
             zenoh_link.ring_subscriber(session, f"{namespace}/{name}", _RING)
             for name in ("controller/step", "loop/timing", "health")
@@ -117,7 +117,7 @@ class Watch:
     @property
     def past_router(self) -> bool:
         """Whether this session is a peer of a router, which then does not forward data of its other peers."""
-        return self._role is zenoh_link.Role.PEER and zenoh_link.knows_router(self._session)
+        return self.role is zenoh_link.Role.PEER and zenoh_link.knows_router(self._session)
 
 
 def snapshot(watch: Watch) -> dict[str, Any]:
@@ -151,10 +151,13 @@ def name_of(kind: type[IntEnum], number: int) -> str:
     return kind(number).name if number in kind._value2member_map_ else str(number)
 
 
-def draw(watches: Mapping[str, Watch], title: str, whom: str = "") -> Panel:
-    """Return a table whose columns are the newest values of each vehicle, below warnings about old data."""
+def draw(watches: Mapping[str, Watch], title: str, endpoints: Sequence[str] = ()) -> Panel:
+    """Return a table whose columns are the newest values of each vehicle, below warnings about old data.
+
+    ``endpoints``: Zenoh endpoints to which the session of the watches connects.
+    """
     old = {namespace: watch for namespace, watch in watches.items() if not watch.fresh}
-    lines = [Text.assemble(f"{namespace} ", _no_news(watch, whom)) for namespace, watch in old.items()]
+    lines = [Text.assemble(f"{namespace} ", _no_news(watch, endpoints)) for namespace, watch in old.items()]
     columns = [_column(watch) for watch in watches.values()]
     table = Table("", *(Column(Text(namespace)) for namespace in watches), box=None, padding=(0, 2))
     for name in dict.fromkeys(name for column in columns for name in column):
@@ -163,20 +166,27 @@ def draw(watches: Mapping[str, Watch], title: str, whom: str = "") -> Panel:
     return Panel(Group(*lines, table), title=Text(title), title_align="left", border_style=style)
 
 
-def _no_news(watch: Watch, whom: str) -> Text:
+def _no_news(watch: Watch, endpoints: Sequence[str]) -> Text:
     """Return the reason why no recent data is shown; it is highlighted unless the flight is over."""
     refused = f"   {watch.refused} samples not readable" if watch.refused else ""
     if watch.step is not None and watch.step.finished:
         phase = name_of(Phase, watch.step.phase)
         return Text(f"the flight is over: {phase}, {watch.age_s:.0f} s ago{refused}", style="bold")
-    if watch.connections == 0:
-        why = f"no reply from {whom}: not running, or access denied" if whom else "no connection"
-    elif watch.past_router:
-        why = f"{whom} is a router, which passes nothing from peer to peer: --zenoh-config with mode client"
-    else:
-        why = "connected, but no data arrives on these keys"
+    why = "; ".join(_causes(watch, endpoints)) or "connected, but no data arrives on these keys"
     old = "; data below is OLD" if watch.step is not None else ""
     return Text(f" no data for {watch.age_s:.1f} s: {why}{old}{refused} ", style=_LOUD)
+
+
+def _causes(watch: Watch, endpoints: Sequence[str]) -> Iterator[str]:
+    """Yield what is wrong with the connections; which of several endpoints is the vehicle's is not known."""
+    connected, number = watch.connections, len(endpoints)
+    named = endpoints[0] if number == 1 else "one endpoint"
+    if number > 1 and connected < (number if watch.role is zenoh_link.Role.PEER else 1):
+        yield f"{connected} of {number} endpoints connected; the rest: not running, or access denied"
+    elif connected == 0:
+        yield f"no reply from {named}: not running, or access denied" if endpoints else "no connection"
+    if watch.past_router:
+        yield f"{named} is a router, which passes nothing from peer to peer: --zenoh-config with mode client"
 
 
 def _column(watch: Watch) -> dict[str, Text]:

@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
@@ -171,7 +170,8 @@ NICER = 10  # niceness of a 3-D view, so that the processes of the flight have p
 def watch(options: WatchOptions) -> None:
     """Show running flights: phase, h, set-points, ages, battery, loop timing. Ctrl-C ends it.
 
-    The command only receives data. Exit status: 0 normal end, 1 no recent data with --once, 2 wrong input.
+    The command only receives data. Exit status: 0 normal end, 1 with --once if a vehicle sent no recent
+    data, 2 wrong input.
     """
     from rich.live import Live
 
@@ -182,13 +182,15 @@ def watch(options: WatchOptions) -> None:
     if options.view is not None and (options.once or options.as_json):
         raise click.UsageError("--view draws until it is ended; --once and --json print: give one of them")
     names = options.namespaces or ("cf1",)
+    if len(set(names)) < len(names):
+        raise click.UsageError(f"--namespace: found {', '.join(names)}; each vehicle is given once")
     recording = _recording(options, options.view, names) if options.view is not None else None
     stop = Stop().install()
     connect = options.connect or ((WATCHED,) if options.zenoh_config is None else ())
     session = zenoh_link.open_session([], connect, config_file=options.zenoh_config)
     try:
         role, dialled = zenoh_link.dialled(connect, config_file=options.zenoh_config)
-        title, endpoint = ", ".join(names), ", ".join(dialled)
+        title = ", ".join(names)
         flights = {name: Watch(session, name, role=role) for name in names}
 
         def polls(period_s: float) -> Iterator[None]:
@@ -212,7 +214,7 @@ def watch(options: WatchOptions) -> None:
             if options.as_json:
                 print_all()
             else:
-                Terminal().print(draw(flights, title, endpoint))
+                Terminal().print(draw(flights, title, dialled))
             sys.exit(FRESH if all(flight.fresh for flight in flights.values()) else NOTHING)
         elif recording is not None:
             for _ in polls(DRAW_S):
@@ -227,7 +229,7 @@ def watch(options: WatchOptions) -> None:
         else:
             with Live(console=Terminal(), auto_refresh=False) as view:
                 for _ in polls(1.0 / REFRESH_HZ):
-                    view.update(draw(flights, f"{title} at {endpoint}", endpoint), refresh=True)
+                    view.update(draw(flights, f"{title} at {', '.join(dialled)}", dialled), refresh=True)
     finally:
         session.close()
         if recording is not None:
@@ -239,12 +241,13 @@ def _recording(options: WatchOptions, where: str, names: Sequence[str]) -> LiveR
     from flightstack.config import load
     from logs.view.live import LiveRecording
 
-    configs = dict(zip_longest(names, map(load, options.config_files)))
-    if configs.keys() != {*names}:
+    files = options.config_files
+    if len(files) not in (0, len(names)):
         raise click.UsageError(
-            f"--config: found {len(options.config_files)}; one for each --namespace is needed"
+            f"--config: found {len(files)}; none, or one for each --namespace is needed, here {len(names)}"
         )
-    if None in configs.values():
+    configs = dict(zip(names, map(load, files), strict=True)) if files else dict.fromkeys(names)
+    if not files:
         click.echo(
             "flightstack: without --config there is no barrier, and the pad is drawn in a Crazyflie's size",
             err=True,

@@ -292,7 +292,7 @@ class WatchOptions:
         "--namespace", "First part of all Zenoh keys of a vehicle; repeatable; default: cf1."
     )] = ()  # fmt: skip
     once: Annotated[
-        bool, Option("--once", "Show the state once and end; exit status 1 if no fresh data arrive.")
+        bool, Option("--once", "Show the state once and end; exit status 1 if a vehicle sent no fresh data.")
     ] = False
     as_json: Annotated[
         bool, Option("--json", "Print one JSON object a line for each vehicle, two a second (--once: one).")
@@ -301,6 +301,6 @@ class WatchOptions:
     view: View = None
     config_files: Annotated[tuple[Path, ...], Option(
         "--config", "Configuration of the flight, for the barrier and the pad in --view: a name (see "
-        "`config`) or a file; repeatable, one for each --namespace in the same order.", "NAME_OR_FILE",
-        read=_configurations
+        "`config`) or a file; repeatable: none, or one for each --namespace in the same order.",
+        "NAME_OR_FILE", read=_configurations
     )] = ()  # fmt: skip

@@ -147,9 +147,10 @@ class Launcher(contextlib.ExitStack):
         """Watch until the onboard processes have ended; return an error text, or None."""
         others = [child for child in self.children if _verb(child) not in ("onboard", "watch")]
         flying, until, problem = list(flights), time.monotonic() + limit_s, None
-        watches, view = dict[str, Watch](), None
+        watches, endpoints, view = dict[str, Watch](), list[str](), None
         if title is not None:
-            session = zenoh_link.open_session([], [flight.endpoints[0] for flight in flights])
+            endpoints = [flight.endpoints[0] for flight in flights]
+            session = zenoh_link.open_session([], endpoints)
             self.callback(session.close)
             watches = {flight.namespace: Watch(session, flight.namespace) for flight in flights}
             view = self.enter_context(Live(console=self.console, auto_refresh=False))
@@ -160,7 +161,7 @@ class Launcher(contextlib.ExitStack):
                 try:
                     for watch in watches.values():
                         watch.poll()
-                    view.update(draw(watches, title or ""), refresh=True)
+                    view.update(draw(watches, title or "", endpoints), refresh=True)
                 except Exception as error:  # a failed view does not end the flight
                     view.stop()
                     view = None

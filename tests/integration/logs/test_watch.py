@@ -1,10 +1,12 @@
 """Tests the Zenoh keys of a flight and the subcommand ``watch``; old data are never shown as new."""
 
 import io
+import itertools
 import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import contextmanager
 
@@ -69,9 +71,9 @@ def until(watch, done, what):
     wait_for(lambda: done() or watch.poll(), what)
 
 
-def shown(watch, whom="tcp/lab:7448"):
-    console = Console(width=110, record=True, file=io.StringIO())
-    console.print(draw({"cf1": watch}, "title", whom))
+def shown(watch, *endpoints):
+    console = Console(width=130, record=True, file=io.StringIO())
+    console.print(draw({"cf1": watch}, "title", endpoints or ["tcp/lab:7448"]))
     return console.export_text()
 
 
@@ -118,6 +120,34 @@ def test_who_dials_a_router_as_its_peer_is_told_why_nothing_comes():
         session.close()
     router.close()
     port.close()
+
+
+def test_of_several_endpoints_the_number_of_connected_ones_is_shown():
+    ports = Port(), Port()
+    endpoints = [port.endpoint for port in ports]
+    session, ends = zenoh_link.open_session([], endpoints), []
+    watch = Watch(session, "cf1")
+    for number in (0, 1):
+        until(watch, lambda: watch.connections == number, "no connection")  # noqa: B023 (called immediately)
+        words = f"{number} of 2 endpoints connected; the rest: not running, or access denied"
+        assert words in shown(watch, *endpoints)
+        ends.append(zenoh_link.open_session([endpoints[number]]))
+    until(watch, lambda: watch.connections == 2, "no second connection")
+    assert ": connected, but no data arrives on these keys" in shown(watch, *endpoints)
+    for each in (session, *ends, *ports):
+        each.close()
+
+
+def test_a_client_needs_one_of_several_routers():
+    ports = Port(), Port()
+    endpoints = [port.endpoint for port in ports]
+    router = zenoh_link.open_session(endpoints[:1], role=zenoh_link.Role.ROUTER)
+    session = zenoh_link.open_session([], endpoints, role=zenoh_link.Role.CLIENT)
+    watch = Watch(session, "cf1", role=zenoh_link.Role.CLIENT)
+    until(watch, lambda: watch.connections == 1, "no connection")
+    assert ": connected, but no data arrives on these keys" in shown(watch, *endpoints)
+    for each in (session, router, *ports):
+        each.close()
 
 
 def test_a_sender_that_repeats_itself_is_stale():
@@ -167,11 +197,45 @@ def test_nobody_there_is_said_and_exit_status_1():
     port.close()
 
 
-@pytest.mark.parametrize("words", [["--connect", "nonsense"], ["--namespace", "a//b"]])
-def test_wrong_words_are_refused(words):
-    done = called("watch", "--once", *words)
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--once", "--connect", "nonsense"], "allowed"),
+        (["--once", "--namespace", "a//b"], "allowed"),
+        (["--once", *2 * ["--namespace", "cf1"]], "--namespace: found cf1, cf1; each vehicle is given once"),
+        (["--view", "x.rrd", "--namespace", "cf1", "--namespace", "cf2", "--config", "crazyflie"],
+         "--config: found 1; none, or one for each --namespace is needed, here 2"),
+        (["--view", "x.rrd", *2 * ["--config", "crazyflie"]],
+         "--config: found 2; none, or one for each --namespace is needed, here 1"),
+    ],
+)  # fmt: skip
+def test_wrong_words_are_refused(words, why, tmp_path):
+    done = called("watch", *words, cwd=tmp_path)
     assert done.code == 2
-    assert "allowed" in done.err
+    assert why in " ".join(done.err.split())
+
+
+@pytest.mark.parametrize(("namespaces", "code"), [(["cf1"], 0), (["cf1", "cf2"], 1)])
+def test_a_look_at_once_needs_fresh_data_of_all_vehicles(namespaces, code):
+    port, ended = Port(), threading.Event()
+    sender, rows = Sender(port.endpoint), itertools.count()
+
+    def send():
+        while not ended.wait(0.05):
+            number = next(rows)
+            sender.puts["controller/step"].put(step()._replace(tick=number).pack())
+            sender.puts["health"].put(HEALTHY._replace(tick=number).pack())
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    words = [word for name in namespaces for word in ("--namespace", name)]
+    done = called("watch", "--connect", port.endpoint, "--once", "--json", "--timeout", "2", *words)
+    ended.set()
+    thread.join()
+    sender.session.close()
+    port.close()
+    fresh = {each["namespace"]: each["fresh"] for each in map(json.loads, done.out.splitlines())}
+    assert (done.code, fresh) == (code, {name: name == "cf1" for name in namespaces})
 
 
 def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
