@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mavlink.server.server import COMPONENT_ID
-from bridge.mavlink.transport.address import parse_url
+from bridge.mavlink.transport.address import PORT_MAX, parse_url
 from bridge.mavlink.transport.transport import dropped
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
@@ -242,12 +242,15 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
         fly_in_real_time(vehicles, list(driven.values()), room, grid, stop, FastClock(), ticks)
         return
     ahead = robots(LockstepRobot)
-    ends = {n: FleetEnd() for n in here}
-    for n in here:
-        if session is not None and singles[n][0].onboard.fleet.others:  # else its companion has no wire, too
-            ends[n] = MemberWords(session, names[n])
+
+    def end_of(n: int) -> FleetEnd:
+        """Return the simulator's end of a vehicle's messages to its neighbours."""
+        if session is None or not singles[n][0].onboard.fleet.others:
+            return FleetEnd()  # a companion without neighbours has no wire either
+        return MemberWords(session, names[n])
+
     loops = [
-        LockstepVehicle(*parts(n), robot=ahead.get(n), grid=grid, stop=stop, words=ends[n]) for n in here
+        LockstepVehicle(*parts(n), robot=ahead.get(n), grid=grid, stop=stop, words=end_of(n)) for n in here
     ]
     room = Room(loops, grid, feed)
     _ready([url for _, url in endpoints.values()], stop)
@@ -285,6 +288,10 @@ def _opened(options: VehicleOptions, number: int, system_id: int, stack: ExitSta
     if kind not in ("udpin", "udpout"):
         raise ValueError(f"{options.url!r}: the simulated vehicle supports UDP only; give udpin:HOST:PORT")
     port += number - 1 if port else 0
+    if port > PORT_MAX:
+        raise ValueError(
+            f"{options.url!r}: vehicle {number} would have port {port}; allowed is up to {PORT_MAX}"
+        )
     if options.lockstep and options.peers:
         raise ValueError("--peer is for real time: in lockstep the companion calls first")
     mine = f"{kind}:{host}:{port}"

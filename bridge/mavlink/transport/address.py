@@ -12,13 +12,13 @@ Peer = tuple[str, int]
 
 DEFAULT_BAUD = 921_600  # default speed of a serial line, bit/s; equal to PX4's TELEM2
 _BAUDS = range(1_200, 12_000_001)  # allowed speeds, bit/s
-_PORT_MAX = 65535
+PORT_MAX = 65535
 _URL = re.compile(r"^(udpin|udpout|tcp):(?://)?([^:/\s]+):(\d{1,5})$")
 _SERIAL = re.compile(r"^(serial):(?://(?=/))?(/\S+?)(?::(\d{1,8}))?$")
 _URL_HELP = (
     "allowed is 'udpin:HOST:PORT' (listen; port 0 takes any free one), 'udpout:HOST:PORT' (send there "
     "first), 'tcp:HOST:PORT' (connect there), HOST an IPv4 address (not IPv6) or a name, PORT up to "
-    f"{_PORT_MAX}, or 'serial:DEVICE:BAUD' (BAUD {_BAUDS.start} to {_BAUDS.stop - 1}, without it "
+    f"{PORT_MAX}, or 'serial:DEVICE:BAUD' (BAUD {_BAUDS.start} to {_BAUDS.stop - 1}, without it "
     f"{DEFAULT_BAUD}), for example udpin:127.0.0.1:14540 or serial:/dev/ttyACM0:57600"
 )
 _PEER = re.compile(r"^([^:/\s]+):(\d{1,5})$")
@@ -40,7 +40,7 @@ def parse_url(url: str) -> Url:
     match = _SERIAL.match(url) or _URL.match(url)
     if match is not None:
         found = Url(match.group(1), match.group(2), int(match.group(3) or DEFAULT_BAUD))
-        ports = _BAUDS if found.baud else range(0 if found.kind == "udpin" else 1, _PORT_MAX + 1)
+        ports = _BAUDS if found.baud else range(0 if found.kind == "udpin" else 1, PORT_MAX + 1)
         if found.port in ports:
             return found
     raise ValueError(f"MAVLink URL {url!r} is not understood: {_URL_HELP}")
@@ -50,9 +50,9 @@ def parse_peer(text: str, what: str = "MAVLink peer", port_min: int = 1) -> Peer
     """Return the address ``HOST:PORT``. Raises ValueError, with ``what``: bad text, or no IPv4 address."""
     match = _PEER.match(text)
     allowed = (
-        f"allowed is HOST:PORT, HOST an IPv4 address (not IPv6) or a name, PORT {port_min} to {_PORT_MAX}"
+        f"allowed is HOST:PORT, HOST an IPv4 address (not IPv6) or a name, PORT {port_min} to {PORT_MAX}"
     )
-    if match is None or not port_min <= int(match.group(2)) <= _PORT_MAX:
+    if match is None or not port_min <= int(match.group(2)) <= PORT_MAX:
         raise ValueError(f"{what} {text!r} is not understood: {allowed}, for example 127.0.0.1:14550")
     return resolve(f"{what} {text!r}", match.group(1), int(match.group(2)), allowed)
 

@@ -30,6 +30,8 @@ from tests.unit.verify.certificate_helpers import config
         (["sitl", "--scenario", "paper_moving_1", "--duration", "1e9"], ["--duration", "604800"]),
         (["onboard", "--target-offset", "0", "0", "1e3"], ["--target-offset", "1000", "5.0"]),
         (["vehicle", "--scenario", "paper_moving_1", "--url", "serial:/dev/x"], ["serial:", "udpin:HOST"]),
+        (["vehicle", "--scenario", "fleet_3", "--url", "udpin:127.0.0.1:65534"],
+         ["65534", "vehicle 3", "port 65536", "up to 65535"]),
         (["target", "--scenario", "paper_moving_1", "--listen", "here"], ["here", "tcp/127.0.0.1:7447"]),
         (["report", "absent.mcap"], ["absent.mcap"]),
         (["identify", "absent.mcap"], ["absent.mcap"]),
