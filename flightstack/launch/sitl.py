@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bridge.mavlink.transport.address import PORT_MAX
+from bridge.zenoh.zenoh_link import check_endpoint
 from flightstack.common.options import shared
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.common.terminal import Terminal
@@ -28,7 +30,7 @@ from sim.scenarios.scenario import Scenario, load, path_of, text
 from sim.vehicle.declared import not_proven, outside
 
 GRACE_S = 60.0  # wall time after the longest flight at which a run is stopped, s
-_PORT = re.compile(r"([^?#]*:)(\d+)((?:[?#].*)?)")  # Zenoh endpoint with a port: tcp/HOST:PORT#options
+_PORT = re.compile(r"(\w+/[^?#]*:)(\d+)((?:[?#].*)?)")  # Zenoh endpoint with a port: tcp/HOST:PORT#options
 LOCKSTEP_SLOWEST = 0.05  # ratio of simulated to wall time below which one vehicle in lockstep is stopped
 
 
@@ -104,12 +106,14 @@ class _Vehicle(NamedTuple):
     scenario: Scenario
     seed: int
     endpoint: str  # Zenoh endpoint of the vehicle's onboard process
+    watched_at: tuple[str, ...]  # further endpoints of this process, from --listen
     config: Path  # configuration file of the vehicle's onboard process
 
 
 def run(options: RunOptions, console: Terminal) -> Flown:
     """Fly a scenario in several processes, and watch them until all flights have ended."""
     scenario, kind = prepare(options), VEHICLES[options.flies]
+    listen = endpoints(options.listen, len(scenario.members))
     filter_name = scenario.onboard.filter.rpartition(":")[2]
     folder = options.out or new_folder(f"{scenario.name}-seed{options.seed}-{filter_name}")
     log = log_in(folder)
@@ -117,7 +121,7 @@ def run(options: RunOptions, console: Terminal) -> Flown:
     with Launcher(folder, console, tells=not options.as_json) as launcher:
         if line := not_proven(scenario):
             launcher.hint(line)
-        vehicles = _vehicles(scenario, options.seed, launcher)
+        vehicles = _vehicles(scenario, options.seed, launcher, listen)
         run = Run(launcher, options, scenario, launcher.endpoint())
         launcher.record(log)
         if options.view is not None:
@@ -147,7 +151,9 @@ def run(options: RunOptions, console: Terminal) -> Flown:
     return Flown(about, folder, log, wall_s, flights, problem)
 
 
-def _vehicles(scenario: Scenario, seed: int, launcher: Launcher) -> list[_Vehicle]:
+def _vehicles(
+    scenario: Scenario, seed: int, launcher: Launcher, listen: Sequence[tuple[str, ...]]
+) -> list[_Vehicle]:
     """Write the configuration files of the vehicles of a scenario; return these vehicles."""
     vehicles = []
     for (number, name), (member, own_seed) in zip(
@@ -155,7 +161,8 @@ def _vehicles(scenario: Scenario, seed: int, launcher: Launcher) -> list[_Vehicl
     ):
         config = launcher.folder / f"onboard-{name}.toml"
         config.write_text(dumps(member.onboard), encoding="utf-8")
-        vehicles.append(_Vehicle(Names(name, number), member, own_seed, launcher.endpoint(), config))
+        names, endpoint = Names(name, number), launcher.endpoint()
+        vehicles.append(_Vehicle(names, member, own_seed, endpoint, listen[number - 1], config))
     return vehicles
 
 
@@ -167,20 +174,49 @@ def _fly(run: Run, vehicle: _Vehicle, own: Mapping[str, Any], connect: Sequence[
     onboard = shared(
         options, OnboardOptions, **{"system_id": vehicle.names.system_id, **own},
         target_key=f"{name}/target/odom", connect=(run.robots_at, *connect), namespace=name,
-        listen=(vehicle.endpoint, *(at_port(each, vehicle.names.system_id) for each in options.listen)),
-        config_file=vehicle.config,
+        listen=(vehicle.endpoint, *vehicle.watched_at), config_file=vehicle.config,
         duration_s=vehicle.scenario.duration_max_s, recorder=run.launcher.socket,
         unproven=True,  # in simulation, a configuration without proof is allowed
     )  # fmt: skip
     return Followed(run.launcher.start("onboard", onboard, of=name), name, onboard.listen)
 
 
-def at_port(endpoint: str, number: int) -> str:
-    """Return the endpoint of vehicle ``number``, from 1: each has the next port; 0 stays any free port."""
-    found = _PORT.fullmatch(endpoint)
-    if found is None or not int(found[2]):
-        return endpoint
-    return f"{found[1]}{int(found[2]) + number - 1}{found[3]}"
+def endpoints(listen: Sequence[str], vehicles: int) -> list[tuple[str, ...]]:
+    """Return the endpoints from --listen of each vehicle: each has the next port; 0 is any free port.
+
+    Raises ConfigError: malformed endpoint, no allowed port for a vehicle, or an address that is used twice.
+    """
+    rows = [_at_ports(each, vehicles) for each in listen]
+    addresses = [re.split("[?#]", each)[0] for row in rows for each in row]
+    if twice := {each for each in addresses if addresses.count(each) > 1 and not each.endswith(":0")}:
+        raise ConfigError(
+            f"--listen: found {', '.join(listen)}; used twice: {', '.join(sorted(twice))}; the port of "
+            f"vehicle n is n - 1 higher, so ports of one host must be at least {vehicles} apart"
+        )
+    return list(zip(*rows, strict=True)) if rows else [()] * vehicles
+
+
+def _at_ports(endpoint: str, vehicles: int) -> list[str]:
+    """Return the endpoints of all vehicles for one --listen. Raises ConfigError."""
+    try:
+        found = _PORT.fullmatch(check_endpoint(endpoint))
+    except ValueError as error:
+        raise ConfigError(f"--listen: {error}") from error
+    if vehicles == 1:
+        return [endpoint]
+    if found is None:
+        raise ConfigError(
+            f"--listen: found {endpoint} for {vehicles} vehicles; allowed is an endpoint with a port, for "
+            "example tcp/127.0.0.1:7448, because each vehicle needs its own"
+        )
+    first = int(found[2])
+    ports = [first + n if first else 0 for n in range(vehicles)]
+    if ports[-1] > PORT_MAX:
+        raise ConfigError(
+            f"--listen: found {endpoint}; the {vehicles} vehicles need the ports {first} to {ports[-1]}, "
+            f"allowed is up to {PORT_MAX}"
+        )
+    return [f"{found[1]}{port}{found[3]}" for port in ports]
 
 
 def _describe(run: Run, vehicles: Sequence[_Vehicle]) -> None:

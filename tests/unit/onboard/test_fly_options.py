@@ -1,5 +1,6 @@
 """Tests the options that ``fly`` passes to the onboard process."""
 
+import re
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +20,7 @@ from flightstack.config.options import FlightOptions, OnboardOptions, Piloted, W
 from flightstack.launch import fly
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import FlyOptions, RunOptions
-from flightstack.launch.sitl import at_port, prepare
+from flightstack.launch.sitl import endpoints, prepare
 from sim.options import Px4SimOptions, TargetOptions, VehicleOptions
 from sim.scenarios.scenario import load as load_scenario
 
@@ -149,13 +150,39 @@ def test_sitl_flies_the_team_of_the_page_on_campaigns(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("endpoint", "second"),
+    ("listen", "second"),
     [
-        ("tcp/0.0.0.0:7448", "tcp/0.0.0.0:7449"),
-        ("udp/[::1]:7448#iface=lo", "udp/[::1]:7449#iface=lo"),
-        ("tcp/127.0.0.1:0", "tcp/127.0.0.1:0"),
-        ("unixsock-stream//run/watch", "unixsock-stream//run/watch"),
+        ([], []),
+        (["tcp/0.0.0.0:7448"], ["tcp/0.0.0.0:7449"]),
+        (["udp/[::1]:7448#iface=lo"], ["udp/[::1]:7449#iface=lo"]),
+        (["tcp/127.0.0.1:0", "tcp/127.0.0.1:0"], ["tcp/127.0.0.1:0", "tcp/127.0.0.1:0"]),
+        (["tcp/a:7448", "tcp/a:7450", "tcp/b:7448"], ["tcp/a:7449", "tcp/a:7451", "tcp/b:7449"]),
+        (["tcp/a:65534"], ["tcp/a:65535"]),
     ],
 )
-def test_a_second_vehicle_listens_on_the_next_port(endpoint, second):
-    assert (at_port(endpoint, 1), at_port(endpoint, 2)) == (endpoint, second)
+def test_a_second_vehicle_listens_on_the_next_port(listen, second):
+    assert endpoints(listen, 2) == [tuple(listen), tuple(second)]
+
+
+def test_a_vehicle_alone_listens_on_each_endpoint_as_given():
+    listen = ("unixsock-stream//run/watch", "tcp/127.0.0.1:65535", "tcp/127.0.0.1:7448", "tcp/127.0.0.1:7449")
+    assert endpoints(listen, 1) == [listen]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "listen", "why"),
+    [
+        ("fleet_3", ["tcp/a:7448", "tcp/a:7450"], "used twice: tcp/a:7450; .* at least 3 apart"),
+        ("fleet_3", ["tcp/a:7448", "tcp/a:7449#iface=lo"], "used twice: tcp/a:7449, tcp/a:7450;"),
+        ("lab", ["tcp/a:7448", "tcp/a:7448"], "used twice: tcp/a:7448;"),
+        ("fleet_3", ["unixsock-stream//run/watch"], "found unixsock-stream//run/watch for 3 vehicles"),
+        ("fleet_3", ["tcp/a:65534"], "found tcp/a:65534; .* ports 65534 to 65536, allowed is up to 65535"),
+        ("lab", ["tcp/a"], "'tcp/a' is not understood"),
+    ],
+)
+def test_endpoints_that_not_all_vehicles_can_have_are_refused_before_the_run(scenario, listen, why, tmp_path):
+    words = [word for each in listen for word in ("--listen", each)]
+    done = CliRunner().invoke(main, ["sitl", "--scenario", scenario, "--out", str(tmp_path / "run"), *words])
+    assert done.exit_code == 2
+    assert re.search(f"--listen: .*{why}", " ".join(done.output.split()))
+    assert not (tmp_path / "run").exists()
