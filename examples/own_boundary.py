@@ -3,8 +3,8 @@
     flightstack sitl --scenario paper_moving_1 --lockstep --filter examples.own_boundary:ConeFilter
     flightstack campaign paper_moving_1 --runs 20 --filter examples.own_boundary:ConeFilter
 
-``filter = "examples.own_boundary:ConeFilter"`` in a configuration selects it. The module is searched
-among the installed modules, then in the working folder. ``flightstack/core/strategies/strategy.py``
+``filter = "examples.own_boundary:ConeFilter"`` in a configuration selects it. Python looks for the module
+among the installed modules first, then in the working folder. ``flightstack/core/strategies/strategy.py``
 describes each method.
 """
 

@@ -22,7 +22,7 @@ import flightstack as fs
 
 TICKS = 10  # number of ticks (0.01 s each) for which a decision is applied
 TRAINING = {"duration_max_s": 25.0}  # maximum duration of an episode; a landing takes 5 to 10 s
-GAMMA = 0.95  # discount factor for each decision (0.1 s); small, because the vehicle responds within 0.5 s
+GAMMA = 0.95  # discount factor per decision (0.1 s): a horizon of 2 s; the vehicle responds within 0.5 s
 
 
 class Decisions(gymnasium.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarray]):

@@ -39,7 +39,7 @@ _RAN = (
 )
 _NEAR_S = 0.02  # maximum time between a step and its true state, s: two ticks
 _MARGIN_SEEN_M = 1e-4  # smallest margin that is drawn, m; a smaller one is a rounding error
-_WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # tick labels of the wall time axis, us
+_WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # marks on the axis of computation times, us
 
 Values = tuple[Floats, Floats]  # times since the origin of the flight, s, and values; NaN: a gap
 

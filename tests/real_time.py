@@ -56,7 +56,7 @@ def in_real_time(item: pytest.Item) -> bool:
 
 
 def repeated_after_a_pause() -> pytest.MarkDecorator:
-    """Return pytest-rerunfailures' mark that repeats a failed test only if the machine paused meanwhile."""
+    """Return pytest-rerunfailures' mark that repeats a failed test only if the machine paused during it."""
 
     def paused(_: BaseException | None) -> bool:
         return PAUSES.worst_s >= PAUSE_S

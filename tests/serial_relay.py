@@ -131,7 +131,7 @@ _FIRST = frozenset({
 
 
 class Line:
-    """One direction of the line: bytes enter immediately and leave at the bit rate; excess bytes are lost."""
+    """One direction of the line: bytes are taken at once and sent at the bit rate; excess bytes are lost."""
 
     def __init__(self, baud: int | None) -> None:
         self._rate = baud / 10 if baud else None
@@ -154,7 +154,7 @@ class Line:
         self._buffer += data[:room]
 
     def carry(self, pieces: list[bytes], put: Callable[[bytes], None], elapsed_s: float) -> bytes:
-        """Take pieces that arrived in this time, evenly spread; return the bytes that leave meanwhile."""
+        """Take pieces that arrived evenly spread over ``elapsed_s``; return the bytes sent in this time."""
         share_s = elapsed_s / (len(pieces) + 1)
         out = b""
         for piece in pieces:

@@ -159,7 +159,7 @@ class CrazyflieLink:
         self._outbox.put(packet, time.monotonic())
 
     def close(self) -> None:
-        """Close the link; this takes up to about 2 s, in which cflib joins its threads."""
+        """Close the link; this takes up to about 2 s, because cflib waits for its threads to end."""
         self._closing.set()
         self._outbox.wake()
         self._thread.join(6.0)

@@ -54,7 +54,7 @@ class Profile:
     # whether PARAM_VALUE's float field carries the bytes of an integer parameter (capability
     # PARAM_ENCODE_BYTEWISE); if not, it carries the integer converted to a float
     bytewise: bool
-    needs_origin: bool  # whether without satellites a position requires SET_GPS_GLOBAL_ORIGIN
+    needs_origin: bool  # whether a position without satellite positioning requires SET_GPS_GLOBAL_ORIGIN
     pose_message: int  # id of the MAVLink message for poses of a motion capture
     pose_settings: str  # parameters that the operator sets for these poses, as text
     rules: str | None  # name of the file of pre-flight rules in preflight/; None: no parameters to check

@@ -123,7 +123,7 @@ def _print(console: Terminal, wanted: Plan, folder: Path, flown: Flown, options:
 def validate(options: ValidateOptions) -> None:
     """Compare the simulator with recorded flights in DIR (Parquet, CSV): plant, closed loop, state estimate.
 
-    Flights that cannot be used, or only in part, are listed with the reason (docs/how_to/validate.md).
+    Unusable flights and unusable parts of flights are listed with the reason (docs/how_to/validate.md).
 
     Exit status: 0 all criteria are met, 1 a criterion is missed or no flight is usable, 2 wrong input.
     """

@@ -103,7 +103,7 @@ def handle(handlers: Mapping[signal.Signals, Callable[[], object]]) -> None:
 
 # errors of a stream whose reader has ended: they are permanent; others (ENOSPC) can be temporary
 _GONE = (errno.EPIPE, errno.EIO, errno.EBADF)
-_PART = select.PIPE_BUF  # number of bytes that a pipe accepts without blocking once ``select`` reports it
+_PART = select.PIPE_BUF  # number of bytes that a pipe accepts without blocking if ``select`` reports it
 _NUMBERS = {"stdout": 1, "stderr": 2}
 
 

@@ -46,7 +46,7 @@ _NS = 1_000_000_000
 _ROUNDING_NS = 1_000  # margin, ns: larger than the rounding of a time in seconds, smaller than any step
 _YIELDS = 20  # number of polls without a sleep
 _PAUSE_S = 50e-6  # time between two polls, s; the system's timer slack makes it 0.1 ms
-_FOLLOWER_MAX_S = 0.5  # maximum wall time of a wait for a follower, which was possibly killed, s
+_FOLLOWER_MAX_S = 0.5  # maximum wall time of a wait for a follower, which may have been killed, s
 _STALL_MAX_S = 2.5  # wall time without a step after which followers use wall time, s
 
 
@@ -106,7 +106,7 @@ def wait_until(
     while waited_s < timeout_s:
         looks += 1
         if what and waited_s > _SAID_S:
-            with contextlib.suppress(OSError):  # standard error is possibly closed
+            with contextlib.suppress(OSError):  # standard error may be closed
                 print(f"waits for {what}", file=sys.stderr, flush=True)
             what = ""
         time.sleep(0.0 if looks <= _YIELDS else pause_s)

@@ -81,7 +81,7 @@ class Files(Generic[T]):
         return self.over_base(path, read_toml(path))
 
     def over_base(self, path: Path, table: dict[str, Any], above: tuple[Path, ...] = ()) -> dict[str, Any]:
-        """Merge a table over the file that its key ``base`` names; ``above``: files based on this one."""
+        """Merge a table over the file that its key ``base`` names; ``above``: files based on this file."""
         if "base" not in table:
             return table
         base = self.named(path, "base", name := table.pop("base"))

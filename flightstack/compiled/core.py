@@ -30,7 +30,7 @@ def chosen_core(core: str, config: FlightConfig, *, lockstep: bool) -> str:
     """Return the code to use, ``plain`` or ``compiled``; ``core``: value of the option ``--core``.
 
     ``auto``: compiled code in real time if its machine code is on disk, else plain Python. In lockstep,
-    loading compiled code takes more time than this code saves in one flight.
+    loading compiled code takes more time than compiled code saves in one flight.
 
     Raises ValueError: compiled code is requested but not possible.
     """

@@ -70,7 +70,7 @@ def cache_directory() -> Path | None:
 
 
 def _roots() -> Iterator[Path]:
-    """Yield the folders for machine code, the preferred one first; the last one is made only if needed."""
+    """Yield the folders for machine code, the preferred one first; the last one is created only if needed."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         yield Path(chosen)
     yield HERE / "__pycache__"
@@ -140,7 +140,7 @@ def compiling(what: str, about: str) -> Iterator[bool]:
     _say("compiled")
     folder = cache_directory()
     if folder is not None:
-        with contextlib.suppress(OSError):  # the disk is possibly full
+        with contextlib.suppress(OSError):  # the disk may be full
             (folder / what).touch()
 
 
@@ -175,7 +175,7 @@ def at_once(here: Callable[[], object], apart: Callable[[], object]) -> None:
 
 
 def _say(text: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # standard error is possibly closed
+    with contextlib.suppress(OSError, ValueError):  # standard error may be closed
         print(f"flightstack: {text}", file=sys.stderr, flush=True)
 
 

@@ -1,8 +1,8 @@
 """Computation of the set-point from the nominal velocity: slew limit, safety filter, lag correction, gate.
 
-``command`` needs the states of vehicle and target; compiled code runs it, too. ``setpoint`` adds the gate
-and also runs in ticks in which a state is missing. The constraints of neighbours (``rows``) are added to the
-filter's program.
+``command`` needs the states of vehicle and target, and is also compiled. ``setpoint`` adds the gate and also
+runs in ticks in which a state is missing. The constraints of neighbours (``rows``) are added to the filter's
+program.
 """
 
 from __future__ import annotations

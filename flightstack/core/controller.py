@@ -234,7 +234,7 @@ class Controller:
         return reserve.charge
 
     def _update_reserve(self, own: OwnState, now_s: float) -> Charge:
-        """Return the result of ``_estimate_reserve`` in an ordinary tick; after a landing it is FIT."""
+        """Return the result of ``_estimate_reserve`` in an ordinary tick; in LANDED the result is ``FIT``."""
         reserve, flies = self.reserve, self.memory.phase is not Phase.LANDED
         if not reserve.active:
             return Charge.FIT

@@ -4,11 +4,11 @@ Arrival minus stamp is the difference of the two clocks plus the delay of the me
 a message without delay; the excess of another message over this minimum is its lateness. The minimum
 follows the messages by these rules:
 
-* a minimum that no message reaches for ``HOLDS_S`` rises at the rate ``FORGETS`` and follows drifting clocks;
-  the delay of a queue that grows faster counts as lateness;
+* a minimum that no message reaches for ``HOLDS_S`` rises at the rate ``FORGETS``, and so follows drifting
+  clocks; a delay that grows faster, as in a queue, counts as lateness;
 * a stamp too far ahead, or older than the newest one, is rejected. If rejected messages agree with each
-  other for ``proof_s`` and none was accepted meanwhile, the sender's clock was set or restarted: the minimum
-  of these messages is adopted;
+  other for ``proof_s`` and no message is accepted in this time, the sender's clock was set or restarted: the
+  minimum of these messages is adopted;
 * late messages can come from a queue, which looks like a clock that was set back in a pause. No queue keeps
   its length for a long time, so late messages must agree for ``patience_s``.
 
@@ -28,12 +28,13 @@ FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators 
 HOLDS_S = 1.0  # time in which at least one message is assumed to have a short delay, s
 FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the fastest slew of a Linux clock
 ELAPSED_MAX_S = 1.0  # longest part of a pause between messages in which a minimum rises, s
-FLOOR_MAX_S = 0.2  # largest difference between fast and slow minimum, s; beyond this difference clocks drift
+FLOOR_MAX_S = 0.2  # largest difference between fast and slow minimum, s; drift of clocks causes larger ones
 GRAIN_S = 1e-6  # tolerance for Unix times as doubles, s; their rounding error is 2.4e-7 s
-AHEAD_S = 0.03  # largest accepted reduction of the shortest delay, s; one tick is added
+# how far the delay of a message may be below the shortest delay so far, s; ``ahead_max_s`` adds one tick
+AHEAD_S = 0.03
 AGREE_S = 0.1  # largest difference of arrival minus stamp between messages of one clock, s
 GAP_MAX_S = 0.5  # longest pause between two messages whose times agree, s
-PATIENCE_S = 10.0  # time for which late messages must agree, s; queues of some seconds change meanwhile
+PATIENCE_S = 10.0  # time for which late messages must agree, s; delays by queues change within this time
 QUEUE_MAX_S = 10.0  # longest delay by a queue after a pause, s; a longer queue needs time to fill
 STAMP_MAX_S = 2.0**32  # largest valid stamp, s: the year 2106; ROS 2 and Unix times end before it
 

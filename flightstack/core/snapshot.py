@@ -10,7 +10,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Charge, Inputs, OwnState, Vec3
 
-FUTURE_MAX_S = 0.05  # largest accepted lead of a vehicle state's time over this clock, s
+FUTURE_MAX_S = 0.05  # how far the time of a vehicle state may be ahead of the stack's clock, s
 
 
 @numeric

@@ -61,7 +61,7 @@ class OtherClock:
     """Estimate of the clock of another process; call ``heard`` with each of its messages."""
 
     def __init__(self) -> None:
-        # minima minus their growth since zero of this process's clock; None: nothing was received
+        # each minimum minus its growth since time zero of this process's clock; None: nothing was received
         self._ahead_ns: int | None = None
         self._echo_ns: int | None = None
 
@@ -180,7 +180,7 @@ class LiveStatuses(FleetWire):
         self._epoch_ns, self._now_s = epoch_ns, now_s
 
     def namesake(self) -> str:
-        """Listen as in ``FleetWire``; messages received meanwhile are dropped."""
+        """Listen as in ``FleetWire``; messages received during this call are dropped."""
         time.sleep(max(0.0, self._opened_s + NAMESAKE_S - time.monotonic()))
         for row in self._rows():
             if row.id == self._fleet.id and row.process != self._process:

@@ -55,7 +55,7 @@ class VehicleTicks(LinkedVehicle):
         last_ns = self._last_ns
         if last_ns < 0:
             most_s, what = FIRST_WAIT_MAX_S, "the vehicle to request its first tick"
-        else:  # the vehicle requests the next tick only after it has flown this one
+        else:  # the vehicle requests the next tick only after it has flown the current one
             most_s, what = WORLD_SILENT_S, ""
             self.link.endpoint.wait(WAIT_SLICE_S)
         in_time = wait_until(self._requested, self._stopped, most_s, pause_s=0.0, what=what)

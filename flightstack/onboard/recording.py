@@ -29,7 +29,7 @@ _NO_NAME = re.compile(r"[^\w.=+@-]|\.\.")  # characters that folder names in pri
 
 
 def new_folder(name: str) -> Path:
-    """Make a folder in ``runs`` for the files of a flight; separators and control characters become "_"."""
+    """Create a folder in ``runs`` for the files of a flight; separators and control characters become "_"."""
     base = f"{datetime.now().strftime('%Y%m%d-%H%M%S')}-{_NO_NAME.sub('_', name)[:100]}"
     for number in count():
         folder = Path("runs") / (f"{base}-{number}" if number else base)
@@ -40,7 +40,7 @@ def new_folder(name: str) -> Path:
 
 
 def log_in(folder: Path) -> Path:
-    """Return the path of a new log in a folder; the folder is made if it is missing."""
+    """Return the path of a new log in a folder; the folder is created if it does not exist."""
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / LOG
     if log.exists():

@@ -216,7 +216,7 @@ class LinkedVehicle:
         link = self.link
         state, status = link.state, link.state.status
         if status is not None and status.ready_to_arm and link.senders.suspects:
-            status = replace(status, ready_to_arm=False)  # the status possibly comes from a second vehicle
+            status = replace(status, ready_to_arm=False)  # the status may come from a second vehicle
         return VehicleInputs(state.own, status, link.failed is not None, state.power)
 
     def ask(self, request: Request, now_s: float) -> None:
@@ -256,7 +256,7 @@ class LiveWires(LinkedVehicle):
     def samples(self, now_s: float) -> Arrived:
         """Return the samples that have arrived since the last call.
 
-        Samples of a tick in which the process stalled are dropped. Some possibly arrived after the tick
+        Samples of a tick in which the process stalled are dropped. Some may have arrived after the tick
         started: they would reduce the minimum delay too much, and later samples would count as too late.
         """
         messages = self._source.poll()

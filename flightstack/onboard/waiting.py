@@ -28,7 +28,7 @@ _PROBLEMS = 2  # maximum number of texts about rejected samples in one report
 
 
 class _Pace:
-    """Longest interval between arrivals since the last report; without arrivals, the interval before."""
+    """Longest interval between arrivals since the last report; a reported one is kept until an arrival."""
 
     def __init__(self) -> None:
         self._last_s, self._longest_s, self._reported = math.nan, 0.0, True
@@ -154,7 +154,7 @@ class WaitReport:
         return why_silent(self._system_id, self._counted - counted, self._link.foreign, time=time)
 
     def of_vehicle(self, at: Snapshot, now_s: float) -> Iterator[str]:
-        """Yield a sentence for each missing input from the vehicle; counters start at the previous call."""
+        """Yield a sentence for each missing input from the vehicle, with counts since the previous call."""
         checks, own, status = self._config.checks, at.inputs.own, at.inputs.status
         heard_s = now_s - status.arrival_s if status is not None else math.inf
         age_s = now_s - own.arrival_s if own is not None else math.inf
@@ -189,7 +189,7 @@ class WaitReport:
             yield (fails if self._link.state.battery is not None else unknown) + reports
 
     def of_target(self, at: Snapshot) -> Iterator[str]:
-        """Yield why the target is not usable, at most one sentence; counters start at the previous call."""
+        """Yield at most one sentence, why the target is not usable, with counts since the previous call."""
         wires, checks = self._wires, self._config.checks
         most_s, name = checks.target_age_max_s, f"samples on {wires.target.text}"
         arrived = self._arrived + wires.odometry.refused - self._refused_samples

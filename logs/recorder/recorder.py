@@ -95,7 +95,7 @@ class RecorderProcess:
             elif isinstance(fileobj, socket.socket):
                 self._receive(fileobj)
         if ready and not self._stops:
-            time.sleep(READ_PERIOD_S)  # meanwhile more data arrive
+            time.sleep(READ_PERIOD_S)  # during this time more data arrive
 
     def _accept(self) -> None:
         while True:

@@ -40,7 +40,7 @@ def fault_spans(flight: Flight) -> list[FaultSpan]:
 
 
 class Side(NamedTuple):
-    """A flight as one side of a report page, with the data that the page shows."""
+    """A flight of one vehicle on a report page, with name, verdict and time offset."""
 
     name: str  # name of the vehicle
     flight: Flight

@@ -51,8 +51,9 @@ SINK_MIN_M_S = 0.05  # slowest descent whose end can be detected, m/s
 # fraction of the highest sink rate; the last step above it was before the contact. A lower fraction includes
 # steps of a lagging state (lag 0.03 s, 50 Hz: contact 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)
 BEGINS_SHARE = 0.95
-BEND_OF_NOISE = 1.65  # median size of the second difference of normal noise, in standard deviations
-FALL_S = 0.06  # time before the stop in which the last fast step is searched, s
+# median absolute second difference of white Gaussian noise, in standard deviations of the noise
+BEND_OF_NOISE = 1.65
+FALL_S = 0.06  # the last fast step is looked for from this time before the stop on, s
 FIT_S = 0.05  # time before the contact that the straight line covers, s
 HEIGHT_ERROR_MAX_M = 0.05  # maximum sum of the height errors of both estimates, m
 _NO_CONTACTS = "an estimate shows no contacts"

@@ -161,7 +161,7 @@ def open_viewer(recording: Path, *, web: bool) -> int:
 def viewer_program() -> str:
     """Return the path of Rerun's program.
 
-    ``bin/rerun`` is a Python program that starts this one, and leaves it running after SIGTERM.
+    It is not ``bin/rerun``, a Python wrapper that starts the program and leaves it running after SIGTERM.
     """
     return str(files("rerun_cli") / "rerun")
 

@@ -78,7 +78,7 @@ class Row:
     own_age_max_s: float | None = None  # largest age of the vehicle state since the landing started
     target_age_max_s: float | None = None  # largest age of the target state since the landing started
     simulated_s: float | None = None  # duration of the run, simulated time
-    wall_s: float | None = None  # wall time; the only value that the seed does not determine
+    wall_s: float | None = None  # wall time, s; the only value that the seed does not determine
     cells: str = ""  # map of h: "i j mm" for each visited cell of (d, e_z), with the lowest h in it
     outcomes: str = ""  # outcomes of all vehicles, cf1 first; empty for one vehicle, like the next fields
     collisions: int | None = None  # number of pairs of vehicles that collided

@@ -282,7 +282,7 @@ def write_page(path: Path, wanted: Plan, flown: Flown) -> None:
 
 
 def _histogram(rows: Sequence[Row], key: str, title: str, axis: str, scale: float, column: str) -> Panel:
-    """Return the panel of one row of ``_HISTOGRAMS``, with the limit of a violation as a line."""
+    """Return the panel of one row of ``_HISTOGRAMS``; in that of h a line marks the limit of a violation."""
     import plotly.graph_objects as go
 
     from logs.curves import BOUNDARY, TRUE

@@ -42,7 +42,7 @@ def count(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def kinds(row: Row) -> list[str]:
-    """Return the names under which a progress bar counts a landing: its outcome, perhaps ``violations``."""
+    """Return the names under which a progress bar counts a landing: outcome, ``violations`` if violated."""
     return [row.outcome, *(["violations"] if row.violation else [])]
 
 
@@ -90,7 +90,7 @@ def summary(
     }
 
 
-# values over all vehicles, and the function that combines a value's rows
+# values over all vehicles, and the function that combines the values of all rows
 _OF_ROOMS: Mapping[str, Callable[[Iterable[Any]], Any]] = {
     "vehicles": sum, "vehicles_landed": sum, "collisions": sum, "ellipsoid_violations": sum,
     "ellipsoid_min": min, "distance_min_m": min, "wait_max_s": max,

@@ -90,7 +90,7 @@ def torque_over_thrust_m(params: Params) -> float:
 
 
 def parameters(params: Params, mocap: OdometryLink | None = None) -> dict[str, float]:
-    """Return the parameters that differ from PX4's defaults (v1.16); ``mocap`` replaces satellites."""
+    """Return the parameters that differ from PX4's defaults (v1.16); ``mocap`` replaces the GNSS receiver."""
     rotor, (jx, jy, jz) = params.rotor, params.body.inertia_kg_m2
     ratio = torque_over_thrust_m(params)
     found: dict[str, float] = {"CA_AIRFRAME": 0, "CA_ROTOR_COUNT": 4}

@@ -154,7 +154,7 @@ def _within(flu: F64, limit: float) -> Vec3:
 
 
 class Px4Sensors:
-    """All sensors of a vehicle that starts at rest, read every ``STEP_MS``; ``mocap`` replaces satellites."""
+    """All sensors of a vehicle that starts at rest, read every ``STEP_MS``; ``mocap`` replaces the GNSS."""
 
     def __init__(self, params: Params, body: Body, seed: int, mocap: OdometryLink | None = None) -> None:
         raw = replace(params.imu, gyro_filter_hz=math.inf, accel_filter_hz=math.inf)

@@ -264,7 +264,7 @@ class DirectTarget(Robot):
 
     @property
     def _ahead_ticks(self) -> int:
-        """Number of future ticks to compute; larger once no later input can change the path."""
+        """Number of future ticks to compute; larger if no later input can change the path."""
         return RUN_AHEAD_TICKS if self.waits else DRIVES_TICKS
 
     @property

@@ -202,7 +202,7 @@ def warm_up_room(team: Scenario) -> None:
 
 
 class FleetEnd:
-    """The simulator's end of the messages between a companion and other members; this one has none."""
+    """The simulator's end of a companion's fleet messages; this base class is for one without a fleet."""
 
     tick = 0  # current tick of the vehicles
 

@@ -71,7 +71,7 @@ class Scenario:
     judge: Judge | None = None  # barrier of the verdict; None: the flown barrier
     fault: tuple[Fault, ...] = ()  # tables [[fault]], in any order
     exchange: ExchangeLink = field(default_factory=ExchangeLink)
-    one_target: bool = False  # whether all vehicles land on one robot: its copies have one seed
+    one_target: bool = False  # whether all vehicles land on one robot; each vehicle simulates the same robot
     others: tuple[Scenario, ...] = ()  # vehicles cf2, cf3 and so on
 
     def __post_init__(self) -> None:

@@ -60,8 +60,8 @@ class Start:
     ground_position_m: tuple[float, float] = (0.0, 0.0)  # start position for kind = ground
     # position relative to the landing spot for kind = hover; none: drawn from distance_m, h_m and any bearing
     offset_m: Vec3 | None = None
-    distance_m: tuple[float, float] = (0.3, 2.5)  # drawn horizontal distance from the landing spot
-    h_m: tuple[float, float] = (0.03, 1.2)  # drawn barrier value at the start
+    distance_m: tuple[float, float] = (0.3, 2.5)  # range of the random distance from the landing spot
+    h_m: tuple[float, float] = (0.03, 1.2)  # range of the random barrier value at the start
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,8 @@ class TargetSpec:
     heading_rad: float = 0.0  # heading at time zero, counter-clockwise from east
     random_heading: bool = False  # whether the heading is drawn from the seed
     wait_for_landing: bool = True  # whether the robot does not move until the landing starts
-    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # period of changes in stop_and_go, reversing
+    # time between two changes of the speed in stop_and_go, reversing
+    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0
     acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # largest acceleration of the wheels
     speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # largest speed (OpenCR: wheels at 61 rpm)
     turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # largest turn rate (OpenCR)
@@ -88,7 +89,8 @@ class TargetSpec:
     heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0  # frequency of the heave
     pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # height of the pad's top (LDS: 0.192 m)
     pad_radius_m: Annotated[float, PAD_RADIUS_M] = 0.10  # radius of the pad
-    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # distance of pad behind axle; body: 0.032
+    # distance of the pad's centre behind the axle; the centre of the body is at 0.032
+    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0
 
     def __post_init__(self) -> None:
         turns = self.path in (PathKind.FIGURE_OF_EIGHT, PathKind.WAYPOINTS)
@@ -117,7 +119,7 @@ class TargetSpec:
         return (x - behind_m * c, y - behind_m * s, self.pad_height_m)
 
     def line(self) -> Line | None:
-        """Return the line on which the pad moves; None: the pad may be anywhere."""
+        """Return the line on which the pad moves; None: it has no line that is known before the flight."""
         stands = self.path is PathKind.STILL or self.speed_m_s == 0.0 == self.turn_rate_rad_s
         behind = bool(self.pad_behind_axle_m)
         if (self.random_heading and (behind or not stands)) or (self.turn_rate_rad_s and not stands):
@@ -148,22 +150,29 @@ class StateError:
     docs/how_it_works/own_state.md. Values are standard deviations unless stated otherwise.
     """
 
-    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position, mean of all flights
-    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread of the mean delay between flights
-    delay_shared: bool = False  # whether vehicle and target have one mean delay
-    delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # fast variation of the delay, median flight
-    delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # time constant T in (1 + t/T) exp(-t/T)
-    # spread of the fast variation's logarithm between flights
+    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # mean delay of the position over all flights
+    # standard deviation of a flight's mean delay
+    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015
+    delay_shared: bool = False  # whether vehicle and target have the same mean delay
+    # standard deviation of the delay's fast variation in the median flight
+    delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025
+    # time constant T of the fast variation, whose correlation after t is (1 + t/T) exp(-t/T)
+    delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072
+    # standard deviation, over flights, of the logarithm of delay_fast_s
     delay_fast_varies: Annotated[float, span(0.0, 2.0)] = 0.0
-    delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.011  # slow variation of the delay in flight
-    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4  # correlation time of the slow variation
-    # spread of the slow variation's logarithm between flights
+    # standard deviation of the delay's slow variation in the median flight
+    delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.011
+    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4  # time constant T of the slow variation
+    # standard deviation, over flights, of the logarithm of delay_slow_s
     delay_slow_varies: Annotated[float, span(0.0, 2.0)] = 0.7
-    velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position minus delay of velocity
-    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # spread of the lead between flights
+    # mean delay of the position minus mean delay of the velocity
+    velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018
+    # standard deviation of velocity_lead_s over flights
+    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012
     position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # position error on each axis
-    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # horizontal velocity error at any speed
-    velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # velocity error on the vertical axis
+    # horizontal velocity error that does not depend on the speed
+    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02
+    velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # vertical velocity error
     # velocity error as fraction of the speed, constant in a flight
     velocity_scale: Annotated[float, span(0.0, 1.0)] = 0.056
     # varying velocity error along the horizontal velocity, as fraction of the speed
@@ -203,7 +212,7 @@ class VehicleSpec:
     # half-width of each motor's relative random thrust error around their mean
     motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0
     battery_charge: tuple[Share, Share] = (1.0, 1.0)  # range of the random state of charge at the start
-    # smallest thrust-to-weight ratio of the weakest motor at the start; a lower one raises the charge
+    # smallest thrust-to-weight ratio of the weakest motor at the start; the charge is raised to reach it
     hover_reserve: Annotated[float, span(0.0, 1.5)] = 0.0
     slow_motors: bool = False  # whether the motor lag is 0.136 s up, 0.108 s down instead of 0.07 s
     ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0  # factor on the measured ground effect
@@ -211,7 +220,7 @@ class VehicleSpec:
     mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
     own: StateError | None = None
     known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # drag per mass used by the estimator, body axes
-    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # set-point's delay; Crazyradio: 2 to 7 ms
+    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # delay of set-points; Crazyradio: 2 to 7 ms
 
     def __post_init__(self) -> None:
         VEHICLE_FILES.path_of(self.airframe)

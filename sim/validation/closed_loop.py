@@ -4,7 +4,7 @@ The simulated vehicle starts at the recorded position and receives the recorded 
 times. Quantities that differ between airframes and days are identified from the first seconds of the
 recording: battery voltage, ratio of motor thrust to the vehicle file, and differences between the motors. The
 vehicle file has all other parameters. The on-board estimate gets random errors as in recorded flights.
-Only flights with the PID controller are flown; the simulated firmware has no other one for positions.
+Only flights with the PID controller are flown; the simulated firmware has no other position controller.
 """
 
 from __future__ import annotations

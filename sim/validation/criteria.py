@@ -150,7 +150,7 @@ def judge(flights: Sequence[Compared]) -> list[Verdict]:
 
 
 def _word(criterion: Criterion, found: Estimate | None, part_covered: bool) -> str:
-    """Return the criterion's result; without flights ``OPEN``, or ``MISSED`` if its part has no flights."""
+    """Return the result: ``OPEN`` if no flight covers the criterion, ``MISSED`` if none covers its part."""
     if found is None:
         return OPEN if part_covered else MISSED
     if criterion.low <= found.value <= criterion.high:

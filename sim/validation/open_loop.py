@@ -41,7 +41,7 @@ SAMPLE_S = 0.01  # period to which recordings are resampled, s
 STEPS = 10  # plant steps per sample
 CALIBRATION_S = 1.0
 BACK = round(CALIBRATION_S / SAMPLE_S)
-COMMAND_DELAY_MS = 8  # delay from a logged command to the gyro besides the motors' lag, ms; fitted
+COMMAND_DELAY_MS = 8  # delay from a logged command to the gyro in addition to the motors' lag, ms; fitted
 # gains of the observer; they minimise the errors after 0.5 s, with a flat minimum
 RATE_GAIN = 1.4  # correction of the rate divided by its error in a sample; above 1 due to the gyro's filter
 FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # gains of the missing angular acceleration's fast and slow part, 1/s

@@ -28,7 +28,7 @@ class Compared:
     """Comparison of one flight with the simulator."""
 
     name: str  # name of the file without suffix
-    used_s: float  # compared time; 0 if the flight is left out
+    used_s: float  # duration of the compared parts, s; 0 if the flight is left out
     left_out: tuple[Reason, ...]  # unused parts, or the whole flight, with the reasons
     # Results; None: the flight is left out or lacks the required columns.
     open_loop: OpenLoop | None = None

@@ -176,10 +176,10 @@ def _judged(scenario: Scenario) -> Check:
 
 
 def _feet(scenario: Scenario) -> Check:
-    """Return the check that the pad has room for the feet around the usual places of a touchdown.
+    """Return the check that the pad has room for the feet at the assumed distance of a touchdown.
 
     The certificate bounds the distance of the vehicle's centre from the middle of the pad. Feet and the whole
-    bound exceed even the pads of the tiers, where campaigns land. So the check uses a fraction of the bound.
+    bound need a larger pad than those of the tiers, on which campaigns land. So ``_reach_m`` assumes less.
     """
     geometry, pad_m = load(scenario.vehicle.airframe).geometry, scenario.target.pad_radius_m
     foot_m, (reach_m, where) = DIAGONAL * geometry.foot_offset_m, _reach_m(scenario.onboard)
@@ -194,7 +194,7 @@ def _feet(scenario: Scenario) -> Check:
 
 
 def _reach_m(config: FlightConfig) -> tuple[float, str]:
-    """Return the usual distance of a touchdown from the pad's centre, m, and a text that names its source."""
+    """Return the assumed distance of a touchdown from the pad's centre, m, and the name of its source."""
     if config.filter == "paper":
         (key, touch_m), barrier = touch_height(config), config.barrier
         steps = range(math.ceil(config.touchdown.pad_radius_m / TOUCH_STEP_M) + 1)

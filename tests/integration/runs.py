@@ -63,7 +63,7 @@ def flightstack(*arguments, cwd=None, apart=False) -> Result:
 
 
 def called(*arguments, cwd=None) -> Result:
-    """Run a subcommand in this process; it must start no process, or its arguments must be rejected."""
+    """Run a subcommand in this process: one that starts no process, or whose arguments are rejected."""
     with contextlib.chdir(cwd or Path.cwd()):
         done = CliRunner().invoke(main, [str(one) for one in arguments])
     if done.exception is not None and not isinstance(done.exception, SystemExit):

@@ -126,7 +126,7 @@ def _begin(
     os.setpriority(os.PRIO_PROCESS, 0, nice)
     leave_parent(output.fileno(), errors.fileno())
     os.chdir(folder)
-    sys.path.insert(0, str(folder))  # ``python -m`` does the same
+    sys.path.insert(0, str(folder))  # ``python -m``, too, puts the current folder first
     os.environ.clear()
     os.environ.update(environment)
     run(*given)

@@ -115,7 +115,7 @@ class StreamRequests:
     """Counts messages and returns SET_MESSAGE_INTERVAL commands while their rate is too low; no I/O.
 
     As long as no message arrives, it requests every second at first, then less often: an autopilot may have
-    no position for minutes (no satellites, no origin). ``rates_hz``: required rate by message id.
+    no position for minutes (no satellite fix, no origin). ``rates_hz``: required rate by message id.
     """
 
     def __init__(self, rates_hz: Mapping[int, float], target: tuple[int, int], unset: float) -> None:

@@ -138,7 +138,7 @@ class VehicleLink:
             self._queue_due(tick_s)
 
     def command(self, request: Request, now_s: float) -> None:
-        """Send the due commands of the current request; called at every tick."""
+        """Queue the commands of the current request that are due; called at every tick."""
         sequencer = self._sequencer
         if self.state.profile is None and request is not Request.MOTORS_OFF:
             return

@@ -20,7 +20,7 @@ from bridge.mavlink.profiles import named
 from bridge.mavlink.transport.address import Peer
 
 SILENT_S = 2.5  # time without a frame after which the known sender counts as silent, s; heartbeats have 1 Hz
-_APART_S = 0.5  # time for which addresses must alternate to prove two senders, s; reordering is shorter
+_APART_S = 0.5  # time for which frames of both addresses prove two senders, s; reordering is shorter
 _GAP_MAX = 4  # largest small step of the sequence number (modulo 256): three lost frames
 _STEADY = 8  # number of frames in a row with steps up to _GAP_MAX after which a larger step is suspicious
 _AGAIN_S = 0.95  # time after which a repeated contradicting heartbeat is accepted, s: heartbeats have 1 Hz
@@ -42,7 +42,7 @@ class Senders:
 
     known: Peer | None = None  # address of the vehicle; None before its first frame
     ignored: int = 0  # number of rejected frames with the vehicle's ids
-    doubled: str | None = None  # error text once two addresses send with the same ids; None: one address
+    doubled: str | None = None  # error text if two addresses send with the vehicle's ids; None: one does
     _now_s: float = -math.inf  # arrival of the newest frame
     _known_s: float = -math.inf  # arrival of the newest frame from the known address
     _kind: Kind | None = None
@@ -149,7 +149,7 @@ class Senders:
         self._sequence = number
 
     def _note(self, peer: Peer, now_s: float, *, well: bool) -> None:
-        """Record another address; an address that alternates with the known one is a second sender."""
+        """Record a frame from another address; there are two senders if both addresses send for some time."""
         first_s, last_s = self._others.get(peer, (now_s, -math.inf))
         if now_s - last_s > SILENT_S:
             first_s = now_s

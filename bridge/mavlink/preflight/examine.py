@@ -39,7 +39,7 @@ _READ_MAX_S = 30.0  # time limit of the check after the first message of the veh
 _AT_ONCE = 5  # maximum number of open parameter requests; the buffer of a radio is small
 _READ_PERIOD_S = 0.4  # time between two requests of a parameter, s; autopilots reply within 0.05 s on a wire
 _READ_TRIES = 5
-_READ_TRIES_LOSSY = 15  # number of requests of a parameter once any reply was lost, for a busy line
+_READ_TRIES_LOSSY = 15  # number of requests of a parameter after any reply was lost, for a busy line
 _FLOAT = struct.Struct("<f")
 # Layout of the float field that carries an integer bytewise.
 _BYTES: Mapping[int, struct.Struct] = {

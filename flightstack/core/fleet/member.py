@@ -38,7 +38,7 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-FUTURE_MAX_S = 0.05  # largest accepted lead of a stamp, minus its clock error, over this clock, s
+FUTURE_MAX_S = 0.05  # how far a stamp may be ahead of this clock, in addition to the clock error, s
 # ratio of the longest flight of another member (wait and landing) to ``fleet.wait_max_s``
 FLIGHTS_OF_OTHERS = 2.0
 REPORTED_M_S = 0.005  # smallest relaxation of the neighbours' constraints that is reported, m/s
@@ -51,9 +51,10 @@ class Rows(NamedTuple):
     """Neighbours within reach, and one constraint on this vehicle's velocity for each of them."""
 
     rows: tuple[Row, ...]  # constraints of the program; the nearest neighbour first
-    basic: tuple[Row, ...]  # constraints without the reachable sets of vehicles with late messages
+    # constraints on the same vehicles, not tightened by the reachable sets of those whose messages are late
+    basic: tuple[Row, ...]
     neighbours: tuple[Near, ...]  # data of the neighbours for the side-step, in the order of ``rows``
-    # whether the speed is limited because a silent vehicle is possibly near
+    # whether the speed is limited because a silent vehicle may be near
     held_back: bool = False
 
 
@@ -177,7 +178,7 @@ class FleetMember:
         return permissions._replace(place_enu_m=memory.place_enu_m)
 
     def remains_on_pad(self, permissions: Permissions, in_phase_s: float, why: str) -> list[str]:
-        """Return an event text once if another vehicle waits for the pad on which this vehicle remains."""
+        """Return an event text if another vehicle waits for this vehicle's pad; only once in a flight."""
         if not permissions.pad_wanted or self.memory.stays or in_phase_s < STAYS_S:
             return []
         self.memory.stays = True
@@ -243,7 +244,7 @@ class FleetMember:
 
     def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
         """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``."""
-        assert self._program is not None  # a vehicle alone calls no fleet program
+        assert self._program is not None  # a vehicle without other members never calls this method
         found = self._program.solve(nominal, firm, rows.rows, lower, upper, rows.basic)
         self._given_m_s = found.given_m_s
         return found.filter

@@ -81,9 +81,9 @@ def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
 def jump(before: MemberStatus, message: MemberStatus, fleet: Fleet) -> Vec3:
     """Return the offset of a reported position from the predicted one; zero if the position is reachable.
 
-    Allowed are a velocity change with the fleet's maximum acceleration, errors of both messages within their
-    reported standard deviations and clock errors, and the margin of the ellipsoid, because a landing stops a
-    vehicle immediately.
+    A reachable position differs from the predicted one by at most the effect of the largest acceleration, the
+    reported errors of position and clock of both messages, and the ellipsoid's margin. The margin is for a
+    landing, which stops a vehicle immediately.
     """
     gone_s = message.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = message.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
@@ -185,7 +185,7 @@ def share(slot: Heard, message: MemberStatus, now_s: float, fleet: Fleet) -> flo
     if message.intent in FIRM or age_s > fleet.age_max_s:
         return ALL
     if slot.jumped_m != ZERO and math.hypot(*slot.jumped_m) > fleet.margin_m:
-        return ALL  # the position estimate of the other vehicle is possibly wrong
+        return ALL  # the position estimate of the other vehicle may be wrong
     if fleet.id in message.yields_to and age_s <= ZERO_LATENCIES * fleet.latency_max_s:
         return NONE
     return HALF

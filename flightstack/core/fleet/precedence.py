@@ -193,7 +193,7 @@ def _yields(
     answered: bool, gives_way: bool,
 ) -> bool:  # fmt: skip
     goes, lower = message.intent in GOES, fleet.id < message.id
-    if memory.granted:  # a granted right of way ends only if an older claim was granted, too
+    if memory.granted:  # this vehicle yields only to a member whose older claim was granted, too
         return goes and (message.claim_s, message.id) < (memory.claim_s, fleet.id) and not gives_way
     if lower and gives_way and not goes:
         return False

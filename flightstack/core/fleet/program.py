@@ -145,7 +145,7 @@ class Cone(NamedTuple):
     def box(
         self, d_m: float, h_m: float, nominal: Vec3, target_m_s: Vec3, lower: Vec3, upper: Vec3
     ) -> tuple[Vec3, Vec3]:
-        """Return the velocity limits: avoidance must not add sink rate, or cross the pad's centre fast.
+        """Return limits with which the avoidance adds no sink rate and does not cross the pad's centre fast.
 
         Beyond the centre an inward velocity becomes an outward one. A stop of a climb is always allowed. The
         sink rate relative to the pad is at most ``rate_1_s`` times h. An inward path, where the boundary

@@ -257,7 +257,7 @@ def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Ve
 
 
 def _lowest_vertex(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Return the result of ``least_slack`` if rounding hides the bounds, as with nearly parallel constraints.
+    """Return the result of ``least_slack`` if rounding errors hide its bounds, as for near-parallel rows.
 
     The result is the lowest vertex of a linear program in four variables. Each vertex is the intersection of
     four constraints; the function tries all vertices, which takes some milliseconds.

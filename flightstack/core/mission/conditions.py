@@ -74,7 +74,7 @@ class Situation:
 
     @rare
     def fail(self, reason: str, details: str, first: float, second: float) -> bool:
-        """Store the text of a failed check, and return True; ``details``: format of one or both numbers."""
+        """Store the text of a failed check, and return True; ``details``: format string for the numbers."""
         self.failure = f"{reason}: {details.format(first, second)}"
         return True
 
@@ -221,7 +221,7 @@ def _better_beside(s: Situation, at: Relative | None) -> bool:
 
 
 def lasting_flags(s: Situation, armed: bool, external: bool, standing: bool) -> int:
-    """Return the flags that only the heartbeat or the phase changes in a landing without losses.
+    """Return the flags that only the heartbeat or the phase changes, if the landing loses no input.
 
     Compiled ticks compute only these flags, ``time_flags`` and ``landing_flags``: each flag that a rule of
     APPROACH, LAND, TOUCHDOWN or LANDED uses must be in one of these three groups.

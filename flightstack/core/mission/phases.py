@@ -43,7 +43,7 @@ class Condition(IntEnum):
     STARTED = 1 << 12  # the landing has started
     OVER_PAD = 1 << 13  # the vehicle is inside the descending cone
     TOUCH = 1 << 14  # the touchdown rule is met
-    RECOVERED = 1 << 15  # inputs were good for ``recovery_time_s``; in WAIT, new inputs arrived in it
+    RECOVERED = 1 << 15  # inputs were good for ``recovery_time_s``; in WAIT also: inputs arrived in this time
     RETRIES_LEFT = 1 << 16  # a go-around is allowed
     HIGH_ENOUGH = 1 << 17  # the vehicle is above every part of the target
     PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase is over

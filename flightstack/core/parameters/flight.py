@@ -84,7 +84,7 @@ class Contact:
     sliding_radius_m: Annotated[float, span(0.005, 1.0)] = 0.05
     # sink rate below which the pad supports the vehicle
     speed_m_s: Annotated[float, span(0.005, 0.5)] = 0.05
-    time_s: Annotated[float, span(0.01, 2.0)] = 0.1  # duration of this low sink rate until contact
+    time_s: Annotated[float, span(0.01, 2.0)] = 0.1  # time with a sink rate below speed_m_s until contact
     # time after which a vehicle low over the pad that does not follow a descent command counts as in contact
     stopped_time_s: Annotated[float, span(0.0, 1.0)] = 0.03
 
@@ -127,7 +127,7 @@ class PositionLoop:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Admissible velocities (paper: v_m), and limits on the change of a command."""
+    """Limits of a command: velocity (paper: v_m), rate of change, and height above which no climb is sent."""
 
     velocity_max_m_s: Each[Annotated[float, span(0.05, 5.0)]] = (0.2, 0.2, 0.5)  # largest commanded velocity
     # paper filter: largest rate of change of the command
@@ -174,8 +174,8 @@ class VehicleSide:
 
     # parameters whose values never block arming in the pre-flight check
     accepted_parameters: tuple[str, ...] = ()
-    # origin for an autopilot without satellites: latitude and longitude in degrees, height above sea level
-    # (WGS84) in m, which must not be 0
+    # origin for an autopilot without satellite positioning: latitude and longitude (WGS84) in degrees, height
+    # above mean sea level in m; a height of 0 is refused
     origin_wgs84: Vec3 | None = None
 
     def __post_init__(self) -> None:

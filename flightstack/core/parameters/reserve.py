@@ -1,12 +1,12 @@
 """Thrust reserve of the vehicle, computed from the battery voltage, and the use of this reserve.
 
-The reserve is the largest thrust divided by the weight. Thrust grows with (throttle x voltage)^p, so the
-throttle t of level flight grows as the voltage falls. At constant voltage the reserve is
+The reserve is the largest thrust divided by the weight. Thrust is proportional to (throttle x voltage)^p, so
+the throttle t in hover rises when the voltage falls. At constant voltage the reserve is
 
     r = (throttle_max / t)^p,    t = hover_throttle hover_voltage_v / voltage
 
-But the current grows with the thrust to the power 1.5 and lowers the voltage, by sag_v from rest to level
-flight. To first order the fraction 1 / (1 + 1.5 p sag_v / voltage) of r - 1 remains.
+But the current is proportional to the thrust to the power 1.5 and lowers the voltage, by sag_v from rest to
+hover. To first order the fraction 1 / (1 + 1.5 p sag_v / voltage) of r - 1 remains.
 
 If the firmware compensates the battery voltage, a fixed motor voltage limits its thrust command. The largest
 throttle is then the lower one of throttle_max and motor_voltage_max_v / voltage.
@@ -31,8 +31,8 @@ LEAST_M_S2 = 0.1  # minimum of the acceleration limit, m/s^2, so that the veloci
 class Reserve:
     """Battery, and the thrust that it allows; without this table the battery sets no limits."""
 
-    hover_throttle: Annotated[float, span(0.05, 1.0)]  # mean throttle of the motors in level flight
-    hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # voltage in level flight at `hover_throttle`
+    hover_throttle: Annotated[float, span(0.05, 1.0)]  # mean throttle of the motors in hover
+    hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # voltage in hover at `hover_throttle`
     lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # lowest voltage in flight that is certified
     sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # voltage drop from rest to hover
     start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # margin above lowest_voltage_v before a landing
@@ -67,7 +67,7 @@ class Reserve:
         return 1.5 * self.thrust_exponent * self.sag_v / voltage_v
 
     def most(self, voltage_v: float) -> float:
-        """Return the effort at which the thrust command saturates at a voltage; inf: at full throttle."""
+        """Return the effort at which the thrust command saturates at a voltage; inf: no saturation."""
         if self.motor_voltage_max_v is None:
             return math.inf
         return self.effort(self.motor_voltage_max_v / voltage_v)
@@ -79,7 +79,7 @@ class Reserve:
             return math.inf
         least_v = hover_v / self.throttle_max
         voltage_v = least_v
-        for _ in range(30):  # the iteration converges: each change is a fraction of the change before
+        for _ in range(30):  # the iteration converges: each change is a fraction of the previous one
             sags = self.sags(voltage_v)
             voltage_v = least_v * math.pow(1.0 + (reserve - 1.0) * (1.0 + sags), 1.0 / self.thrust_exponent)
         return voltage_v
@@ -91,7 +91,7 @@ class Reserve:
 
 
 def left(effort: float, sags: float, most: float) -> float:
-    """Return the reserve for the effort of level flight; thrust reduces the voltage (``Reserve.sags``)."""
+    """Return the reserve for the effort of hover; more thrust lowers the voltage (``Reserve.sags``)."""
     return min(1.0 + (1.0 / effort - 1.0) / (1.0 + sags), most / effort)
 
 

@@ -98,7 +98,8 @@ class TargetLink:
     delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
     position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation of a position, per axis
     velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02  # standard deviation of a velocity, per axis
-    jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # jerk density; 0.6: 0.5 m/s^2 per second
+    # density of the jerk; with 0.6 the acceleration changes by about 0.5 m/s^2 in 1 s
+    jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6
     jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # vertical jerk density; 0.6 on a ship
     # largest factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
@@ -124,7 +125,8 @@ class Robust:
     """Parameters of the robust filter."""
 
     rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest decay rate of h; the velocity loop is faster
-    tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04  # largest vertical error below the command
+    # largest difference by which the vertical velocity is below its command
+    tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # number of covered standard deviations
     fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # radius within which the margin fades
     # largest acceleration of the commanded velocity along east, north and up
@@ -140,7 +142,7 @@ class Robust:
     commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # largest relative speed for the final descent
     corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # radius of the corridor; outside: go-around
     descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # final descent: speed relative to the pad
-    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # final descent: limit of set-point lead
+    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # final descent: largest set-point lead
     touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # height below which a stop means contact
 
     @property

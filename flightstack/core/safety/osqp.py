@@ -72,7 +72,7 @@ def _settings() -> Any:
     settings.rho, settings.alpha = RHO, RELAXATION
     settings.max_iter, settings.check_termination = ITERATIONS_MAX, 1
     settings.verbose = settings.adaptive_rho = 0
-    settings.scaling = 0  # scaling would carry rounding errors of earlier ticks into this one
+    settings.scaling = 0  # scaling would carry rounding errors of earlier ticks into the current tick
     return settings
 
 

@@ -62,7 +62,7 @@ class Filter:
         inherit it, and has no certificate until it names its own.
         watches_swinging: whether a vehicle that oscillates over the pad must abort (``checks.swings_max``).
         ignores: keys of the configuration that the filter does not read, with the key that it reads instead.
-        waits_filtered: whether the barrier also holds for a vehicle that waits in the air before the flight.
+        waits_filtered: whether the barrier also applies in WAIT to a vehicle that starts in the air.
         rate_1_s: largest decay rate of h, 1/s.
         acceleration_max_m_s2: largest rate of change of the commanded velocity on each axis, m/s^2.
         contact_speed_max_m_s: largest allowed speed relative to the pad by a set-point of the touchdown, m/s.

@@ -134,9 +134,9 @@ class TargetEstimator:
         memory.covariance_xy, memory.covariance_z = _start(xy), _start(self.noise_z)
 
     def _jerk2_xy(self) -> float:
-        """Return the current squared jerk on x and y: the jerk grows with the square of ``innovation2``.
+        """Return the squared jerk on x and y; the jerk is multiplied by the square of ``innovation2``.
 
-        A value of 2 gives four times the jerk; noise alone rarely causes this value.
+        The factor is at least 1 and at most ``jerk_growth_max``. Noise alone rarely causes a factor of 4.
         """
         mean2 = self.memory.innovation2
         return self.noise_xy.jerk2 * max(1.0, min(self.growth2_max, mean2 * mean2 * mean2 * mean2))

@@ -151,7 +151,7 @@ class OwnEstimator:
         self.memory.time_s = math.nan
 
     def _acting(self, k: int) -> Vec3:
-        """Return the set-point that acts k ticks after the newest sample (-1: at it), or the oldest one."""
+        """Return the set-point that acts k ticks after the newest sample, or the oldest stored one."""
         return self.memory.pending[max(0, KNOWN - self.ahead + k)]
 
     def _begin(self, own: OwnState) -> None:

@@ -11,7 +11,7 @@ sensor:
 * the vehicle follows its set-points with a lag: commanded velocity minus velocity, summed with decay, is the
   distance by which the vehicle lags, at most its lag at full speed (``checks`` has decay times and bounds).
 
-None of these detects an error that is the same in position and velocity, such as an offset from the start.
+No check detects errors of position and velocity that agree, such as a constant offset of the position.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Plausibility:
             if repeats(last.position_enu_m, own.position_enu_m, own.velocity_enu_m_s):
                 return
             dt_s = own.arrival_s - last.arrival_s
-            if 0.0 < dt_s <= checks.own_age_max_s:  # after a longer gap the velocity in it is unknown
+            if 0.0 < dt_s <= checks.own_age_max_s:  # during a longer gap the velocity is unknown
                 memory.drift_m = drifted(memory.drift_m, last, own, dt_s, checks.own_drift_memory_s)
         memory.last = own
         most_m = checks.own_drift_max_m

@@ -25,7 +25,7 @@ class Reported:
     arrival_s: float = math.nan
     standing: bool = False  # whether the vehicle is disarmed, or no status was received
     low: bool = False  # whether the voltage at rest is too low to start a landing
-    flying: float = math.nan  # vertical effort from the throttle; without a throttle, as ``resting``
+    flying: float = math.nan  # vertical effort from the throttle; without a throttle, equal to ``resting``
     resting: float = math.nan  # expected effort in hover, from the voltage; used outside free flight
     sags: float = math.nan  # loss term of the voltage sag (``Reserve.sags``)
     most: float = math.nan  # effort at which the thrust command saturates, at the voltage in flight

@@ -6,8 +6,8 @@ than the last sample, and reachable from the last sample. Rejected samples are c
 A velocity that contradicts the positions, such as a twist in the wrong frame or a heading that is wrong by
 half a turn, is detected over some samples. Position minus integrated velocity, summed with decay, is only
 noise for correct samples; above the limit ``checks.target_drift_max_m`` the target is distrusted until the
-sum is below half the limit. After the second contradiction the target remains distrusted: a target at rest
-shows none.
+sum is below half the limit. After the second contradiction the target remains distrusted, because a target
+at rest shows no contradiction.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class TargetTrack:
     def _drift(self, last: TargetSample, sample: TargetSample) -> None:
         checks, memory, dt_s = self._checks, self.memory, sample.source_time_s - last.source_time_s
         if not 0.0 < dt_s <= checks.target_age_max_s:
-            return  # after a longer gap the velocity between the samples is unknown
+            return  # during a longer gap between the samples the velocity is unknown
         memory.drift_m = drifted(memory.drift_m, last, sample, dt_s, checks.target_drift_memory_s)
         memory.drift_smooth_m = smoothed(memory.drift_smooth_m, memory.drift_m, dt_s)
         drift_m, most_m = norm(memory.drift_smooth_m), checks.target_drift_max_m
@@ -160,7 +160,7 @@ class TargetTrack:
         return Reading.FRESH if good else Reading.JUMP
 
     def _searches(self) -> bool:
-        """Whether the newest sample jumped to another place; compiled code runs only if not."""
+        """Whether the newest sample jumped to another place; such a tick does not run compiled."""
         return self.memory.elsewhere is not None
 
     def _near(self, before: TargetSample, after: TargetSample, at_last: TargetSample, step_s: float) -> bool:

@@ -111,7 +111,7 @@ class Program:
         self.child.stdin.flush()
 
     def until(self, done, what: str, repeat: str | None = None, within_s: float = STEP_MAX_S) -> None:
-        """Read output and telemetry until ``done``; type ``repeat`` every 0.1 s meanwhile."""
+        """Read output and telemetry until ``done``; until then type ``repeat`` every 0.1 s."""
         deadline_s = time.monotonic() + within_s
         while not done():
             assert time.monotonic() < deadline_s, f"{what}: not within {within_s:g} s"

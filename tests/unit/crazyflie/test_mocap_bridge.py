@@ -275,7 +275,7 @@ def test_without_a_pose_the_key_the_endpoint_and_other_keys_are_named():
 
         wait_for(found, "the other key")
         source.poll(0.0, armed=True)
-        assert source.problem == begin  # other keys are not searched in flight
+        assert source.problem == begin  # in flight there is no search for other keys
     finally:
         other.close()
         session.close()

@@ -123,7 +123,7 @@ TWO_HOURS = 2 * 3600 * S
 
 
 class Vehicle:
-    """A vehicle that signs with pymavlink; an accepted frame of the companion advances its clock."""
+    """A vehicle that signs with pymavlink; an accepted frame advances the vehicle's signing clock."""
 
     def __init__(self, port, stamp):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
