@@ -3,8 +3,8 @@
     flightstack sitl --scenario lab --lockstep --filter examples.own_filter:Smooth
     flightstack campaign lab --runs 20 --filter examples.own_filter:Smooth
 
-``filter = "examples.own_filter:Smooth"`` in a configuration selects it. The module is searched among the
-installed modules, then in the working folder.
+``filter = "examples.own_filter:Smooth"`` in a configuration selects it. Python looks for the module among the
+installed modules first, then in the working folder.
 """
 
 from dataclasses import dataclass

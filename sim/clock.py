@@ -15,7 +15,7 @@ _MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
 
 
 class NoAnswerError(RuntimeError):
-    """Another process of the run did not start or no longer answers; the message names it and the wait."""
+    """Another process did not start or no longer answers; the text names the process and the time waited."""
 
 
 def run_process(verb: str, work: Callable[[Stop, ExitStack], None]) -> int:

@@ -15,7 +15,7 @@ from flightstack.core.types import ZERO, Vec3
 STATE_AGE_MAX_S = 0.3  # maximum age of the state, s: thirty packets in a row were lost
 HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s: ten packets in a row were lost
 VARIANCE_MAX_M2 = 0.01  # maximum position variance of an axis, m2; settled: 0.001 (cflib reset_estimator)
-TILT_MAX_DEG = 2.0  # maximum tilt of markers to body, degrees; 1 (a usual bias) causes a drift of 6.8 cm/s
+TILT_MAX_DEG = 2.0  # maximum tilt of markers to body, degrees; 1 degree is common: a drift of 6.8 cm/s
 BATTERY_MIN_V = 3.7  # lowest voltage at rest, V: a sixth of the charge is left; the firmware never lands
 # Controllers, by stabilizer.controller, that follow velocity set-points; 0: the default, PID (controller.c).
 # With such a set-point Mellinger (2) holds height zero or gives full thrust (controller_mellinger.c).
@@ -43,7 +43,7 @@ class Condition:
         self.needs_poses, self.posed_s = mocap, -math.inf
         self._pose_quaternion: Quat | None = None  # attitude of the newest external pose
         self.fit_s = -math.inf  # time when the supervisor last reported armed or ready to arm, s
-        self._leaning: Vec3 | None = None  # mean of up in the poses minus measured up, body frame
+        self._leaning: Vec3 | None = None  # mean of up by poses minus up by specific force, body frame
 
     def alive(self, now_s: float) -> bool:
         """Whether states of the Crazyflie arrive; without them no telemetry is sent."""
@@ -132,7 +132,7 @@ class Condition:
         return Battery(voltage_v, self.health.battery_percent if self.health is not None else -1)
 
     def take_gravity(self, acceleration_flu_g: Vec3) -> None:
-        """While the vehicle stands, compare up in the poses with the direction of the specific force."""
+        """Compare the up direction of poses and of the specific force while the vehicle stands."""
         attitude, length = self._pose_quaternion, math.hypot(*acceleration_flu_g)
         flying = self.state is None or self.state.info & Info.FLYING
         if attitude is None or flying or abs(length - 1.0) > _AT_REST_G:

@@ -15,7 +15,7 @@ _FRAME = 12  # length of a MAVLink 2 header and checksum, bytes
 _SIGNATURE = 13  # length of a signature, bytes
 _IN_A_ROW = 3  # minimum number of message periods in the state's maximum age; two messages may be lost
 _BAUDS = (9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600, 1_500_000, 3_000_000)
-# rates of the messages besides state and set-points, Hz, as in PX4 v1.16
+# rates of the messages other than state and set-points, Hz, as in PX4 v1.16
 _OUT_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}
 _IN_HZ = {
     dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0, dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0, **_OUT_HZ,

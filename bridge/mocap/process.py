@@ -167,7 +167,7 @@ class MocapVehicle:
         id_ = message.get_msgId()
         if id_ == dialect.MAVLINK_MSG_ID_HEARTBEAT:
             self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-            if message.autopilot != self._autopilot or not self.heard(now_s):  # perhaps another vehicle
+            if message.autopilot != self._autopilot or not self.heard(now_s):  # may be another vehicle
                 self._autopilot, self._origin_known = message.autopilot, False
                 self.profile = found(message.autopilot)
                 self._origin_sender.restart()

@@ -18,7 +18,7 @@ def suits(config: FlightConfig) -> bool:
 
 
 def suits_but_filter(config: FlightConfig) -> bool:
-    """Whether the compiled landing kernel supports all features except, perhaps, the filter."""
+    """Whether the compiled landing kernel supports all features; the filter is not checked."""
     return (
         not config.fleet.others
         and config.velocity_loop.dead_time_s == 0.0  # compiled code has no queue of set-points

@@ -164,7 +164,7 @@ class SenderClock:
         else:
             before_s = m.run_arrival_s if m.run_since_s < math.inf else m.taken_s
             silent = arrival_s - before_s > GAP_MAX_S
-            began = silent and transit_s - m.offset_s > QUEUE_MAX_S  # no queue after a pause is that late
+            began = silent and transit_s - m.offset_s > QUEUE_MAX_S  # too late for a queue after a pause
             sure = began or reading in (Reading.AHEAD, Reading.OUT_OF_ORDER)
             m.run_since_s, m.run_way_s, m.run_sure = arrival_s, transit_s, sure
             if silent and m.stamp_s - stamp_s > self._reboot_s:

@@ -134,7 +134,7 @@ class Runner:
     def _leave(self, ended: Ended, *, works: bool) -> Ended:
         """Request the landing until the heartbeat confirms it; the returned reason states the outcome."""
         memory, began_s, self._leaving.leaves = self._controller.memory, time.monotonic(), True
-        arms = self._leaving.arms and not memory.was_armed  # arming can follow after this process has ended
+        arms = self._leaving.arms and not memory.was_armed  # the vehicle may arm after this process has ended
         works = works and not arms
         while True:
             status, waited_s = self._wires.read().status, time.monotonic() - began_s

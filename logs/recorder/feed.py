@@ -44,7 +44,7 @@ class Attachment(msgspec.Struct, tag=True):
 
 
 class Losses(msgspec.Struct, tag=True):
-    """Number of records that a client has dropped so far; the first record of a client, to send its name."""
+    """Number of records that a client has dropped so far; sent first, because it contains the name."""
 
     client: str
     dropped: int

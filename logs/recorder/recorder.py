@@ -3,7 +3,7 @@
 A separate process survives a crash of other processes and then closes the file; disk and compressor never
 delay the control loop. Written data immediately survive a crash of the recorder, but the kernel may hold them
 for half a minute, so the recorder also syncs the file to the disk. This may take long on a memory card;
-meanwhile the clients buffer their data.
+during this time the clients buffer their data.
 """
 
 from __future__ import annotations

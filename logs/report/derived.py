@@ -1,4 +1,4 @@
-"""Values that the report derives from a flight: faults, first contact, sides of a page."""
+"""Values that the report derives from a flight: faults, first contact, flights of a page."""
 
 from __future__ import annotations
 

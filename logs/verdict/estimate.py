@@ -106,7 +106,7 @@ def _outcome(flight: Flight, steps: Steps, touch: Touch | None) -> tuple[Outcome
     feet_m, gap_m = feet_and_gap_m(flight.config)
     d_m, height_m = float(steps.d_m[at]), float(steps.e_m[at, 2]) - feet_m
     carried = flight.pad_carries
-    if not carried:  # the target moves on, also vertically; the floor does not
+    if not carried:  # the target continues to move, also vertically; the floor does not move
         sank_m = steps.own_position_enu_m[touch.index, 2] - steps.own_position_enu_m[at, 2]
         height_m = float(touch.e_m[2] - sank_m) - feet_m
     velocity_m_s = steps.relative_velocity_m_s if carried else steps.own_velocity_enu_m_s

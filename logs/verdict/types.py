@@ -161,7 +161,7 @@ def never_began(flight: Judged, judged_from: str) -> Verdict:
 
 
 def judged_until(flight: Judged, t_s: Floats, d_m: Floats) -> int:
-    """Return the index of the first state whose h no longer counts, after an abort or a take-off that clears.
+    """Return the index of the first state whose h does not count, after an abort or after leaving the pad.
 
     A vehicle that lands beside the robot ends below its pad, where h < 0 by geometry. The first state beyond
     the clearance distance still counts, with the physics steps before it. Without the configuration the

@@ -164,7 +164,7 @@ class Flight(Commander):
         return self.vehicle.armed and not self.standing
 
     def sensors_healthy(self, _now_s: float) -> int:
-        """Return the bits of position and fence: without the latter MAVProxy reports a breach of a fence."""
+        """Return the bits of position and fence; without the fence bit MAVProxy reports a fence breach."""
         return (POSITION_SOURCE if self.positioned else 0) | int(dialect.MAV_SYS_STATUS_GEOFENCE)
 
     def problems(self, _now_s: float) -> list[str]:

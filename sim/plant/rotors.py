@@ -121,7 +121,7 @@ class BatteryRecord(Record):
 
 @jitted
 def drain(b: BatteryRecord, rpm: F64, dt_s: float) -> None:
-    """Discharge for ``dt_s``; besides idle current, the current follows the cube of each motor's speed."""
+    """Discharge for ``dt_s``; the current of each motor is proportional to the cube of its speed."""
     power = 0.0
     for i in range(4):
         power += math.pow(rpm[i], 3.0)

@@ -21,7 +21,7 @@ SLICE_S = 0.1  # longest wait for the socket, s
 
 
 class LinkClosedError(ConnectionError):
-    """The connection has ended: PX4 closed it, or the client is not PX4; the message says which."""
+    """The connection has ended, with the cause as text: PX4 closed it, or the client is not PX4."""
 
 
 def parse_endpoint(text: str, *, allow_unsigned: bool) -> tuple[str, int]:

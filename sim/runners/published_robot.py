@@ -79,7 +79,7 @@ class PublishedRobot(Robot):
         self._open()
 
     def _open(self) -> None:
-        """Declare the keys besides the odometry."""
+        """Declare the keys in addition to that of the odometry."""
 
     def take(self, tick: int) -> Deck:
         """Advance to the next tick; return the true pose there."""

@@ -175,7 +175,7 @@ class Scenario:
         return seed_of(seed, 1) if self.one_target else None
 
     def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
-        """Yield scenario and seed of each member; alone, it flies as with these if no other comes near.
+        """Yield scenario and seed of each member; flown alone, they give its flight if no other comes near.
 
         A room has one mean wind; its direction is drawn from the seed of the run if a member gives none.
         Gusts differ for each member. The first member has the seed of the run.

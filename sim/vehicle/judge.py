@@ -166,7 +166,7 @@ class Team:
         # (P, 3) smallest values, infinite at first: distance of the centres of mass, m; this distance while
         # both vehicles flew; norm of the ellipsoid while both flew
         self.least = np.full((number, 3), np.inf)
-        # inside: (P,) whether both flew in the last call, one inside the other's ellipsoid; overlap_ms:
+        # inside: (P,) whether, in the last call, both flew and one was in the other's ellipsoid; overlap_ms:
         # (P,) time from the first tick of that call to the first overlap of the shapes, ms; -1: no overlap
         self.inside, self.overlap_ms = np.zeros(number, dtype=np.int64), np.full(number, -1, dtype=np.int64)
 

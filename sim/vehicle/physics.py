@@ -1,7 +1,7 @@
 """Physics of one vehicle without its autopilot, and the compiled loop with set-points and motion capture.
 
-The physics is world, rotors, battery, wind, deck, and the true state. Interpreted Python only draws random
-numbers in advance and applies faults.
+The physics consists of world, rotors, battery, wind, deck, and the true state. Interpreted Python only draws
+random numbers in advance and applies faults.
 """
 
 from __future__ import annotations

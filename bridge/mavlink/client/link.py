@@ -217,8 +217,8 @@ class VehicleLink:
     def took(self, own: OwnState, ticks: int, passed: Iterable[int], *, setpoints: bool) -> None:
         """Record ticks that ran without ``poll``.
 
-        ``passed``: ids of the messages that arrived besides the vehicle states, all of them ``repeated``;
-        ``setpoints``: all ticks sent a set-point, else none.
+        ``passed``: ids of the other messages that arrived with the vehicle states, all of them ``repeated``;
+        ``setpoints``: whether all ticks sent a set-point; False: no tick did.
         """
         self.state.took(own)
         self._setpoints += ticks if setpoints else 0

@@ -21,7 +21,7 @@ from bridge.mavlink.transport.address import Peer
 
 SILENT_S = 2.5  # time without a frame after which the known sender counts as silent, s; heartbeats have 1 Hz
 _APART_S = 0.5  # time for which frames of both addresses prove two senders, s; reordering is shorter
-_GAP_MAX = 4  # largest small step of the sequence number (modulo 256): three lost frames
+_GAP_MAX = 4  # largest expected step of the sequence number (modulo 256): three lost frames
 _STEADY = 8  # number of frames in a row with steps up to _GAP_MAX after which a larger step is suspicious
 _AGAIN_S = 0.95  # time after which a repeated contradicting heartbeat is accepted, s: heartbeats have 1 Hz
 _FRAMES = 200  # number of stored frames; below 256, so that their sequence numbers differ
@@ -68,7 +68,7 @@ class Senders:
 
     @property
     def suspects(self) -> bool:
-        """Whether another address, perhaps a second vehicle, has sent recently; this blocks arming."""
+        """Whether another address has sent recently: it may be a second vehicle, so arming is blocked."""
         return any(self._now_s - last_s <= SILENT_S for _, last_s in self._others.values())
 
     def take_notices(self) -> list[str]:

@@ -99,7 +99,7 @@ def split_frames(datagram: bytes, counters: Counter[str] | None = None) -> list[
 
 
 def with_signed_flag(frame: bytes) -> bytes:
-    """Set the signed flag of an unsigned frame; a wrong checksum stays wrong. The caller adds a signature."""
+    """Set the signed flag of an unsigned frame that the caller then signs; a wrong checksum remains wrong."""
     return _with_flags(frame, len(frame), FLAG_SIGNED)
 
 

@@ -121,7 +121,7 @@ class Report:
     profile: Profile | None  # profile of the autopilot; None: not recognised
     version: str | None  # release of the autopilot; None: not received
     findings: tuple[Finding, ...]  # one per checked parameter; empty if the check ended early
-    problem: str | None  # reason besides parameters that forbids the flight, or None
+    problem: str | None  # reason against the flight other than parameters, or None
     notes: tuple[str, ...] = ()  # texts for the operator about the release
     rules: str | None = None  # release whose rules were used; None: no rules
     # text with the required data rates of a serial line; None: the link is not serial

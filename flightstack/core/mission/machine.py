@@ -197,7 +197,7 @@ class Mission(Situation):
         return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > self.config.retreat.abort_time_max_s
 
     def _down(self, status: VehicleStatus, now_s: float) -> bool:
-        """Whether no report shows the vehicle in the air or, in a recent heartbeat, armed."""
+        """Whether the vehicle is not reported in the air and, if the heartbeat is recent, not armed."""
         fresh = now_s - status.arrival_s <= self.config.checks.status_age_max_s
         return status.landed in _NOT_FLYING and not (status.armed and fresh)
 

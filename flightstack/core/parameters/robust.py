@@ -33,7 +33,7 @@ class VelocityLoop:
     error_max_m_s: Annotated[float, span(0.05, 10.0)] = 0.6
     slope_time_s: Annotated[float, span(0.01, 1.0)] = 0.05  # time constant of the smoothed acceleration
     disturbance_time_s: Annotated[float, span(0.1, 10.0)] = 0.6  # time constant of the disturbance estimate
-    disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # largest disturbance; wind of 2 m/s: 0.25
+    disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # largest disturbance; 0.25 in wind of 2 m/s
 
     def late_ticks(self, period_s: float) -> int:
         """Return the number of ticks from a horizontal set-point to its first effect."""

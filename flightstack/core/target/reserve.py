@@ -1,7 +1,7 @@
 """Estimate of the thrust reserve in flight; it limits accelerations and decides whether to land.
 
-docs/how_it_works/robust_filter.md, *The thrust reserve*, derives the estimate: from the throttle in flight,
-else from the voltage. Without data the lowest reserve is used, for which the certificate holds.
+docs/how_it_works/robust_filter.md, *The thrust reserve*, derives the estimate. It uses the throttle in flight
+or, without a throttle, the voltage. Without data the lowest reserve for which the certificate holds is used.
 """
 
 from __future__ import annotations
