@@ -5,8 +5,8 @@ python examples/publish_target.py [--key KEY] [--speed M/S] [--listen ENDPOINT] 
 
 ``flightstack fly --target KEY --connect ENDPOINT ...`` lands on this target. The message is
 nav_msgs/msg/Odometry in CDR: the pose of the pad's centre in the frame "map" (x east, y north, z up, metres),
-and the twist in the robot's own frame. With ``--deck KEY`` the same
-message also moves the pad in the simulator, where the simulated vehicle can then land on it.
+and the twist in the robot's own frame. With ``--deck KEY`` the program also sends each message to the
+simulator, which moves the simulated pad, so that a simulated vehicle can land on it.
 """
 
 import argparse

@@ -100,7 +100,7 @@ class Wires(Protocol):
 
 
 class Runner:
-    """Runner of a flight's ticks; ``write`` logs each with the wall time until its outputs were sent, s."""
+    """Runner of a flight's ticks; ``write`` logs a tick and the wall time until its outputs were sent, s."""
 
     def __init__(
         self, controller: Controller, wires: Wires, leaving: Leaving,

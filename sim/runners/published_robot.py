@@ -239,7 +239,7 @@ def deck_state(payload: bytes) -> Deck:
 
 
 class RealTimeDeck:
-    """A deck that follows received true poses: it moves on with the last twist and is corrected smoothly."""
+    """A deck that follows received true poses: it continues with the last twist and is corrected smoothly."""
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
         self._subscriber = zenoh_link.ring_subscriber(session, truth_key(namespace))

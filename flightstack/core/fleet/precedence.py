@@ -104,7 +104,7 @@ def decide(
 def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
     """Whether this vehicle must make a new claim to break a cycle of members that yield to each other.
 
-    Clocks that disagree can cause a cycle of three. The member with the highest id makes its new claim first.
+    Clocks that disagree can cause a cycle of three members. The highest id makes its new claim first.
     """
     first = [slot.message for _, slot in slots if slot.yields and slot.message is not None]
     if not first or not all(message.yields_to and message.intent not in GOES for message in first):

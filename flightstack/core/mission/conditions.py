@@ -182,7 +182,7 @@ def time_flags(s: Situation, now_s: float) -> int:
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
-    """Whether states arrived for ``recovery_time_s``, and a heartbeat, after all inputs had become good.
+    """Whether states arrived ``recovery_time_s`` after all inputs became good, and a heartbeat since then.
 
     An input that arrives rarely, or in bursts, counts as good until it is too old.
     """
@@ -296,7 +296,7 @@ def _sets_off(s: Situation, at: Relative, now_s: float) -> bool:
 
 
 def waits_for_calm(s: Situation, at: Relative, now_s: float) -> bool:
-    """Whether the vehicle waits, because the target is too fast and time is left; never on the pad."""
+    """Whether the vehicle waits for a slower target, because time is left; never on the pad."""
     touchdown, wait_s = s.config.touchdown, s.config.touchdown.calm_wait_s
     if wait_s == 0.0 or now_s - s.memory.started_s >= wait_s:
         return False

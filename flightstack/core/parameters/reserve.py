@@ -36,11 +36,11 @@ class Reserve:
     lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # lowest voltage in flight that is certified
     sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # voltage drop from rest to hover
     start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # margin above lowest_voltage_v before a landing
-    throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # highest mean throttle; single motors saturate
+    throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # highest mean throttle; above it a motor saturates
     # mean motor voltage at the highest thrust command, if the firmware compensates the battery
     motor_voltage_max_v: Annotated[float, span(0.1, 100.0)] | None = None
     thrust_exponent: Annotated[float, span(0.5, 3.0)] = 1.5  # exponent p of the thrust
-    share: Annotated[float, span(0.1, 1.0)] = 0.5  # fraction of the reserve for commands; the rest: for wind
+    share: Annotated[float, span(0.1, 1.0)] = 0.5  # part of the reserve for commands; the rest is for wind
     smoothing_s: Annotated[float, span(0.2, 20.0)] = 1.0  # time constant of the estimate in flight
 
     def __post_init__(self) -> None:
