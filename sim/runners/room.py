@@ -79,7 +79,8 @@ class Room:
     def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
         self._grid, self._feed = grid, feed
         self._pairs = list(combinations(members, 2))  # (1, 2) first
-        # vehicles that can meet another one, in the order of the members
+        # vehicles that can meet another one, in the order of the members; without them, no jet is computed in
+        # a tick (6 us) or compiled (1.6 s)
         self._vehicles = list(dict.fromkeys(each.vehicle for pair in self._pairs for each in pair))
         self._jets = np.zeros((len(self._vehicles), JET))
         shapes = [Shape.of(each.params) for each in self._vehicles]

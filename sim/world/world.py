@@ -160,7 +160,8 @@ def compiled_model(params: Params, mass_kg: float, target: TargetSpec) -> mujoco
     """Return the model of a vehicle with this mass; its inertia scales with the mass."""
     if not math.isfinite(mass_kg) or mass_kg <= 0.0:
         raise ValueError(f"mass_kg: found {mass_kg}, a positive number is needed")
-    spec, scale = _parsed(model_xml(params, target)), mass_kg / params.body.mass_kg
+    # a copy, because other threads may use the parsed model
+    spec, scale = _parsed(model_xml(params, target)).copy(), mass_kg / params.body.mass_kg
     vehicle = spec.body("vehicle")
     vehicle.mass, vehicle.inertia = mass_kg, [each * scale for each in params.body.inertia_kg_m2]
     return spec.compile()

@@ -217,7 +217,7 @@ class VehicleLink:
     def took(self, own: OwnState, ticks: int, passed: Iterable[int], *, setpoints: bool) -> None:
         """Record ticks that ran without ``poll``.
 
-        ``passed``: ids of the other messages that arrived with the vehicle states, all of them ``repeated``;
+        ``passed``: ids of the other messages that arrived; those that this link heeds are ``repeated``;
         ``setpoints``: whether all ticks sent a set-point; False: no tick did.
         """
         self.state.took(own)

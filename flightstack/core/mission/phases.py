@@ -61,7 +61,8 @@ class Condition(IntEnum):
     CUT_OFF = 1 << 29  # too few fleet members send messages, and the pad is not the shortest way down
     CHECK_FAILED = 1 << 30  # a check in ``conditions.check_fails`` ends the flight and gives the reason
     NO_RESULT = 1 << 31  # the user's filter returned no velocity in the last tick
-    SET_OFF = 1 << 32  # in TOUCHDOWN, with enough h to climb away: a slow target has become fast
+    # in TOUCHDOWN, with enough h to climb away and retries left: a slow target has become fast
+    SET_OFF = 1 << 32
 
 
 C = Condition
@@ -167,6 +168,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         Rule(C.DRIFTED | C.RETRIES_LEFT, Phase.APPROACH, "going to miss the pad: go around"),
         Rule(C.DRIFTED, Phase.ABORT, "going to miss the pad, and no retry left"),
         Rule(C.SET_OFF | C.RETRIES_LEFT, Phase.APPROACH, "the target has become too fast: go around"),
+        Rule(C.SET_OFF, Phase.ABORT, "the target has become too fast, and the battery allows no go-around"),
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "no contact, or motors did not stop"),
     ),
     Phase.LANDED: (

@@ -61,6 +61,21 @@ def test_a_landing_in_batches_is_the_same_to_the_last_bit(name, seed, filter_nam
     assert_equal(load(name).with_filter(filter_name), seed, least)
 
 
+@pytest.mark.skipif(is_off(), reason="without numba no tick is compiled")
+def test_messages_that_repeat_known_values_end_no_call_of_compiled_code():
+    flights, ticks = Flights(load("lab"), 4), []
+    call = flights.batches._call
+
+    def counted(*arguments):
+        flown, how = call(*arguments)
+        ticks.append(flown)
+        return flown, how
+
+    flights.batches._call = counted
+    flights.fly()
+    assert sum(ticks) / len(ticks) > 16  # 14 if each SYS_STATUS and EXTENDED_SYS_STATE ended a call
+
+
 @pytest.mark.parametrize(
     ("rate_hz", "filter_name"),
     [(10, "robust"), (15, "paper"), (37, "robust"), (144, "paper"), (500, "robust")],

@@ -4,9 +4,9 @@ import pytest
 
 from flightstack.core.memory import Memory
 from flightstack.core.mission import conditions
-from flightstack.core.mission.phases import Condition
+from flightstack.core.mission.phases import TABLE, Condition, first
 from flightstack.core.strategies.user_filter import NOWHERE
-from flightstack.core.types import Phase
+from flightstack.core.types import Charge, Phase
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, mission_of, names, tick
@@ -39,14 +39,19 @@ def test_a_vehicle_that_is_on_the_pad_already_stays_there(height_m, waits):
     assert bool(at & Condition.TOUCH) is not waits
 
 
-def goes_around(height_m=0.6, speed_m_s=0.1, **memory):
-    """Whether a vehicle in phase TOUCHDOWN above the centre of the target goes around."""
+def leads_to(height_m=0.6, speed_m_s=0.1, charge=Charge.FIT, **memory):
+    """Return the phase after TOUCHDOWN of a vehicle above the centre of the target; None: no change."""
     moving = (speed_m_s, 0.0, 0.0)
-    at = tick(
-        CALM, (0.0, 0.0, height_m), target_velocity=moving, velocity=moving,
+    flags = tick(
+        CALM, (0.0, 0.0, height_m), target_velocity=moving, velocity=moving, charge=charge,
         memory=Memory(phase=Phase.TOUCHDOWN, **memory),
     )  # fmt: skip
-    return bool(at & Condition.SET_OFF)
+    rule = first(TABLE[Phase.TOUCHDOWN], flags)
+    return rule.to if rule is not None else None
+
+
+def goes_around(*where, **memory):
+    return leads_to(*where, **memory) is Phase.APPROACH
 
 
 def test_a_target_that_sets_off_during_the_descent_is_gone_around_from_while_there_is_height():
@@ -58,6 +63,7 @@ def test_a_target_that_sets_off_during_the_descent_is_gone_around_from_while_the
     assert goes_around(retries=CALM.checks.retries_max - 1)
     assert not goes_around(retries=CALM.checks.retries_max)
     assert not goes_around(started_s=-CALM.touchdown.calm_wait_s)
+    assert leads_to(charge=Charge.TIRED) is Phase.ABORT  # the battery allows no go-around
 
 
 CHECKS, PAD_M = ROBUST.checks, ROBUST.touchdown.pad_radius_m

@@ -75,6 +75,7 @@ not_following -> ABORT: vehicle does not follow its velocity set-points
 drifted & retries_left -> APPROACH: going to miss the pad: go around
 drifted -> ABORT: going to miss the pad, and no retry left
 set_off & retries_left -> APPROACH: the target has become too fast: go around
+set_off -> ABORT: the target has become too fast, and the battery allows no go-around
 phase_time_over -> ABORT: no contact, or motors did not stop
 HOLD
 = OPERATOR, VEHICLE, CUT_OFF
