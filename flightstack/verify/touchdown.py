@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 from itertools import accumulate, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,42 +59,56 @@ def modelled(config: FlightConfig) -> Check:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=16)  # several checks of one configuration need it
 def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     """Return the largest distance from the centre in the final descent, m, and its time, s, over all lags.
 
     The range of lags is divided into intervals; each one uses its slowest decay and its largest rho.
     """
     declared_s, spread = config.velocity_loop.lag_xy_s, config.envelope.lag_spread
+    robust, gain = config.robust, config.robust.gain_over_pad_1_s
+    descent = _Descent(
+        gain, x.velocity_error_m_s + gain * x.position_error_m, x.target_acceleration_m_s2,
+        robust.commit_radius_m + x.position_error_m, robust.commit_speed_m_s,
+        min(descent_time_s(config, x), config.touchdown.timeout_s),
+    )  # fmt: skip
     if declared_s <= 0.0 or spread <= 0.0:
-        return _drift_of_m(config, x, declared_s, 0.0)
+        return _drift_of_m(descent, declared_s, 0.0)
     cuts = [declared_s * (1.0 + spread * (2.0 * i / PIECES - 1.0)) for i in range(PIECES + 1)]
     pieces = (
         (slow, max(abs(fast - declared_s) / fast, abs(slow - declared_s) / slow))
         for fast, slow in pairwise(cuts)
     )
-    return max(_drift_of_m(config, x, lag_s, rho) for lag_s, rho in pieces)
+    return max(_drift_of_m(descent, lag_s, rho) for lag_s, rho in pieces)
 
 
-def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> tuple[float, float]:
+class _Descent(NamedTuple):
+    """Numbers of a final descent, which are hashed; a configuration from Python code can contain lists."""
+
+    gain_1_s: float
+    error_m_s: float  # error of the commanded velocity
+    target_acceleration_m_s2: float
+    distance_m: float  # at the start of the final descent
+    speed_m_s: float  # relative to the target, at the start of the final descent
+    time_s: float
+
+
+@lru_cache(maxsize=64)  # several checks of one configuration need it
+def _drift_of_m(descent: _Descent, lag_s: float, rho: float) -> tuple[float, float]:
     """Return the result of ``drift_m`` for one tau and rho.
 
     The linear comparison system is solved exactly at each step; the possible growth between two steps is
     added.
     """
-    gain, decay_1_s = config.robust.gain_over_pad_1_s, 1.0 / max(lag_s, STEP_S)
-    error = x.velocity_error_m_s + gain * x.position_error_m
+    (gain, error, acceleration, y, speed, time_s), decay_1_s = descent, 1.0 / max(lag_s, STEP_S)
     rates = np.zeros((3, 3))  # derivatives of y, z and the constant 1
     rates[0] = -gain, 1.0, error
-    pushed = x.target_acceleration_m_s2 + gain * error
+    pushed = acceleration + gain * error
     rates[1] = rho * gain * gain, rho * gain - decay_1_s, rho * pushed
     step = matrix_exp(STEP_S * rates)
-    y = config.robust.commit_radius_m + x.position_error_m
-    state = np.array([y, config.robust.commit_speed_m_s + error + gain * y, 1.0])
-    steps = math.ceil(min(descent_time_s(config, x), config.touchdown.timeout_s) / STEP_S)
+    state, steps = np.array([y, speed + error + gain * y, 1.0]), math.ceil(time_s / STEP_S)
     path = np.array(list(accumulate(range(steps), lambda now, _: step @ now, initial=state)))
-    speed, bend = np.abs(path @ rates[0]).max(), np.abs(path @ (rates @ rates)[0]).max()
-    between_m = 0.5 * STEP_S * (speed + STEP_S * bend)
+    fastest, bend = np.abs(path @ rates[0]).max(), np.abs(path @ (rates @ rates)[0]).max()
+    between_m = 0.5 * STEP_S * (fastest + STEP_S * bend)
     last = int(path[:, 0].argmax())
     return float(path[last, 0] + between_m), last * STEP_S
 

@@ -2,6 +2,7 @@
 
 import math
 import random
+from dataclasses import replace
 
 import pytest
 from hypothesis import example, given
@@ -12,7 +13,7 @@ from flightstack.core.safety.projection import best_corner
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus
 from flightstack.verify.bound import Span
-from flightstack.verify.certificate import problems
+from flightstack.verify.certificate import checks, problems
 from flightstack.verify.envelope import extremes
 from flightstack.verify.paper import shortfall
 from flightstack.verify.robust import demand, demand_change, outside
@@ -78,6 +79,12 @@ def test_each_limit_from_both_sides(name, passes, fails):
         assert found.remedy
         if found.need is Need.FLIGHT:
             assert found.text in problems(config(**fails))
+
+
+def test_a_configuration_made_in_python_may_hold_lists():
+    made = config()
+    listed = replace(made, limits=replace(made.limits, velocity_max_m_s=list(made.limits.velocity_max_m_s)))
+    assert [each.name for each in checks(listed)] == [each.name for each in checks(made)]
 
 
 @pytest.mark.parametrize("alpha_1_m", [0.5, 2.0, 2.5, 3.33, 3.34, 5.0, 9.0])
