@@ -81,10 +81,12 @@ def trajectory_3d(flights: Mapping[str, Flight]) -> go.Figure | None:
     colors, named = dict(zip(flights, cycle(COLORS), strict=False)), set[str]()
     for name, paths in found.items():
         for track, e_m in reversed(paths):
-            width, color = (7, colors[name]) if track.dash == "solid" else (4, ESTIMATED)
-            _line_3d(figure, e_m, f"{name} ({track.source})", color, width, track.dash, legendgroup=name)
+            width, of = 7 if track.dash == "solid" else 4, f"{name} ({track.source})"
+            _line_3d(figure, e_m, of, colors[name], width, track.dash, legendgroup=name)
+    for name, paths in found.items():
         for what, at_m, symbol in _places(flights[name], paths[0][1]):
-            more = {"showlegend": what not in named, "legendgroup": name}
+            # a click in the legend hides the markers of all vehicles, but no path
+            more = {"showlegend": what not in named, "legendgroup": f"markers: {what}", "hovertext": name}
             _marker(figure, at_m, what, _SYMBOLS_3D[symbol], INK, **more)
             named.add(what)
     # the camera is beside the first approach, so that the path is in front of the surface
@@ -189,8 +191,8 @@ def plan(flight: Flight) -> go.Figure | None:
     return figure
 
 
-def room_3d(sides: Sequence[Side]) -> go.Figure:
-    """Draw all paths in 3-D, with heights and distances at the same scale."""
+def room_3d(sides: Sequence[Side]) -> go.Figure | None:
+    """Draw all paths in 3-D, with heights and distances at the same scale; ``None``: no known positions."""
     figure = go.Figure()
     for number, side in enumerate(sides):
         color, group = COLORS[number % len(COLORS)], {"legendgroup": side.name}
@@ -201,6 +203,8 @@ def room_3d(sides: Sequence[Side]) -> go.Figure:
             for at_m, what, symbol in ((known[0], "start", "circle"), (known[-1], "end", "square")):
                 more = {"showlegend": False, "hovertext": what, **group}
                 _marker(figure, at_m, side.name, symbol, color, **more)
+    if not figure.data:
+        return None
     return layout_3d(
         figure,
         ("x, east [m]", "y, north [m]", "z, up [m]"),

@@ -17,7 +17,7 @@ pytest.importorskip("plotly", reason="the report needs plotly: install the extra
 
 FIGURES = 12
 FLEET_FIGURES = 30  # 3 of all vehicles together, and 9 of each
-SIZE_MAX = 6e6  # maximum size of the page with its plotting library, bytes
+SIZE_MAX = 6e6  # maximum size of the page of one to three vehicles, with its plotting library, bytes
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 BROWSER_LIMIT_S = 180
 
@@ -120,13 +120,25 @@ def test_the_page_of_a_fleet_is_drawn_without_a_complaint(tmp_path, browse, flow
     for words in ("all 3 landed", "cf1–cf3", "cf3 right of way", "time since the first landing began [s]"):
         assert words in seen.text.replace("\N{WORD JOINER}", "")
     assert {"#cf1", "#cf2", "#cf3"} <= set(seen.sources)  # links to the figures of each member
-    assert len(page.read_text(encoding="utf-8")) < SIZE_MAX
+    text = page.read_text(encoding="utf-8")
+    assert len(text) < SIZE_MAX
+    assert "Who waited for whom" not in text
+    assert 'class="columns"' not in text  # one panel has the whole width
 
 
 def test_a_log_that_is_cut_short_gives_a_page_that_says_so(tmp_path):
     page = Page(report_of(write_log(tmp_path / "flight.mcap", landing(), complete=False)).read_text())
     assert "Mind when reading" in page.text
     assert "cut short or damaged" in page.text
+
+
+def test_a_figure_without_a_known_position_is_not_drawn(tmp_path):
+    rows = landing()
+    rows.truth, rows.steps = [], [row._replace(own_valid=False) for row in rows.steps]
+    text = report_of(write_log(tmp_path / "flight.mcap", rows)).read_text(encoding="utf-8")
+    for key in ("relative", "room", "cf1-altitude", "cf1-plan"):
+        assert f'id="figure-{key}"' not in text
+        assert "Not drawn" in re.search(rf'<section id="{key}">.*?</section>', text, re.DOTALL)[0]
 
 
 @pytest.mark.parametrize("kind", ["bare estimate", "no steps"])

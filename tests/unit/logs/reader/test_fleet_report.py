@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from click.testing import CliRunner
 
 from flightstack.cli.main import main
 from flightstack.core.types import Intent
+from logs.recorder.markers import COLORS
 from logs.report.report import write_report
 from logs.verdict.verdict import judge_fleet
 
@@ -71,6 +73,7 @@ def test_the_page_shows_all_members_together_and_each_of_them(told):
         assert text.count(f'class="figure" id="figure-{member}-') == 9
         assert told["vehicles"][member]["report"] == told["report"]
     assert text.count('class="figure"') == 3 + 9 * len(MEMBERS)
+    assert text.count('class="columns"') == 1  # two tables side by side
     for words in ("waits for cf1", "cf2 right of way", "Save as scenario.toml", "times inside",
                   "flightstack sitl --scenario scenario.toml --seed 1 --filter robust --lockstep",
                   "flightstack replay flight.mcap --check<", "cf3.controller", "cf3 seed"):  # fmt: skip
@@ -93,6 +96,28 @@ def test_the_page_names_the_pairs_that_may_have_collided(read, tmp_path, poor, b
     text = write_report(cut, judge_fleet(cut), tmp_path / "report.html").read_text(encoding="utf-8")
     ending = ": a collision or an ellipsoid violation cannot be excluded"
     assert re.findall(f"<li>([^<]*){ending}</li>", text) == begins
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group("fleet_log")
+def test_the_paths_of_a_member_have_its_colour_and_its_group_of_the_legend(read):
+    """A click in the legend hides the paths of one member, or one kind of marker of all members."""
+    from logs.report.space import trajectory_3d
+
+    lines, markers = defaultdict(set), defaultdict(set)
+    for trace in trajectory_3d(read.flights).select_traces({"type": "scatter3d"}):
+        if trace.mode == "markers":
+            markers[trace.legendgroup].add(trace.name)
+        else:
+            lines[trace.legendgroup].add((trace.name, trace.line.color, trace.line.dash))
+    rim = lines.pop(None)
+    assert {name for name, *_ in rim} == {"rim of the pad"}
+    assert dict(lines) == {
+        name: {(f"{name} (true)", color, "solid"), (f"{name} (estimate)", color, "dash")}
+        for name, color in zip(MEMBERS, COLORS, strict=False)
+    }
+    assert sorted(markers.values(), key=min) == [{"end"}, {"start"}, {"touchdown"}]
+    assert not markers.keys() & lines.keys()
 
 
 @pytest.mark.slow
