@@ -151,7 +151,11 @@ def test_a_viewer_that_hangs_holds_up_nobody(sender, watching):
         (["--view", "scene.txt"], "web or a file that ends with .rrd"),
         (["--view", "web", "--json"], "give one of them"),
         (["--view", "x.rrd", "--config", "nonesuch"], "nonesuch"),
-        (["--view", "x.rrd", *["--config", "crazyflie"] * 2], "found 2; one for each --namespace"),
+        (["--view", "x.rrd", *["--config", "crazyflie"] * 2], "found 2; none, or one for each --namespace"),
+        (
+            ["--view", "x.rrd", "--namespace", "a", "--namespace", "b", "--config", "crazyflie"],
+            "needed, here 2",
+        ),
     ],
 )
 def test_wrong_words_are_refused(tmp_path, words, told):

@@ -200,19 +200,15 @@ def test_nobody_there_is_said_and_exit_status_1():
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (["--once", "--connect", "nonsense"], "allowed"),
-        (["--once", "--namespace", "a//b"], "allowed"),
-        (["--once", *2 * ["--namespace", "cf1"]], "--namespace: found cf1, cf1; each vehicle is given once"),
-        (["--view", "x.rrd", "--namespace", "cf1", "--namespace", "cf2", "--config", "crazyflie"],
-         "--config: found 1; none, or one for each --namespace is needed, here 2"),
-        (["--view", "x.rrd", *2 * ["--config", "crazyflie"]],
-         "--config: found 2; none, or one for each --namespace is needed, here 1"),
+        (["--connect", "nonsense"], "allowed"),
+        (["--namespace", "a//b"], "allowed"),
+        (["--namespace", "cf1"] * 2, "--namespace: found cf1, cf1; each vehicle is given once"),
     ],
-)  # fmt: skip
-def test_wrong_words_are_refused(words, why, tmp_path):
-    done = called("watch", *words, cwd=tmp_path)
+)
+def test_wrong_words_are_refused(words, why):
+    done = called("watch", "--once", *words)
     assert done.code == 2
-    assert why in " ".join(done.err.split())
+    assert why in done.err
 
 
 @pytest.mark.parametrize(("namespaces", "code"), [(["cf1"], 0), (["cf1", "cf2"], 1)])
