@@ -15,7 +15,7 @@ def stream(seed: int, purpose: str) -> np.random.Generator:
 def member(seed: int, number: int) -> int:
     """Return the seed of one member of a team; the first member has the seed of the team.
 
-    A member's random numbers do not depend on the size of the team.
+    The random numbers of a member do not depend on the size of the team.
 
     ``seed``: seed of the team; ``number``: number of the member, from 1.
     Raises ValueError: the number is below 1.

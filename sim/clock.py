@@ -10,7 +10,7 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import wait_until
 
 NS_PER_S = 1_000_000_000
-STARTUP_S = 600.0  # time-out of the start of a run's other processes, wall time, s; long for slow computers
+STARTUP_S = 600.0  # time-out for the start of the other processes, s of wall time; long for slow computers
 _MATCH_PAUSE_S = 0.002  # time between two checks for subscribers, s
 
 
@@ -21,7 +21,7 @@ class NoAnswerError(RuntimeError):
 def run_process(verb: str, work: Callable[[Stop, ExitStack], None]) -> int:
     """Run ``work`` as a process of the simulator; print errors after the command's name ``verb``.
 
-    Returns the exit status: 0 if ended in order, 1 after a time-out, 2 for bad input.
+    Returns the exit status: 0 after an orderly end, 1 after a time-out, 2 for bad input.
     """
     stop = Stop()
     try:
@@ -50,7 +50,7 @@ class TickGrid:
     def ms(self, tick: int) -> int:
         """Return the time of a tick in whole ms, rounded.
 
-        Ticks are uneven by 1 ms if the rate does not divide 1000.
+        If the rate does not divide 1000, the periods differ by 1 ms.
         """
         return (2000 * tick + self.rate_hz) // (2 * self.rate_hz)
 

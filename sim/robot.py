@@ -72,7 +72,7 @@ def course(spec: TargetSpec, speed_m_s: float, turn_rate_rad_s: float) -> Course
 
 
 def _to_waypoints(points_m: Sequence[tuple[float, float]], speed_m_s: float, turn_rad_s: float) -> Course:
-    """Steer to each waypoint in order, repeatedly; turn on the spot if the next one is behind the robot."""
+    """Steer to each waypoint in order, repeatedly; turn on the spot if the waypoint is behind the robot."""
     following = 0
 
     def steer(_t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
@@ -136,7 +136,7 @@ class MotionRecord(Record):
     accel_max: float
     turn_accel_max: float
     behind: float  # distance of the pad behind the axle, m
-    height: float  # height of the pad, m
+    height: float  # mean height of the pad's top above the floor, m
     heave: float  # amplitude of the heave, m
     heave_rad_s: float
     heave_phase: float
@@ -159,7 +159,7 @@ def arc(length_m: float, turn_rad: float) -> tuple[float, float]:
 
 @jitted
 def wrap(angle_rad: float) -> float:
-    """Return the angle in the interval (-pi, pi]."""
+    """Return the equal angle in the interval (-pi, pi]."""
     return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)
 
 

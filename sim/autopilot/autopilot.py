@@ -32,7 +32,7 @@ class Autopilot(Server[Flight]):
     def __init__(
         self, vehicle: VehicleSim, rate_hz: float, *, system_id: int = SYSTEM_ID, epoch_ns: int = 0
     ) -> None:
-        """Start the autopilot; a flying vehicle holds. ``epoch_ns``: Unix time at simulated time zero."""
+        """Start the autopilot, in HOLD if the vehicle flies. ``epoch_ns``: Unix time at simulated time 0."""
         parameters = Parameters(px4_parameters(system_id))
         self.flight = Flight(vehicle, parameters, 1.0 / rate_hz)
         self._epoch_ns = epoch_ns
@@ -43,7 +43,7 @@ class Autopilot(Server[Flight]):
         self.flight.control(now_s)
 
     def snapshot(self, now_s: float) -> Snapshot[Flight]:
-        """Return the state of the vehicle; its boot clock is the simulated time."""
+        """Return the state of the vehicle; the boot clock is the simulated time."""
         estimate = self.flight.vehicle.estimate()
         return Snapshot(self.flight, estimate, estimate.valid, now_s, now_s, self._epoch_ns)
 
@@ -77,7 +77,7 @@ class Autopilot(Server[Flight]):
     def _reboot(self, command: Command) -> Answer:
         what = integer(command.given(1))
         if what == 0:
-            return Answer()  # value 0, "do nothing", for example if only the companion restarts
+            return Answer()  # accept value 0, "do nothing", for example if only the companion restarts
         if what != 1:
             return Answer(DENIED, "Reboot refused: param1 must be 1, nothing else can be done")
         reason = self.flight.reboot(command.now_s)
@@ -119,7 +119,7 @@ _OWN = (
     real("MIS_TAKEOFF_ALT", 0.5, 0.1, 20.0, in_flight=True),  # height above the take-off position, m
     real("MPC_TKO_SPEED", 0.5, 0.1, 1.0, in_flight=True),  # climb speed of the take-off, m/s
     real("MPC_LAND_SPEED", 0.3, 0.1, 0.8, in_flight=True),  # sink speed of the landing, m/s
-    real("MPC_XY_CRUISE", 0.5, 0.1, 2.0, in_flight=True),  # largest speed in the autopilot's modes, m/s
+    real("MPC_XY_CRUISE", 0.5, 0.1, 2.0, in_flight=True),  # maximum speed in the autopilot's modes, m/s
     # Limits to which set-points are clipped, m/s. The defaults have no effect: set-points above 5 m/s are
     # rejected.
     real("MPC_XY_VEL_MAX", 5.0, 0.1, 20.0),

@@ -1,4 +1,4 @@
-"""Arming, modes and fail-safes of the simulated vehicle, and their inputs: charge and ground contact.
+"""Arming, modes and fail-safes of the simulated vehicle, with two inputs: charge and ground contact.
 
 The charge is computed as in PX4 battery.cpp. The voltage under load plus the voltage drop at this throttle is
 compared with the voltages of an empty and a full cell. Voltage and throttle are low-pass filtered, because
@@ -86,7 +86,7 @@ class Standing:
     def __init__(self, vehicle: VehicleSim) -> None:
         self._vehicle = vehicle
         self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # whether it stands on a surface
-        self.since_s = 0.0  # time at which this state started, s
+        self.since_s = 0.0  # time since which ``now`` has its value, s
         self._contact = self.now
         self._changed_s = 0.0
 
@@ -110,8 +110,8 @@ class Standing:
 
 
 HEIGHT_RANGE_M = (0.1, 20.0)  # allowed take-off height above home, m; the room is lower
-# Mode that COM_OBL_RC_ACT selects (PX4 failsafe.cpp). 0 is position mode: it cannot be flown without stick
-# input, so PX4 also lands.
+# Mode that COM_OBL_RC_ACT selects (PX4 failsafe.cpp). Value 0 selects position mode, which needs stick
+# input; without this input PX4 lands, too.
 STREAM_LOST: Mapping[int, FlightMode] = {0: FlightMode.LAND, 4: FlightMode.LAND, 5: FlightMode.HOLD}
 _ESTIMATE_LOST_S = 0.5  # time without a valid estimate after which the vehicle lands, s
 
@@ -303,9 +303,9 @@ class Flight(Commander):
             self._fall_back(now_s, FlightMode.LAND, "No position estimate")
 
     def _fall_back(self, now_s: float, mode: FlightMode, text: str) -> None:
-        """Change to HOLD or LAND because of a failure; on the ground, or without a position, to LAND."""
+        """Change to ``mode`` because of a failure; on the ground, or without a position, change to LAND."""
         if self.standing or not self.positioned:
-            mode = FlightMode.LAND  # this mode disarms on the ground and needs no position
+            mode = FlightMode.LAND  # LAND disarms on the ground and needs no position
         doing = "landing" if mode is FlightMode.LAND else "holding"
         self.texts.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {doing}")
         self._enter(mode, now_s, failsafe=True, restart=True)

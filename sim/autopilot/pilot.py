@@ -19,9 +19,9 @@ from sim.plant.states import Estimate
 from sim.vehicle.vehicle import VehicleSim
 
 _INTEGRAL_GAIN_1_S2 = 0.25  # gain of the integral, which cancels wind and mass errors in some seconds
-_INTEGRAL_MAX_M_S = 0.4  # limit of the integral: above the steady error at 10 % mass error and 2 m/s of wind
+_INTEGRAL_MAX_M_S = 0.4  # limit of the integral, above the steady error at 10 % mass error and 2 m/s of wind
 _LEARN_BELOW_M_S = 0.1  # proportional velocity above which the integral is constant (anti-windup)
-_SLEW_M_S2 = 1.0  # slew limit; at 27 g and K_v = 0.5 N s/m a step of 0.53 m/s would command zero thrust
+_SLEW_M_S2 = 1.0  # slew limit; a step of 0.53 m/s would command zero thrust at 27 g and K_v = 0.5 N s/m
 _ARRIVED_M = 0.05  # height error at which a height counts as reached, half of the Crazyflie's size
 _ARRIVED_M_S = 0.15  # vertical speed below which a height counts as reached
 
@@ -44,7 +44,7 @@ class Pilot:
         self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last set-point to the firmware; None: none yet
         self._vehicle, self._parameters = vehicle, parameters
         self._setpoint: Setpoint | None = None
-        self._fresh = False  # whether the set-point has not been sent to the firmware yet
+        self._fresh = False  # whether the newest received set-point still has to be sent to the firmware
         self._engaged = False  # whether the position loop has started in this mode
         self._yaw_rad = 0.0  # heading to hold
         self._point_enu_m: Vec3 = ZERO  # position to hold
@@ -112,7 +112,7 @@ class Pilot:
         return p["MPC_XY_VEL_MAX"], p["MPC_Z_VEL_MAX_UP"], p["MPC_Z_VEL_MAX_DN"]
 
     def _engage(self, estimate: Estimate) -> None:
-        """Start the position loop: hold the point where the vehicle stops, which is v / gain ahead."""
+        """Start the position loop; the hold point is where the vehicle stops, at a distance of v / gain."""
         (x, y, z), (vx, vy, _) = estimate.position_enu_m, estimate.velocity_enu_m_s
         gain_1_s = self._parameters["MPC_XY_P"]
         self._point_enu_m = (x + vx / gain_1_s, y + vy / gain_1_s, z)
@@ -122,7 +122,7 @@ class Pilot:
         self._engaged = True
 
     def _approach(self, estimate: Estimate, dt_s: float, *, lands: bool, learn: bool) -> None:
-        """Fly towards the hold point, or sink; level without an estimate; ``learn``: change the integral."""
+        """Fly to the hold point, or sink; without an estimate, fly level. ``learn``: change the integral."""
         p, (xy_m_s, up_m_s, down_m_s) = self._parameters, self._clip
         down_m_s = min(down_m_s, p["MPC_LAND_SPEED"])
         wanted = (0.0, 0.0, -down_m_s if lands else 0.0)
@@ -146,7 +146,7 @@ class Pilot:
 
     def _fly_offboard(self, estimate: Estimate, dt_s: float) -> Event | None:
         setpoint = self._setpoint
-        if setpoint is None:  # before the first set-point; the check of the stream runs first
+        if setpoint is None:  # no set-point yet; the check of the stream runs before this method
             return None
         if not self._engaged:
             self._yaw_rad, self._engaged = yaw_from_quaternion(estimate.quaternion), True
@@ -171,7 +171,7 @@ def _learnt(integral: float, error: float, proportional: float, dt_s: float) -> 
 
 
 def _clipped(velocity_enu_m_s: Vec3, xy_m_s: float, up_m_s: float, down_m_s: float) -> Vec3:
-    """Limit a velocity to the vehicle's speeds; its horizontal direction does not change."""
+    """Limit a velocity to the vehicle's speeds; the horizontal direction does not change."""
     x, y, z = velocity_enu_m_s
     if x * x + y * y <= xy_m_s * xy_m_s and -down_m_s <= z <= up_m_s:
         return velocity_enu_m_s

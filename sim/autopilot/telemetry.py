@@ -1,4 +1,4 @@
-"""Telemetry that only the simulated autopilot sends, and the room's WGS84 origin; see server/telemetry.py."""
+"""Telemetry that only the simulated autopilot sends, and the room's WGS84 origin."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def _altitude(s: Snapshot[Flight]) -> Message:
 
 
 def _odometry(s: Snapshot[Flight]) -> Message:
-    # The velocity is in world axes: measured in PX4 1.16's ODOMETRY (frame_id = child_frame_id = 1), because
-    # its estimator's velocity is NED (PX4 streams/ODOMETRY.hpp, EKF2.cpp).
+    # The velocity is in world axes, as PX4 1.16 sends it (measured: frame_id = child_frame_id = 1): the
+    # velocity of PX4's estimator is NED (PX4 streams/ODOMETRY.hpp, EKF2.cpp).
     e = s.estimate
     return dialect.MAVLink_odometry_message(
         s.boot_us, dialect.MAV_FRAME_LOCAL_NED, dialect.MAV_FRAME_LOCAL_NED,

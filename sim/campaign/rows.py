@@ -1,4 +1,4 @@
-"""One row for each landing of a campaign (vehicle or team), and the file to which rows are appended.
+"""Rows of a campaign, one for each landing of a vehicle or team, and the file to which rows are appended.
 
 Floats keep every bit in the file; an empty field means "not known", never zero.
 """
@@ -30,7 +30,7 @@ from sim.runners.landing import Landing
 ERROR = "error"  # outcome of a landing that could not be simulated to its end
 _OUTCOMES = frozenset({ERROR, *(outcome.value for outcome in Outcome)})
 CELL_M = 0.1  # width and height of a cell of the map of h, m
-E_Z_LOW_M = -0.3  # lower edge of the map's lowest cells, which include all lower values
+E_Z_LOW_M = -0.3  # lower edge of the lowest cells of the map, m; these cells include all lower values
 D_CELLS, E_Z_CELLS = 30, 30  # numbers of cells of the map; the last cells include all larger values
 # columns with the duration of a phase
 _TIMED = {
@@ -79,15 +79,15 @@ class Row:
     target_age_max_s: float | None = None  # largest age of the target state since the landing started
     simulated_s: float | None = None  # duration of the run, simulated time
     wall_s: float | None = None  # wall time, s; the only value that the seed does not determine
-    cells: str = ""  # map of h: "i j mm" for each visited cell of (d, e_z), with the lowest h in it
-    outcomes: str = ""  # outcomes of all vehicles, cf1 first; empty for one vehicle, like the next fields
+    cells: str = ""  # map of h: "i j mm" for each visited cell (i, j) of (d, e_z); mm: lowest h in this cell
+    outcomes: str = ""  # outcomes of all vehicles, cf1 first; empty for one vehicle, as the next fields are
     collisions: int | None = None  # number of pairs of vehicles that collided
     # number of times that two vehicles in flight entered the ellipsoid around each other
     ellipsoid_violations: int | None = None
     ellipsoid_min: float | None = None  # smallest ellipsoid norm between two flying vehicles; below 1: inside
     distance_min_m: float | None = None  # smallest distance between two vehicles
-    wait_max_s: float | None = None  # longest time that a vehicle waited for its right of way
-    # keys with which the scenario exceeds its configuration's proof, also for single vehicles
+    wait_max_s: float | None = None  # longest time for which a vehicle waited for the right of way
+    # keys with which the scenario exceeds its configuration's proof; also given for single vehicles
     outside_envelope: str = ""
 
     @property
@@ -108,7 +108,7 @@ def judge_landing(flown: Landing) -> FleetVerdict:
 
 
 def row_of(flown: Landing) -> Row:
-    """Return the row of a run: sums of retries and phase durations, and the worst vehicle's other values."""
+    """Return the row of a run: retries and phase durations as sums, all other values of the worst vehicle."""
     verdict, vehicles = judge_landing(flown), [_values(landing) for landing in flown.members]
     deepest = min(vehicles, key=lambda each: each["h_min_outside_pad_m"])
     known = {name: [each[name] for each in vehicles if each[name] is not None] for name in vehicles[0]}
@@ -206,7 +206,7 @@ def _text(row: Row) -> str:
 
 def _row(values: list[str]) -> Row:
     given = {name: value for name, value in zip(_NAMES, values, strict=True) if value}
-    # one object for equal texts: a million landings have few different reasons
+    # equal texts share one object: a million landings have few different reasons
     row = msgspec.convert({**given, "reason": sys.intern(given.get("reason", ""))}, Row, strict=False)
     if row.outcome not in _OUTCOMES:
         raise ValueError(f"the outcome is {row.outcome!r}")
@@ -219,7 +219,7 @@ def _row(values: list[str]) -> Row:
 def read_rows(path: Path) -> list[Row]:
     """Read a file of rows up to its first incomplete line; if a seed has several rows, return the last.
 
-    A campaign may still write the file: the line at which a read ends can be complete in the next read.
+    A campaign may still append to the file: a line that is incomplete now can be complete in the next read.
 
     Raises RowsError: the file has a wrong format or a damaged line.
     """

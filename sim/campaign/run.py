@@ -78,12 +78,12 @@ class Plan:
 
     @property
     def filter_name(self) -> str:
-        """Name of the safety filter; in a team, of the first vehicle."""
+        """Name of the safety filter; in a team, that of the first vehicle."""
         return self.scenario.onboard.filter
 
     @property
     def duration_max_s(self) -> float:
-        """Longest simulated time of a landing, s; for a team the sum over its vehicles."""
+        """Maximum simulated time of a landing, s; for a team the sum over all vehicles."""
         return sum(each.duration_max_s for each in self.scenario.members)
 
 
@@ -110,7 +110,7 @@ class Flown:
 def _known_rows(wanted: Plan, now: dict[str, Any], folder: Path) -> list[Row]:
     """Return the rows of a folder; ``now``: data that all rows must share (``identity``).
 
-    Raises RowsError: rows of another campaign or of other seeds, or damaged ones.
+    Raises RowsError: the folder has rows of another campaign, rows of other seeds, or damaged rows.
     """
     path, about = folder / ROWS, folder / ABOUT
     if not path.exists() and not about.exists():
@@ -140,7 +140,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
 
     ``workers``: number of processes, unused on a cluster; ``cluster``: address of a Dask scheduler, None:
     this machine; ``on_row``: called with each row, including rows of earlier calls. Raises RowsError: the
-    folder has other content, or another campaign runs there; WorkersError: workers end before they fly;
+    folder has other content, or another campaign runs there; WorkersError: no worker process starts;
     ClusterError: the cluster cannot be used.
     """
     began_s = time.monotonic()
@@ -210,7 +210,7 @@ def _filter(name: str) -> dict[str, str]:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Lock a folder against other campaigns; add its name to a system error, such as that of a full disk.
+    """Lock a folder against other campaigns; add the folder's name to system errors, such as a full disk.
 
     Raises RowsError: another campaign holds the lock.
     """
@@ -240,7 +240,7 @@ _MAP = (
     "Cells below it were entered on the last centimetres over the pad, or by a violation."
 )
 
-# name of the panel, title, text of the x axis, factor from the column to the axis, column of the rows
+# each: name of the panel, title, text of the x axis, factor from the column to the axis, column of the rows
 _HISTOGRAMS = (
     ("error", "Touchdown error", "d at first contact [cm]", 100.0, "touchdown_error_m"),
     ("vertical", "Touchdown speed, vertical", "relative to the pad, downwards [m/s]", 1.0,
@@ -282,7 +282,7 @@ def write_page(path: Path, wanted: Plan, flown: Flown) -> None:
 
 
 def _histogram(rows: Sequence[Row], key: str, title: str, axis: str, scale: float, column: str) -> Panel:
-    """Return the panel of one row of ``_HISTOGRAMS``; in that of h a line marks the limit of a violation."""
+    """Return the panel of one row of ``_HISTOGRAMS``; in that of h, a line marks the limit of a violation."""
     import plotly.graph_objects as go
 
     from logs.curves import BOUNDARY, TRUE
@@ -302,7 +302,7 @@ def _histogram(rows: Sequence[Row], key: str, title: str, axis: str, scale: floa
 
 
 def h_map(wanted: Plan, rows: Sequence[Row]) -> go.Figure:
-    """Return the map of the lowest h over distance and height, with the boundary of the barrier."""
+    """Return the map of the lowest h over distance and height, with the boundary h = 0."""
     import plotly.graph_objects as go
 
     from logs.curves import BOUNDARY

@@ -42,12 +42,12 @@ def count(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def kinds(row: Row) -> list[str]:
-    """Return the names under which a progress bar counts a landing: outcome, ``violations`` if violated."""
+    """Return the names under which a progress bar counts a landing: outcome, and ``violations`` after one."""
     return [row.outcome, *(["violations"] if row.violation else [])]
 
 
 def upper_bound(events: int, runs: int, confidence: float = CONFIDENCE) -> float:
-    """Return the one-sided upper Clopper-Pearson bound of a rate: p with P(X <= events) = 1 - confidence."""
+    """Return the one-sided upper Clopper-Pearson bound p of a rate: P(X <= events) = 1 - confidence."""
     if not 0 <= events <= runs or runs < 1:
         raise ValueError(f"{events} events in {runs} runs: a number of runs and no more events are needed")
     return 1.0 if events == runs else float(scipy.special.betaincinv(events + 1, runs - events, confidence))
@@ -133,7 +133,7 @@ def why(row: Row) -> str:
     return f"{told}; violation {found}"
 
 
-# line of the printed summary: key, key within the value if it is an object, name, unit, factor
+# lines of the printed summary: key, key within the value if the value is an object, name, unit, factor
 _LINES: tuple[tuple[str, str, str, str, float], ...] = (
     ("runs", "", "landings flown", "", 1.0),
     ("landed", "", "landed", "", 1.0),

@@ -27,7 +27,7 @@ from sim.vehicle.declared import outside
 
 _ALONE = threading.Lock()  # serialises landings: threads of a cluster's worker would only wait for each other
 _PACKAGES = ("flightstack", "bridge", "sim", "logs")
-SLOWEST = 0.05  # smallest ratio of simulated to wall time; a slower worker is ended
+SLOWEST = 0.05  # lower limit of the ratio of simulated to wall time; a slower worker is ended
 
 
 @lru_cache(maxsize=4)
@@ -71,7 +71,7 @@ def fly_seed_as(code: str, scenario_toml: str, seed: int) -> Row:
 
 @lru_cache(maxsize=1)
 def code_fingerprint() -> str:
-    """Return the hash of the simulated code; rows of different versions must not be mixed."""
+    """Return the hash of the simulated code; rows of different code versions must not be mixed."""
     digest = hashlib.sha256()
     for package in _PACKAGES:
         folder = Path(str(files(package)))
@@ -88,7 +88,7 @@ def fly_here(
 
     ``scenario_toml``: the scenario as text; ``duration_max_s``: longest landing, simulated time; ``given``:
     pickled class of a filter that is in no module, for processes that are not forked.
-    Raises WorkersError: the processes end before they fly anything.
+    Raises WorkersError: no worker process starts.
     """
     if may_fork():
         loaded(scenario_toml)
@@ -140,7 +140,7 @@ def fly_on_cluster(address: str, scenario_toml: str, seeds: Iterable[int]) -> It
         for seed, future in results(client.get_executor(pure=False), work, deque(seeds), ahead):
             try:
                 yield future.result()
-            except Exception as died:  # its workers died or have other code; other errors are rows already
+            except Exception as died:  # workers died or have other code; other errors have become rows
                 yield error_row(seed, f"{type(died).__name__}: {died}")
 
 

@@ -15,7 +15,7 @@ from sim.plant.sensors import NS
 from sim.scenarios.fault_spec import Kind, What
 
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
-_SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # only this message has a 32-bit time in us
+_SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # the only message with a 32-bit time in us
 _HEARTBEAT_FIELDS = ("base_mode", "custom_mode", "system_status")
 _VELOCITY_FIELDS = ("vx", "vy", "vz")
 _MODE_BITS, _STATES = 1 << 26, 9  # upper limits of custom_mode and system_status in a damaged heartbeat
@@ -119,7 +119,7 @@ class Fate(NamedTuple):
 
     due_ns: tuple[int, ...]  # arrival times, ns; none if lost, two if duplicated
     damaged: bool = False  # whether the checksum is wrong
-    stall: Running | None = None  # stalled link, for whose end the message waits; None: no stall
+    stall: Running | None = None  # stall at whose end the message passes; None: no stall
 
 
 # affected direction and message ids (None: all), by component

@@ -153,8 +153,8 @@ ESTIMATE: Shape[Estimate] = Shape(_move_estimate, lambda first, _: first)
 class EstimateFaults(SampleFaults[Estimate]):
     """Faults of the state estimate between firmware and autopilot.
 
-    On a Crazyflie the radio carries a log stream of the estimate: the firmware uses the correct estimate,
-    autopilot and companion receive the faulty one. ``due_ns``: time of the next call of ``sample``.
+    On a Crazyflie the radio carries a log stream of the estimate. The firmware uses the correct estimate;
+    autopilot and companion receive the faulty estimate. ``due_ns``: time of the next call of ``sample``.
     """
 
     def __init__(self) -> None:

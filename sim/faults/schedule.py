@@ -90,7 +90,7 @@ class ScheduledFaults:
         return any(running.fault.after is after for running in self._waiting)
 
     def refer(self, after: After, now_ns: int) -> None:
-        """Schedule the faults that waited for this event, which occurs now; further calls have no effect."""
+        """Schedule the faults that waited for this event, which occurs now; repeated calls have no effect."""
         ready = [r for r in self._waiting if r.fault.after is after]
         self._waiting = [r for r in self._waiting if r.fault.after is not after]
         for running in ready:

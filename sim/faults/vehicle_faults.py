@@ -1,6 +1,7 @@
 """All faults of one vehicle.
 
-This code runs only when a fault starts, ends or is active; the compiled loop has two numbers for each motor.
+This code runs only when a fault starts, ends or is active. For a motor fault it changes two numbers of each
+motor, which the compiled loop reads.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class BatteryFaults(Component):
         self._take(charge_a_s, volts)
 
     def end(self, running: Running, now_ns: int) -> None:
-        """Restore the charge and the voltage that the fault has taken from the battery."""
+        """Add the charge and the voltage that the fault has taken back to the battery."""
         super().end(running, now_ns)
         charge_a_s, volts = running.memory
         self._take(-charge_a_s, -volts)

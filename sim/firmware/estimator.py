@@ -8,9 +8,9 @@ d causes the acceleration g d), the vertical one is the accelerometer's bias.
 
 There are two forms. The default form uses all three accelerometer axes, so wind and drag do not look like
 tilt; a pose has no roll and pitch. With ``known_drag_1_s`` the estimator has the firmware's form: in flight
-it uses only body z of the accelerometer, the drag along body x and y is ``kalman.dragB_x`` and ``_y`` (along
-z the accelerometer measures it), a pose has a full attitude, and no bias is estimated. Unmodelled drag makes
-the estimated velocity too high: 16 % at 0.46 1/s.
+it uses only body z of the accelerometer, computes the drag along body x and y from ``kalman.dragB_x`` and
+``_y`` (the accelerometer measures the drag along z), receives full attitudes, and estimates no bias.
+Unmodelled drag makes the estimated velocity too high, by 16 % at 0.46 1/s.
 
 The gains are the steady state of the discrete Kalman filter at the capture's rate. Noise figures are from
 firmware kalman_core_params_defaults.h and kalman_core.c, which add (sigma dt)^2 every 1 ms: procNoiseAcc 0.5
@@ -42,7 +42,7 @@ INNOVATION_AGE_MAX_S = 0.5  # time without a sample after which the estimate is 
 
 @cache
 def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float, float, float]:
-    """Return stationary gains on (position, velocity, acceleration error) for one metre of innovation.
+    """Return the stationary gains on (position, velocity, acceleration error) for one metre of innovation.
 
     ``accel_std``: the firmware's acceleration noise on this axis, m/s^2 per step of 1 ms. Gyro noise becomes
     a random walk of the acceleration error.
@@ -72,7 +72,7 @@ def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float
 def pose_gains(
     period_s: float, gravity: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return the stationary gains of a pose on (position, velocity, tilt): for one metre, for one radian."""
+    """Return the stationary gains of a pose on (position, velocity, tilt): per metre, then per radian."""
     t, g = FIRMWARE_STEP_S, gravity
     f = np.array([[1.0, t, 0.5 * g * t * t], [0.0, 1.0, g * t], [0.0, 0.0, 1.0]])
     q = np.diag([(ACCEL_XY_M_S2 * t * t) ** 2, (ACCEL_XY_M_S2 * t) ** 2, (GYRO_RAD_S * t) ** 2])

@@ -1,12 +1,12 @@
 """The paper's velocity controller, and the geometric attitude control below it.
 
 The velocity controller is eq. 8: tau_p = -K_v (v - u*) + m G. The stock Mellinger controller rejects
-velocity set-points, so the paper must have added this control law. It uses the nominal mass and thrust scale,
-not the true ones of this vehicle. With the paper's K_v = 0.5 N s/m on 32 g the velocity gain is 16 1/s, but
+velocity set-points, so the paper must have added this control law. Mass and thrust scale in it are nominal,
+not those of this vehicle. With the paper's K_v = 0.5 N s/m on 32 g the velocity gain is 16 1/s, but
 the attitude bandwidth is only about 8 1/s: the loop is under-damped by design.
 
-A limit of this module is not in the paper: the desired force has a minimum upward part and a tilt limit.
-Without it, a downward step of 0.63 m/s commands zero thrust, and a larger step an inverted attitude.
+This module adds two limits to the paper: a minimum of the upward force, and a maximum tilt. Without them, a
+downward step of 0.63 m/s commands zero thrust, and a larger step an inverted attitude.
 
 The attitude part is that of the Crazyflie's Mellinger controller (firmware controller_mellinger.c), in FLU:
 
@@ -77,8 +77,8 @@ def attitude_moments(p: PaperRecord, axes: Nine, desired: Nine, wx: float, wy: f
 
 
 K_V_N_S_M = 0.5  # velocity gain, section V of the paper: K_v = 0.5 I
-UP_SHARE_MIN = 0.2  # smallest upward force, divided by the weight
-TAN_TILT_MAX = math.tan(math.radians(40.0))  # largest tilt is 40 degrees; thrust suffices up to 49
+UP_SHARE_MIN = 0.2  # lower limit of the upward force, divided by the weight
+TAN_TILT_MAX = math.tan(math.radians(40.0))  # tilt limit, 40 degrees; thrust suffices up to 49
 
 
 @jitted

@@ -1,7 +1,7 @@
-"""The firmware's legacy power distribution and thrust map: they convert counts to rotor speed commands.
+"""The firmware's legacy power distribution and thrust map, which convert counts to rotor speed commands.
 
-It follows firmware power_distribution_quadrotor.c and motors.c: the excess of a motor above full duty is
-subtracted from all four motors. In the firmware's map, counts are linear in thrust (65535 = THRUST_MAX).
+The mixer follows firmware power_distribution_quadrotor.c and motors.c: the excess of a motor above full duty
+is subtracted from all four motors. In the firmware's map, counts are linear in thrust (65535 = THRUST_MAX).
 Below THRUST_MIN a motor stops. A map to volts (``Rotor.volt_map``) converts counts to volts, limited to the
 battery voltage; without this map counts are limited to 65535.
 """

@@ -1,12 +1,12 @@
 """The Crazyflie's PID cascade: position and velocity at 100 Hz, attitude and rate at 500 Hz.
 
-It follows firmware position_controller_pid.c, attitude_pid_controller.c, controller_pid.c and pid.c, with
-gains of platform_defaults_cf2.h. Angles are in degrees, as in the firmware. All axes are FLU: the firmware's
-inverted pitch cancels. Position set-points use the position loop, velocity set-points do not; the velocity in
-a position set-point is ignored. A change between the two kinds changes the mode. As in the firmware, the
-velocity loop has an integral limit of 5000 (so it winds up), thrust in flight is at least 20000 counts, and
-the D-term uses the measurement. A change of mode or zero thrust resets all integrals and the last rate in
-the rate loops, so the rate loops' derivative has one peak.
+The cascade follows firmware position_controller_pid.c, attitude_pid_controller.c, controller_pid.c and pid.c,
+with gains of platform_defaults_cf2.h. Angles are in degrees, as in the firmware. All axes are FLU: the
+firmware's inverted pitch cancels. Position set-points use the position loop, velocity set-points do not; the
+velocity in a position set-point is ignored. A change between the two kinds changes the mode. As in the
+firmware, the velocity loop has an integral limit of 5000 (so the integral winds up), thrust in flight is at
+least 20000 counts, and the D-term uses the measurement. A change of mode or zero thrust sets all integrals
+and the last rates of the rate loops to zero, so the derivative in the rate loops has one peak.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ POSITION_EVERY = 5  # number of control steps per position step; stabilizer_type
 POSITION_STEP_S = POSITION_EVERY * CONTROL_STEP_S
 LATE_MAX = 60  # maximum number of set-points in the dead time of a loop, 0.6 s
 SPEED_MAX_M_S = 1.1 * 1.0  # speed limit of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX, each axis
-TILT_MAX_DEG = 20.0  # largest commanded tilt: PID_VEL_ROLL_MAX, PID_VEL_PITCH_MAX
+TILT_MAX_DEG = 20.0  # upper limit of the commanded tilt: PID_VEL_ROLL_MAX, PID_VEL_PITCH_MAX
 THRUST_BASE = 36000.0  # thrust without velocity error, counts: PID_VEL_THRUST_BASE
-THRUST_MIN = 20000.0  # smallest thrust in flight, counts: PID_VEL_THRUST_MIN
+THRUST_MIN = 20000.0  # lower limit of the thrust in flight, counts: PID_VEL_THRUST_MIN
 THRUST_SCALE = 1000.0  # counts per output of the velocity loop: thrustScale (position_controller_pid.c)
 COUNTS_MAX = 65535.0
 INT16_MAX = 32767.0

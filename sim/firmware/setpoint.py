@@ -59,8 +59,8 @@ class InboxRecord(Record):
     """Ring buffer of set-points in transit."""
 
     rows: Annotated[F64, ROOM * WIDTH]  # arrival times in whole ms, and set-points
-    first: int  # number of the oldest row that has not arrived
-    end: int  # number of the next row
+    first: int  # number of the oldest set-point that has not arrived
+    end: int  # number of the next set-point to be sent
     taken_ms: int  # arrival time of the current set-point
 
 

@@ -17,8 +17,8 @@ from sim.firmware.supervisor import STATES, State, SupervisorRecord, flies, supe
 from sim.plant.params import Four, Params
 from sim.scenarios.tables import VehicleSpec, VelocityLoop
 
-BATTERY_MIN_V = 3.2  # lowest voltage for arming (platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE)
-TILT_MAX_COS = 0.5  # cosine of the largest tilt for arming, 60 degrees
+BATTERY_MIN_V = 3.2  # minimum battery voltage for arming (platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE)
+TILT_MAX_COS = 0.5  # cosine of the maximum tilt for arming, 60 degrees
 
 PAPER, PID = 0, 1
 
@@ -108,7 +108,7 @@ class Firmware:
     def start_flying(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
         """Start armed in hover at yaw 0 and time zero; return the velocity set-point of the hover.
 
-        ``force``: force of nominal motors, world, N; ``motors``: ratio of each motor's thrust to the mean.
+        ``force``: force of nominal motors, world, N; ``motors``: thrust of each motor divided by their mean.
         """
         r, trim = self.record, ZERO
         thrust_n = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)

@@ -1,9 +1,9 @@
 """Supervisor: arming, set-point watchdog, tumble detection; a table holds the transitions.
 
-It follows firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated at 25 Hz, for a build
-that requires arming. It omits: the checks before arming, the spin-up (here part of DISARMED), the emergency
-stop, deck faults, and the intermediate states before DISARMED and LOCKED. A disarm command acts immediately
-and also ends CRASHED; the firmware has a separate request to end CRASHED.
+The table follows firmware supervisor.c and supervisor_state_machine.c (2026.08) of a build that requires
+arming; it is evaluated at 25 Hz. Omitted are the checks before arming, the spin-up (here part of DISARMED),
+the emergency stop, deck faults, and the intermediate states before DISARMED and LOCKED. A disarm command
+acts immediately and also ends CRASHED; the firmware has a separate request to end CRASHED.
 
 In flight, compiled code evaluates the table in numeric form, where a state is its index in ``STATES``.
 """
@@ -23,9 +23,9 @@ TIMEOUT_MS = 2000  # set-point age that causes LOCKED, ms; supervisor.c: COMMAND
 FLYING_HYSTERESIS_MS = 2000  # idle time that ends a flight, ms; IS_FLYING_HYSTERESIS_THRESHOLD
 READY_TIMEOUT_MS = 30_000  # preflight time-out of platform_defaults.h, ms
 LANDED_TIMEOUT_MS = 3000  # landing time-out of platform_defaults.h, ms
-TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # tilted if body z reads less, g; tumbled after this, ms
+TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # tilted: body z reads less than this, g; allowed time, ms
 TUMBLE_UPSIDE_DOWN_G, TUMBLE_UPSIDE_DOWN_MS = -0.2, 100
-FREE_FALL_G = 0.1  # largest reading in free fall, g, which resets the tumble timer; supervisor.c
+FREE_FALL_G = 0.1  # limit of the readings in free fall, g; free fall resets the tumble timer (supervisor.c)
 
 
 class State(Enum):
@@ -137,7 +137,7 @@ def supervise(
 
 
 def restart(s: SupervisorRecord) -> None:
-    """Set the state to that after power-on."""
+    """Set the state that follows power-on."""
     enter(s, STATES.index(State.DISARMED), 0)
     s.motors_last_ms, s.tilted_since_ms = -FLYING_HYSTERESIS_MS - 1, _UPRIGHT
 

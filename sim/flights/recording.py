@@ -45,7 +45,7 @@ class Quantity(NamedTuple):
     required: bool = True  # whether a recording without these columns is rejected
 
 
-# columns as published with NanoBench (arXiv 2603.09908); most names are those of the firmware's log variables
+# columns as published with NanoBench (arXiv 2603.09908); most names are names of the firmware's log variables
 QUANTITIES: Mapping[str, Quantity] = {
     "time": Quantity("time_s", ("t",), "s"),
     "position": Quantity("position_m", ("px", "py", "pz"), "m"),
@@ -74,7 +74,7 @@ class Recording:
     rates_rad_s: Floats  # (n, 3) gyro reading, body FLU
     duty: Floats  # (n, 4) duty cycles of the motors M1 to M4, 0 to 1
     battery_v: Floats  # (n,) voltage under load
-    # estimate_position_m, estimate_velocity_m_s: (n, 3) output of the on-board estimator
+    # (n, 3) position and velocity that the on-board estimator reported
     estimate_position_m: Floats | None = None
     estimate_velocity_m_s: Floats | None = None
     setpoint_position_m: Floats | None = None  # (n, 3) position set-points, world

@@ -1,13 +1,14 @@
 """Selects the usable parts of a recorded flight, and states why other parts are left out.
 
 First the values are checked: units, signs, order, clocks. Each quantity is compared with another quantity of
-the same flight, or with the range of a small quadrotor; they may differ by a factor of ``FAR``. The gyro is
+the same flight, or with the range of a small quadrotor; a factor of ``FAR`` is allowed. The gyro is
 logged on board, the attitude comes from motion capture. Both show the same rotation, so their lag is the
 offset of the two clocks. Over radio this offset may drift by a tenth of a second within a flight.
 
 Each check of the screening marks samples. A marked sample also excludes ``MARGIN_S`` on both sides, because
 loggers interpolate over damaged values. A piece must last at least ``PIECE_MIN_S`` in the air. A flight with
-more damage than ``DAMAGED_MAX`` is excluded: its estimator or link failed before a limit was exceeded.
+more damage than ``DAMAGED_MAX`` is excluded, because its estimator or link failed before the first marked
+sample.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ from numpy.typing import NDArray
 
 from sim.flights.recording import QUANTITIES, Floats, Recording, RecordingError, read_recording
 
-FAR = 6.0  # allowed factor between two quantities; any two units differ by more
+FAR = 6.0  # maximum ratio of two compared quantities; a wrong unit causes a larger ratio
 STEP_S = (0.5e-3, 0.1)  # allowed sample period, s; longer periods do not show a quadrotor's motion
-ROOM_M = 50.0  # largest extent of a flight, m
+ROOM_M = 50.0  # maximum allowed extent of a flight, m
 CELL_V = 3.7  # typical voltage of a LiPo cell, V
 DUTY = 0.5  # typical duty cycle in flight, within a factor of 2
-TILT_MAX_DEG = 60.0  # largest median tilt of a flight
+TILT_MAX_DEG = 60.0  # maximum allowed median tilt of a flight
 OPPOSITE = -0.5  # correlation below which an axis has the wrong sign
-MOVES = 0.05  # smallest motion that is compared, m, m/s or rad/s; smaller motions are noise
+MOVES = 0.05  # lower limit of a compared motion, m, m/s or rad/s; smaller motions are noise
 
 
 def check(recording: Recording) -> None:
@@ -98,7 +99,7 @@ def _turned(r: Recording) -> Iterator[str]:
 
 
 def _width(values: Floats) -> float:
-    """Return the median distance of the rows from their median. Damaged samples have little effect on it."""
+    """Return the median distance of the rows from their median; few damaged samples change it little."""
     good = values[np.isfinite(values).all(axis=1)]
     return float(np.median(np.linalg.norm(good - np.median(good, axis=0), axis=1))) if len(good) else 0.0
 
@@ -113,7 +114,7 @@ def _matrix(r: Recording) -> Floats:
 
 BAND_HZ = (0.5, 6.0)  # frequency band of a Crazyflie's attitude; above it the attitude's derivative is noise
 WINDOW_S = 4.0  # time window of one lag estimate, s
-LAG_MAX_S = 0.25  # largest lag of the search, s
+LAG_MAX_S = 0.25  # upper limit of the lag in the search, s
 CORRELATION_MIN = 0.7  # correlation below which the lag counts as unknown
 
 
@@ -162,17 +163,17 @@ def clock_lag_s(recording: Recording) -> Floats:
 
 Mask = NDArray[np.bool_]
 
-GAP_FACTOR = 5.0  # longest time between two samples without a gap, in sample periods
-SPEED_MAX_M_S = 6.0  # largest speed between two motion-capture samples; no Crazyflie in a room is faster
+GAP_FACTOR = 5.0  # time between two samples above which they count as a gap, in sample periods
+SPEED_MAX_M_S = 6.0  # maximum speed between two motion-capture samples; no Crazyflie in a room is faster
 FROZEN_S = 0.05  # duration after which a repeated pose counts as frozen, s; motion capture lost the body
 ESTIMATE_OFF_M = 0.3  # distance from motion capture above which an estimate has diverged; good flights: 0.2 m
 CLOCKS_OFF_S = 0.05  # allowed clock offset, s; at 1 m/s it causes 5 cm, as much as the compared errors
-CLOCKS_S = 0.5  # minimum duration of a clock offset, s; a shorter offset is chance
+CLOCKS_S = 0.5  # minimum duration of a clock offset, s; a shorter offset is random
 VOLTAGE_V = (2.5, 4.4)  # voltage range of one LiPo cell under load, V
 ABOVE_GROUND_M = 0.15  # height above which there is no ground effect (3 propeller diameters), m
-START_S = 0.5  # excluded time after lift-off and before landing, as contact is possible, s
+START_S = 0.5  # excluded time after lift-off and before landing, s, because contact is possible
 MARGIN_S = 0.1  # excluded time on both sides of a marked sample, s
-DAMAGED_MAX = 0.05  # largest allowed fraction of damaged time in the air; gaps do not count
+DAMAGED_MAX = 0.05  # maximum allowed fraction of damaged time in the air; gaps do not count
 PIECE_MIN_S = 2.0
 FLIGHT_MIN_S = 3.0  # minimum usable time in the air, s
 
@@ -187,7 +188,7 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Screened:
-    """A recorded flight with its usable parts, and why the rest is excluded."""
+    """A recorded flight with its usable parts, and the reasons why the other parts are excluded."""
 
     recording: Recording
     pieces: tuple[slice, ...]  # slices of samples, each without a gap, a damaged value or contact

@@ -2,7 +2,7 @@
 
 Each axis of the gusts and of the disturbance torques is an Ornstein-Uhlenbeck process, dg = -g/T dt + rms
 sqrt(2/T) dW, with the first-order spectrum of Dryden's longitudinal gusts. ``crazyflie20.toml`` has T and the
-vertical ratio.
+ratio of vertical to horizontal gusts.
 
 The wakes of the four rotors merge into one turbulent jet along the thrust. The model of its mean velocity is
 from Bauersfeld, Muller, Ziegler, Coletti and Scaramuzza, "Robotics meets Fluid Dynamics: A Characterization
@@ -97,11 +97,11 @@ def set_up_wind(w: WindRecord, wind: Wind, shape: WindShape, seed: int, step_s: 
 
 
 AIR_KG_M3 = 1.204  # air density at 20 degrees C and sea level
-DECAY = 10.11  # decay of the velocity on the axis; DECAY, ORIGIN and SPREAD are from Bauersfeld et al.
-ORIGIN = -5.817  # virtual origin of the jet below the rotors, divided by l; negative: above the rotors
+DECAY = 10.11  # factor in the velocity on the axis; DECAY, ORIGIN and SPREAD are from Bauersfeld et al.
+ORIGIN = -5.817  # distance of the jet's virtual origin below the rotors, divided by l; negative: above them
 SPREAD = 0.07668  # half width of the jet, divided by the distance from its virtual origin
 NEAR = 2.5  # distance from the rotors at which the four wakes have merged, divided by l
-EDGE = 4.0  # outer radius of the jet, in half widths of the jet; the velocity fades out from 3 to 4
+EDGE = 4.0  # outer radius of the jet, in half widths; the velocity fades out from 3 to 4 half widths
 PLATE_DRAG = 1.18  # drag coefficient of a flat plate across the flow
 _NARROWS = math.sqrt(2.0) - 1.0
 

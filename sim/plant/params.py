@@ -21,8 +21,8 @@ CONTROL_STEP_S = 0.002  # period of the control loops, s; firmware stabilizer_ty
 class Body:
     """Rigid body of the vehicle.
 
-    The drag acts at the point of body z ``drag_above_com_m`` above the centre of mass. A roll or pitch rate
-    times ``rate_damping_n_m_s`` is a torque against it, because a rotor that moves down has more thrust.
+    The drag acts at the point ``drag_above_com_m`` above the centre of mass, along body z. A roll or pitch
+    rate w causes the torque -``rate_damping_n_m_s`` w, because a rotor that moves down has more thrust.
     """
 
     mass_kg: float
@@ -36,8 +36,8 @@ class Body:
 class Rotor:
     """Parameters of a motor with its propeller.
 
-    ``volt_map``: the firmware's map from mean motor voltage V to the fraction of full counts, which is the
-    sum of volt_map[k] V^k. The duty cycle is V divided by the battery voltage; a low battery saturates it.
+    ``volt_map``: the firmware's map from mean motor voltage V to counts. The sum of volt_map[k] V^k is the
+    fraction of full counts. The duty cycle is V divided by the battery voltage; a low battery saturates it.
     None: the map is exact, counts are linear in thrust, and the battery limits only the speed.
     """
 
@@ -95,7 +95,7 @@ class Battery:
         return self.resistance_ohm * (self.idle_current_a + self.hover_current_a)
 
     def hover_duty(self, speed_rpm: float, voltage_v: float) -> float:
-        """Return the duty cycle at a speed near hover, given the battery voltage under hover load."""
+        """Return the duty cycle at a speed near hover; ``voltage_v``: battery voltage under hover load, V."""
         return (self.motor_v(speed_rpm) + self.hover_sag_v) / (voltage_v + self.hover_sag_v)
 
 

@@ -7,9 +7,9 @@ counter-clockwise rotor turns the body clockwise, which is a negative yaw torque
 With MIX_YAW_i = -1 for counter-clockwise rotors, the rotors' angular momentum is h_z = -I_p sum(MIX_YAW_i
 w_i), and the torque -dh/dt - w x h acts on the body.
 
-Thrust gain close to a surface: Cheeseman and Bennett 1955, T/T0 = 1 / (1 - (R/4h)^2), per rotor.
-``gain`` multiplies the increase: measured increases of small quadrotors are 1 to 4 times the formula's
-(Sanchez-Cuevas 2017). Heights below 20 mm are treated as 20 mm. The effect fades out between 3 R and 4 R.
+The thrust of a rotor near a surface follows Cheeseman and Bennett 1955: T/T0 = 1 / (1 - (R/4h)^2). ``gain``
+multiplies the increase. Measured increases of small quadrotors are 1 to 4 times those of the formula
+(Sanchez-Cuevas 2017). Heights h below 20 mm are treated as 20 mm. The effect fades out from h = 3 R to 4 R.
 At the pad's edge, the fraction of a rotor's disc over the pad is linear in the distance from the edge.
 """
 
@@ -24,8 +24,8 @@ from sim.plant.params import Battery, Plant, Rotor
 from sim.plant.states import Nine
 
 RAD_S_PER_RPM = 2.0 * math.pi / 60.0
-POSITION_X = (1, -1, -1, 1)  # signs of the rotors' x, M1..M4
-POSITION_Y = (-1, -1, 1, 1)  # signs of the rotors' y, M1..M4
+POSITION_X = (1, -1, -1, 1)  # signs of the x positions of the rotors M1..M4
+POSITION_Y = (-1, -1, 1, 1)  # signs of the y positions of the rotors M1..M4
 MIX_YAW = (-1, 1, -1, 1)
 ALWAYS_POSITIVE_RPM = 3000.0  # below this speed the fitted thrust parabola can be negative
 
@@ -34,7 +34,7 @@ class RotorRecord(Record):
     """Rotor speeds, and the resulting force and torque on the body."""
 
     rpm: Motors
-    share: Motors  # ratio of each motor's thrust and drag torque to the mean motor's
+    share: Motors  # thrust and drag torque of each motor, divided by those of the mean motor
     thrust_n: float  # sum of the thrusts along body z
     torque_x: float  # torque on the body, N m
     torque_y: float
@@ -59,7 +59,7 @@ def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
     r1, r2, r3, r4 = r.rpm[0], r.rpm[1], r.rpm[2], r.rpm[3]
     c1, c2, c3, c4 = command[0], command[1], command[2], command[3]
     d1, d2, d3, d4 = c1 - r1, c2 - r2, c3 - r3, c4 - r4
-    if r.slow:  # falling: d rpm/dt = k (c^2 - r^2), linearly implicit, second order; rising: exact
+    if r.slow:  # falling: d rpm/dt = k (c^2 - r^2), linearly implicit step of second order; rising: exact
         d1 *= r.slow_rise if d1 > 0.0 else r.slow_fall * (c1 + r1) / (1.0 + r.slow_fall * r1)
         d2 *= r.slow_rise if d2 > 0.0 else r.slow_fall * (c2 + r2) / (1.0 + r.slow_fall * r2)
         d3 *= r.slow_rise if d3 > 0.0 else r.slow_fall * (c3 + r3) / (1.0 + r.slow_fall * r3)
@@ -161,7 +161,7 @@ def set_up_battery(b: BatteryRecord, battery: Battery, hover_rpm: float, charge:
 
 
 HEIGHT_MIN_M = 0.020
-UPRIGHT_COS = 0.5  # cosine of the largest tilt with ground effect, 60 degrees
+UPRIGHT_COS = 0.5  # cosine of the tilt above which no ground effect acts, 60 degrees
 
 
 class GroundRecord(Record):
@@ -172,7 +172,7 @@ class GroundRecord(Record):
     above: float  # height of the rotor plane above the centre of mass
     gain: float  # factor on the increase of the thrust
     pad_radius: float
-    reach: float  # largest height of the centre of mass with a ground effect, at any tilt
+    reach: float  # height of the centre of mass above which no ground effect acts at any tilt
 
 
 @jitted

@@ -27,7 +27,7 @@ NS = 1_000_000_000
 NS_PER_MS = 1_000_000
 NEVER_NS = 1 << 62
 NO_NOISE = -0.0  # zero noise; adding -0.0 does not change the sign of a zero
-BLOCK = 1024  # number of random values in one draw; single draws take twenty times as long for each value
+BLOCK = 1024  # number of random values in one draw; a single draw takes twenty times as long per value
 
 
 def ms_from(time_ns: Time) -> Time:
@@ -58,7 +58,7 @@ class NoiseRows:
         return rows
 
     def _block(self) -> F64:
-        """Return the noise of further samples; draw as few blocks as possible."""
+        """Draw and return the noise of further samples."""
         width = int(self._noisy.sum())
         if width == 0:
             return np.full((BLOCK, len(self._sigmas)), NO_NOISE)

@@ -29,7 +29,7 @@ WIDTH = 15
 
 PAST = 128  # number of stored states: 0.25 s at 500 Hz
 DELAY_MAX_S = 0.2
-DELAY_MIN_S = -0.1  # smallest delay, s: longest prediction at constant velocity
+DELAY_MIN_S = -0.1  # lower limit of the delay, s; a negative delay is a prediction at constant velocity
 SMOOTH_S = 0.02  # smoothing time, s; the correlation of recorded errors is 0.98 to 0.99 after 10 ms
 SETTLED = 12.0  # settling time of the noise before its use, divided by its time constant
 
@@ -99,8 +99,8 @@ def mismeasured_path(
 class Noise:
     """Correlated normal noise of several values with variance one: white noise through two first-order lags.
 
-    Its correlation after t is (T exp(-t / T) - S exp(-t / S)) / (T - S), or (1 + t / T) exp(-t / T) if T = S.
-    It decays with T and is smooth from sample to sample; jumps would excite the controllers on board.
+    The correlation after t is (T exp(-t / T) - S exp(-t / S)) / (T - S), or (1 + t / T) exp(-t / T) if T = S.
+    The noise is smooth from sample to sample, because jumps would excite the controllers on board.
     ``width``: number of values; ``time_s``: T; ``smooth_s``: S; ``step_s``: time between samples.
     """
 

@@ -7,12 +7,12 @@ command of 1 by 1, and a thrust command of 1 sets all motors to 1 (ControlAlloca
     J dw/dt = k u,  k = 4 sqrt(1/2) F l (roll, pitch)  or  4 F c (yaw, c = torque / thrust)
     T s^2 + (1 + D k/J) s + P k/J = 0
 
-PX4 removes an axis from the allocation if no motor's effectiveness is above 0.05. With PX4's own thrust
-coefficient the effectiveness of a small vehicle is below this limit. Because all four coefficients are equal,
-only ratios count, so this module uses a larger coefficient.
+PX4 removes an axis from the allocation if the effectiveness of every motor on it is at most 0.05. With PX4's
+own thrust coefficient the effectiveness of a small vehicle is below this limit. Because all four
+coefficients are equal, only ratios count, so this module uses a larger coefficient.
 
-The gains set the natural frequency to 1.3 / T with a damping of 0.8; the attitude loop is slower by a factor
-of 4.
+The gains set the natural frequency of the rate loop to 1.3 / T and its damping ratio to 0.8. The bandwidth of
+the attitude loop is a quarter of this natural frequency.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def rotor_speeds(controls: Sequence[float], armed: bool, rotor: Rotor) -> Four:
     return (m1, m2, m3, m4)
 
 
-# Yaw effectiveness of a Crazyflie: 20 * 0.00705 m = 0.141. PX4's coefficient 6.5 gives 0.046, below 0.05.
+# yaw effectiveness of a Crazyflie: 20 * 0.00705 m = 0.141; PX4's coefficient 6.5 would give 0.046, below 0.05
 THRUST_COEFFICIENT = 20.0
 _MOTOR_1 = 101  # number of PX4's output function "Motor 1"
 _NATURAL = 1.3  # product of the rate loop's natural frequency and the motor lag

@@ -1,7 +1,8 @@
 """The vehicle that a real PX4 flies: true state from rotor speeds, sensor readings, and the messages of both.
 
 World, rotors, battery, wind, ground effect and deck use the functions of ``VehicleSim`` in steps of 1 ms; PX4
-replaces the firmware. The result depends only on scenario, seed and commands. World NED, body FRD. The IMU is
+replaces the firmware. The result depends only on scenario, seed and commands. Messages use NED for the world
+and FRD for the body. The IMU is
 read every 4 ms (250 Hz, IMU_INTEG_RATE of px4-rc.simulator). A reading has the mean acceleration since the
 last reading and the current rates, both unfiltered, because PX4 filters them. The messages follow the PX4
 docs (Simulator MAVLink API) and SimulatorMavlink.cpp.
@@ -173,7 +174,7 @@ class Px4Sensors:
         self._count += 1
         if self._poses is not None:
             messages = self._poses.poll(body, count * STEP_MS * 1_000_000, now_us)
-        elif count % GPS_EVERY == GPS_EVERY - 1:  # by then PX4's clock has started
+        elif count % GPS_EVERY == GPS_EVERY - 1:  # PX4's clock has started before the first fix
             messages = [self._fix(body, now_us)]
         velocity, rates = np.array(body.velocity_enu_m_s), np.array(body.angular_velocity_flu_rad_s)
         self._imu.top_up()

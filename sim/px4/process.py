@@ -29,7 +29,7 @@ from sim.runners.published_robot import RealTimeDeck
 from sim.scenarios.scenario import Scenario
 
 _LOG_EVERY = 3  # steps between two logged true states: 83 Hz
-_BEHIND_MAX_NS = 50_000_000  # largest difference between log time and clock, ns; a larger one is corrected
+_BEHIND_MAX_NS = 50_000_000  # maximum difference of log time and clock, ns; a larger one is corrected
 _NS_PER_STEP = STEP_MS * 1_000_000
 
 
@@ -78,7 +78,7 @@ class Px4Node:
         now_ns = flight.steps * _NS_PER_STEP
         behind_ns = self._clock.unix_ns() - self.log.epoch_ns - now_ns
         if self._deck is not None and abs(behind_ns) > _BEHIND_MAX_NS:
-            self.log.epoch_ns += behind_ns  # this process is late because of PX4's start or a busy machine
+            self.log.epoch_ns += behind_ns  # PX4's start or a busy machine has delayed this process
         self.log.truth(flight.steps // _LOG_EVERY, now_ns, flight.plant.truth_values())
         if self._deck is not None:
             now_s, log = self._deck_s + flight.steps * STEP_S, partial(self.log.target, now_ns)
@@ -91,7 +91,7 @@ def _warn(text: str) -> None:
 
 
 def _tell(event: str, *, paced: bool) -> None:
-    """Print an event; a paced simulation has priority over other programs while PX4 is armed."""
+    """Print an event; give a paced simulation priority over other programs while PX4 is armed."""
     print(event, flush=True)
     if paced:
         (ask_for_priority if event == "armed" else give_up_priority)()

@@ -33,9 +33,9 @@ _ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
 # rcS multiplies these time-outs by the speed, for clients in real time; our clients run at the simulation's
 # speed. PX4 1.18 has a fixed value of 5 s instead of COM_OBC_LOSS_T.
 _SCALED_WITH_SPEED = ("COM_DL_LOSS_T", "COM_RC_LOSS_T", "COM_OF_LOSS_T", "COM_OBC_LOSS_T")
-# Waits for the program, whose output goes to standard error. SIGHUP, sent when this process is killed,
-# immediately kills the whole group: during its start script PX4 ignores SIGTERM, and the script's commands
-# would wait for a killed PX4 without end.
+# Shell script that waits for PX4, whose output goes to standard error. When this process is killed, the shell
+# receives SIGHUP and immediately kills the whole group: during its start script PX4 ignores SIGTERM, and the
+# script's commands would wait for a killed PX4 without end.
 _END_TOGETHER = """
 trap 'kill -KILL 0' HUP
 trap : TERM INT
@@ -97,7 +97,7 @@ def free_instance() -> int:
 
 def _instance_runs(number: int) -> bool:
     """Whether a PX4 with this instance number runs; it has a lock file."""
-    lock = Path(f"/tmp/px4_lock-{number}")  # src: PX4 platforms/posix/src/px4/common/main.cpp
+    lock = Path(f"/tmp/px4_lock-{number}")  # from PX4 platforms/posix/src/px4/common/main.cpp
     if not lock.exists():
         return False
     with contextlib.suppress(OSError), lock.open("r+") as file:

@@ -60,7 +60,7 @@ STEP_S = STEP_MS * 1e-3
 HELLO_MAX_S = 10.0  # time-out of PX4's first message, s of wall time; PX4 sends it on connection
 BOOT_MAX_S = 60.0  # time-out of PX4's first motor outputs, s of wall time
 NUDGE_S = 1.0  # wall time after which one step runs without an answer, s; PX4 may wait for a sensor
-_BEHIND_MAX_S = 0.1  # delay above which simulated time no longer catches up, s
+_BEHIND_MAX_S = 0.1  # delay above which simulated time does not catch up, s
 
 
 class Px4Session:

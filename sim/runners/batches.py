@@ -39,8 +39,8 @@ from sim.runners.vehicle_node import VehicleNode
 
 TICKS = 25  # maximum number of ticks in one call; the robot is computed for this number of future ticks
 SPAN_S = 0.25  # maximum simulated time of one call, s; a longer gap would restart the set-point stream
-_SOON_S = 1e-6  # time before a due message in which ticks run in Python, s
-SPEED_MAX_M_S = 2.5  # largest set-point on each axis, m/s, that the autopilot surely does not clip
+_SOON_S = 1e-6  # time before a due message during which ticks run in Python, s
+SPEED_MAX_M_S = 2.5  # speed on each axis, m/s, up to which the autopilot surely does not clip a set-point
 _BACK_OFF = 4  # maximum number of ticks in Python after calls without a flown tick
 
 
@@ -98,7 +98,7 @@ class Batches:
         self._sender = (node.autopilot.system_id, COMPANION_ID, PEER)
 
     def warm_up_controller(self) -> None:
-        """Compile the controller's part of the code: a call that ends at once, since the flight is over."""
+        """Compile the controller's part of the code by a call that ends at once, since the flight is over."""
         run: Any = decided
         with contextlib.suppress(NotOrdinary):
             run(self._node.vehicle.record, self._batch, self._objects, np.empty((0, 9)), math.inf)
@@ -113,7 +113,7 @@ class Batches:
     def fly(self, tick: int) -> int:
         """Fly from ``tick``, the next tick, as far as possible; return the number of ticks flown."""
         done = 0
-        if self._asked_s != self._grid.ns(tick) / 1e9:  # else Python repeats the tick with the same answer
+        if self._asked_s != self._grid.ns(tick) / 1e9:  # a repeated tick reuses the answer
             self._strategy.answer = self._strategy.own_result = None
         if self._off or tick < self._next or self._controller.memory.phase not in ORDINARY:
             return 0
@@ -138,7 +138,7 @@ class Batches:
         return self._quiet_until_s(tick) if until_s is None and self._speak(tick) else until_s
 
     def _quiet_until_s(self, tick: int) -> float | None:
-        """Return when the next message other than vehicle state and set-point is due, s; None: now."""
+        """Return the time at which the next other message is due, s; None: one is due now."""
         request = Request.EXTERNAL if self._controller.memory.phase in FLYING else Request.NONE
         now_s = self._grid.ns(tick) / 1e9
         until_s = self._link.silent_until_s(request) - _SOON_S
@@ -260,7 +260,7 @@ class Batches:
             flight.take_setpoint(setpoint, self._sender, now_s)
         node.control(now_s)
         node.vehicle.advance(grid.ms(last + 1) - grid.ms(last) - ahead_ms)
-        # whether mode, arming and ground contact are the same as in the batch
+        # whether mode, arming and ground contact are still as assumed for the batch
         same = (flight.mode is FlightMode.OFFBOARD or not flies) and node.vehicle.armed == flies
         return done, how if same and flight.standing != flies and flight.ground.settled else BEFORE
 

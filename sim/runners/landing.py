@@ -92,7 +92,7 @@ class Companion(Leaving, FleetEnd):
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id)
         # message of the newest tick to the other vehicles; None: no message, or the flight is over
         self._message: MemberStatus | None = None
-        # longest and present wait for the right of way, ticks
+        # longest wait and current wait for the right of way, ticks
         self.waits = self._waiting = 0
         self._notes = self.log_type(config, scenario.target.pad_radius_m, Names(self.name, system_id))
         here.answer = self._answer
@@ -130,7 +130,7 @@ class Companion(Leaving, FleetEnd):
         return self._notes.seen()
 
     def _answer(self) -> None:
-        if self._over:  # the last step was flown, and one more true state recorded
+        if self._over:  # the last step was flown, and the true state after this step is recorded
             self._stop.ask()
             self._message = None
         else:

@@ -25,7 +25,7 @@ _Round = Callable[[Message], None]
 
 
 def _rounding(cls: Any) -> _Round | None:
-    """Return a function that rounds the fields of a message, None: the message must be packed."""
+    """Return a function that rounds the fields of a message; None: the message must be packed."""
     if any(cls.array_lengths) or "char" in cls.fieldtypes:
         return None
     names, wire = cls.ordered_fieldnames, cls.unpacker
@@ -47,7 +47,7 @@ class Inlet(Endpoint):
         self.tap = None
         self.counters = Counter()
         self.warnings = ()
-        self.other: Inlet = self  # the other end, which receives sent messages
+        self.other: Inlet = self  # the other end; it receives the messages that this end sends
         # function that runs the other side; called when this end waits
         self.answer: Callable[[], None] | None = None
         self._ids = (system_id, component_id)

@@ -27,7 +27,7 @@ from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # wall time between two checks for signals, s
 _REPEAT_EVERY = 10  # number of checks after which an unanswered request is repeated
-_FLUSH_EVERY = 10  # period of the log flush, ticks; a shorter one would wake up the recorder more often
+_FLUSH_EVERY = 10  # period of the log flush, ticks; a shorter period would wake the recorder more often
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 
@@ -47,7 +47,7 @@ class LockstepVehicle(VehicleNode):
     words: FleetEnd  # link between the companion and the other members
     answered: bool = field(default=False, init=False)  # whether the companion answered the previous tick
     _companion: Peer | None = field(default=None, init=False)  # the peer that answered first
-    _alive: bool = field(default=True, init=False)  # False after a time-out, until it answers again
+    _alive: bool = field(default=True, init=False)  # False after a time-out until the companion answers
     _replies: list[Message] = field(default_factory=list, init=False)  # replies for the next tick
     _late: list[Received] = field(default_factory=list, init=False)  # frames that belong to the next tick
     _request: Message = field(default=None, init=False)  # request of this tick
@@ -113,7 +113,7 @@ class LockstepVehicle(VehicleNode):
         messages, self._replies = [*self.autopilot.telemetry(now_s), *self._replies], []
         self._request = dialect.MAVLink_timesync_message(0, now_ns)
         self.wire.send(messages, now_ns, self._companion, last=[self._request])
-        # Write the state of this tick while the companion computes.
+        # write the state of this tick while the companion computes
         self.write_log(tick, now_ns)
         if tick % _FLUSH_EVERY == 0:
             self.log.feed.flush()
@@ -153,7 +153,7 @@ class LockstepVehicle(VehicleNode):
                 self.endpoint.wait(_WAIT_S)
                 self.answered = self._take(self.endpoint.receive(), now_ns)
                 if not self.answered and next(looks) % _REPEAT_EVERY == 0:
-                    # the same bytes, because new sequence numbers would make the log depend on wall time
+                    # repeat the same bytes: new sequence numbers would make the log depend on wall time
                     self.endpoint.repeat(bytes(self._request.get_msgbuf()), self._companion)
                 return self.answered
 
@@ -177,7 +177,7 @@ class LockstepVehicle(VehicleNode):
                 this_tick = message.ts1 == now_ns
                 if this_tick:
                     self._companion = received.peer
-                if self._companion and not self._alive:  # even an old answer shows that it is alive
+                if self._companion and not self._alive:  # even an old answer proves that the companion runs
                     self._alive = True
                     self.report(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
                 if this_tick:

@@ -125,7 +125,7 @@ class Notes(VehicleLog):
     def __init__(self, config: FlightConfig, pad_radius_m: float, names: Names) -> None:
         super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, names)
         self._config, self._pad_radius_m = config, pad_radius_m
-        # of each step: time, ns; phase; ages of the states of vehicle and target, s
+        # for each step: time, ns; phase; ages of the states of vehicle and target, s
         self._times_ns: list[int] = []
         self._phases: list[int] = []
         self._own_ages_s: list[float] = []

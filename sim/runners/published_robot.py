@@ -152,7 +152,7 @@ class LockstepRobot(PublishedRobot):
             self._drive(min(tick + RUN_AHEAD_TICKS, self._limit()))
 
     def _limit(self) -> int:
-        """Return the last tick for which the received credit decides whether the robot drives."""
+        """Return the last tick for which the received credit shows whether the robot drives."""
         for sample in zenoh_link.drain(self._credits):
             reached, go_tick = msgpack.decode(sample.payload.to_bytes(), type=tuple[int, int])
             self._credit, self._silent = max(self._credit, reached), False
@@ -223,7 +223,7 @@ def robots_of(
 
 
 STALE_S = 0.5  # age of the newest true pose after which the deck stops, s
-_PULL_1_S = 5.0  # correcting velocity divided by position error, 1/s; a jump would throw the vehicle off
+_PULL_1_S = 5.0  # correcting velocity divided by position error, 1/s; a jump would throw off the vehicle
 _SNAP_M = 0.3  # position error above which the deck jumps, m; timing cannot cause a larger error
 
 
@@ -239,11 +239,11 @@ def deck_state(payload: bytes) -> Deck:
 
 
 class RealTimeDeck:
-    """A deck that follows received true poses: it continues with the last twist and is corrected smoothly."""
+    """A deck that follows received true poses: a smooth correction is added to the last received twist."""
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
         self._subscriber = zenoh_link.ring_subscriber(session, truth_key(namespace))
-        self._last_s = math.inf  # time of the newest pose; infinite: before the first pose, or stopped
+        self._last_s = math.inf  # arrival time of the newest pose, s; infinite: none yet, or deck stopped
 
     def move(
         self, vehicle: Physics, now_s: float, log: Callable[[bytes], None], warn: Callable[[str], None]
@@ -267,7 +267,9 @@ class RealTimeDeck:
 
 
 def follow(robot: Deck, position_enu_m: Vec3, yaw_rad: float) -> Deck:
-    """Return the deck state that corrects its position error smoothly, or by a jump if the error is large.
+    """Return the state to set for the simulated deck, so that the deck follows the robot.
+
+    The velocity of this state reduces the position error. If the error is large, the state is ``robot``.
 
     ``robot``: the newest true pose; ``position_enu_m``, ``yaw_rad``: pose of the simulated deck.
     """

@@ -29,7 +29,7 @@ from sim.robot import Deck, Sample, TargetModel, TargetOdometry, wrap
 from sim.scenarios.fault_spec import After, Fault, What
 from sim.scenarios.scenario import Scenario
 
-DRIVES_TICKS = 64  # maximum number of computed future ticks; on average half of them are unused at the end
+DRIVES_TICKS = 64  # maximum number of computed future ticks; on average half of them remain unused
 
 
 def _move(sample: Sample, offset: Vec3, turn: float) -> Sample:
@@ -70,15 +70,15 @@ class Ticks(NamedTuple):
     """Motion and samples of the robot in n consecutive ticks."""
 
     pads: F64  # (n, PAD) motion of the pad at each tick
-    come: I64  # (n,) number of samples that were released up to each tick
+    come: I64  # (n,) number of samples that the link has released up to each tick
     samples: F64  # (m, 9) released samples
 
 
 class Robot:
     """A robot that computes its motion some ticks ahead; it may wait for the start of the landing.
 
-    The number of future ticks is limited, so that the start of driving is known in time. A tick in a batch
-    takes a fifth of the time of a single tick.
+    The number of future ticks is limited, so that the robot learns in time when to start driving. A tick in a
+    batch takes a fifth of the time of a single tick.
     """
 
     payload = b""  # message with the true pose at the newest tick; empty if the robot is not published
@@ -95,7 +95,7 @@ class Robot:
         self._driving = not scenario.target.wait_for_landing
 
     def begin(self) -> None:
-        """Compute tick 0. Raises NoAnswerError: a process that it needs was not ready in time."""
+        """Compute tick 0. Raises NoAnswerError: a process that the robot needs was not ready in time."""
         self._keep(self.first_tick())
 
     def first_tick(self) -> Ticks:
@@ -158,7 +158,7 @@ class Robot:
                     self._driving, now = True, self.tick + 1
                     self._say(now, Severity.INFO, f"the robot drives from tick {now} on")
             elif goes_at > NO_GO:
-                end = min(end, goes_at - 1)  # faults with times relative to the landing start at that tick
+                end = min(end, goes_at - 1)  # at tick ``goes_at`` faults after the landing's start begin
             self._keep(self.run(end - self.tick, self._driving))
 
     def _keep(self, new: Ticks) -> None:

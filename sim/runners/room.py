@@ -79,8 +79,8 @@ class Room:
     def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
         self._grid, self._feed = grid, feed
         self._pairs = list(combinations(members, 2))  # (1, 2) first
-        # vehicles that can meet another one, in the order of the members; without them, no jet is computed in
-        # a tick (6 us) or compiled (1.6 s)
+        # vehicles that can meet another vehicle, in the order of the members. If there are none, no jet is
+        # computed in each tick (saves 6 us), and its code is not compiled (saves 1.6 s).
         self._vehicles = list(dict.fromkeys(each.vehicle for pair in self._pairs for each in pair))
         self._jets = np.zeros((len(self._vehicles), JET))
         shapes = [Shape.of(each.params) for each in self._vehicles]
@@ -163,8 +163,8 @@ class Room:
 class Words:
     """Transmits fleet messages with the delay and loss of ``Scenario.exchange``.
 
-    A message sent at tick k arrives at tick k + 1 at the earliest. Its loss depends only on the seed, the
-    sender and the receiver, so it does not change when members are added.
+    A message sent at tick k arrives at tick k + 1 at the earliest. Losses depend only on seed, sender and
+    receiver, so an additional member does not change the losses of the others.
     """
 
     def __init__(self, team: Scenario, seed: int) -> None:
@@ -176,7 +176,7 @@ class Words:
         self._under_way: deque[list[list[Any]]] = deque([[] for _ in numbers] for _ in range(ticks - 1))
 
     def __call__(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
-        """Take the messages of one tick, in any form; return what each member receives next.
+        """Take the messages of one tick, in any form; return the messages that each member receives next.
 
         ``told``: message of each member, or None.
         """
@@ -203,7 +203,7 @@ def warm_up_room(team: Scenario) -> None:
 
 
 class FleetEnd:
-    """The simulator's end of a companion's fleet messages; this base class is for one without a fleet."""
+    """The simulator's end of a companion's fleet messages; this class serves a companion without a fleet."""
 
     tick = 0  # current tick of the vehicles
 
@@ -236,7 +236,7 @@ class MemberWords(FleetEnd):
         self._told = zenoh_link.fifo_subscriber(session, f"{namespace}/{TOLD}")
         self._heard = zenoh_link.blocking_publisher(session, f"{namespace}/{HEARD}")
         self._tick, self._payload = -1, b""
-        self._last: int | None = None  # last tick of the member's process; None: it runs
+        self._last: int | None = None  # last tick of the member's process; None: the process still runs
         self._silent = False
 
     @property
@@ -247,7 +247,7 @@ class MemberWords(FleetEnd):
     def take(self, stop: Stop) -> bytes | None:
         """Wait for the member's message of this tick and return it; None: no message.
 
-        If no message arrives in time, later ticks do not wait for one until the onboard process sends again.
+        If no message arrives in time, later ticks do not wait until the onboard process sends again.
         """
         waits = COMPANION_SILENT_S if not self._silent else 0.0
         self._silent = not wait_until(self._told_now, lambda: stop.is_set, waits)

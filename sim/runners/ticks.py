@@ -36,7 +36,7 @@ class BatchRecord(Record):
     plan: Annotated[I64, 4]
     rate_hz: int
     radio_ms: int  # delay of set-points by the radio, ms
-    # whether the controller sends set-points to an armed vehicle in the air; if not, the vehicle stands
+    # whether the controller sends set-points to an armed vehicle in the air; if not, the vehicle stands still
     flies: bool
     status_s: float  # arrival time of the newest heartbeat
     ends_s: float  # time limit of the flight
@@ -44,7 +44,7 @@ class BatchRecord(Record):
     yaw_rad: float  # commanded heading, as the autopilot received it, rad
     cos_yaw: float
     sin_yaw: float
-    speeds: Vector  # speed limits, m/s: horizontal, up, down
+    speeds: Vector  # speed limits of the autopilot, m/s: horizontal, up, down
     supervisor: int  # state of the firmware's supervisor
     stream_until_s: float  # time at which the autopilot stops waiting for set-points
     # results
@@ -66,7 +66,7 @@ def _watch(watches: Cell[WatchRecord], v: VehicleRecord, now_s: float) -> None:
 # how a call ends: END: all ticks are done; BEFORE: Python runs the next tick; MIDDLE: Python completes the
 # last counted tick
 END, BEFORE, MIDDLE = 0, 1, 2
-_LARGEST = 1e6  # largest accepted number, m, m/s or rad/s (bridge.mavlink.client.vehicle_state)
+_LARGEST = 1e6  # maximum accepted number, m, m/s or rad/s (bridge.mavlink.client.vehicle_state)
 _POLE = 0.999  # sine of the pitch above which the nose is nearly vertical, and Python runs the tick
 
 
@@ -108,7 +108,7 @@ def _place_deck(v: VehicleRecord, deck: F64) -> None:
 
 @jitted
 def _send(p: BatchRecord, inbox: InboxRecord, setpoint: Vec3, now_ms: int) -> None:
-    """Compiled form of ``VehicleSim.set_velocity``; the set-point acts after the radio's delay."""
+    """Compiled form of ``VehicleSim.set_velocity``; a set-point takes effect after the radio's delay."""
     at = WIDTH * (inbox.end % ROOM)
     row = inbox.rows[at : at + WIDTH]
     row[:] = 0.0

@@ -49,7 +49,7 @@ class Held(Generic[T]):
         return out
 
     def due(self, now_ns: int) -> list[T]:
-        """Remove and return the items whose wait is over: those of a stall in order, then those by time."""
+        """Remove and return the items whose wait is over: items of a stall in order, then others by time."""
         items, self._items = self._items, []
         out = list[tuple[int, T]]()
         for each in items:
@@ -82,7 +82,7 @@ class Wire:
     ) -> None:
         """Send all due messages, new and delayed ones; during a fault each in a separate datagram.
 
-        ``messages`` may be changed; ``peer`` None: all peers; ``last``: sent after them, without faults.
+        ``messages`` may be changed; ``peer``: receiver, None: all peers; ``last``: sent last, without faults.
         """
         if self.sound:
             self._endpoint.send([*messages, *last], peer)
@@ -127,7 +127,7 @@ class VehicleNode:
     endpoint: Endpoint
     log: VehicleLog
     tell: Callable[[bool], None] | None = None  # called when the vehicle is armed or disarmed
-    over: bool = False  # whether the flight is over; after its end nothing is logged
+    over: bool = False  # whether the flight is over; nothing is logged afterwards
     wire: Wire = field(init=False)
     _armed: bool = field(default=False, init=False)
     _judged: bool = field(default=False, init=False)
@@ -187,7 +187,7 @@ class VehicleNode:
         self.autopilot.flight.texts.say(severity, text)
 
     def _tell_change(self) -> None:
-        """Report a change of arming after it is logged, because the receiver may end this process."""
+        """Report a change of arming; first it is logged, because the receiver may end this process."""
         armed = self.vehicle.armed
         if armed is not self._armed:
             self._armed = armed

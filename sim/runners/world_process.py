@@ -47,7 +47,7 @@ from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
 
-_BEHIND_MAX_S = 0.1  # largest delay that simulated time catches up, s; a longer one shifts the clock
+_BEHIND_MAX_S = 0.1  # delay up to which simulated time catches up, s; a longer delay shifts the clock
 _MS = 1e-3
 _NS_PER_MS = 1_000_000
 
@@ -109,14 +109,14 @@ def fly_in_real_time(
 ) -> None:
     """Run the ticks of vehicles and robots in real time, or at the speed of ``clock``.
 
-    ``robots``: all robots of this process; vehicles of other processes follow those without a vehicle here;
+    ``robots``: all robots of this process; those without a vehicle here serve vehicles of other processes;
     ``stop``: ends the process; ``ticks``: number of ticks; None: no end.
     """
     loose = [robot for robot in robots if robot not in [each.robot for each in vehicles]]
     logs: list[EventLog] = [*(each.log for each in vehicles), *(each.log for each in robots)]
     run_promptly()  # the physics must not wait for other programs, as in a real vehicle
     start_s = clock.monotonic()
-    epoch_ns = _set_epoch(logs, clock.unix_ns())  # set here, because the creation of the vehicles took time
+    epoch_ns = _set_epoch(logs, clock.unix_ns())  # set now, because the creation of the vehicles took time
     for robot in robots:
         robot.begin()
     tick = 0
@@ -246,7 +246,7 @@ def _fly(team: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) 
     def end_of(n: int) -> FleetEnd:
         """Return the simulator's end of a vehicle's messages to its neighbours."""
         if session is None or not singles[n][0].onboard.fleet.others:
-            return FleetEnd()  # a companion without neighbours has no wire either
+            return FleetEnd()  # without neighbours a companion sends no fleet messages
         return MemberWords(session, names[n])
 
     loops = [

@@ -55,7 +55,7 @@ def keys(cls: type[Any] = Scenario, table: str = "") -> Iterator[Key]:
 
 
 def commented(name: str, base: str = "lab") -> str:
-    """Return the text of a scenario with base ``base``; each other key is a comment with the base's value.
+    """Return the text of a scenario with base ``base``; all other keys are comments with the base's values.
 
     Raises ConfigError: the base does not exist, or the name is not a valid identifier.
     """

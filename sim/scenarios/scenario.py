@@ -2,8 +2,8 @@
 
 A run is a list of vehicles in one room, each with its robot, or all with one robot; the ordinary list has one
 vehicle. ``sim/scenarios`` has one TOML file for each scenario. The tables of a file apply to all vehicles, a
-table ``[[member]]`` to one vehicle: every key can be set for all or for one. A file without ``[[member]]``
-has one vehicle. A scenario is loaded by name or path; unknown keys are rejected.
+table ``[[member]]`` applies to one vehicle: every key can be set for all vehicles or for one vehicle. A file
+without ``[[member]]`` has one vehicle. A scenario is loaded by name or path; unknown keys are rejected.
 """
 
 from __future__ import annotations
@@ -166,16 +166,16 @@ class Scenario:
         return found
 
     def pads_apart_m(self) -> list[float]:
-        """Return the smallest possible distance of each two pads, m; 0 if their paths may meet."""
+        """Return the smallest possible distance of each pair of pads, m; 0 if their paths may meet."""
         lines = [each.target.line() for each in self.members]
         return [apart_m(*two) for two in combinations(lines, 2)]
 
     def target_seed(self, seed: int) -> int | None:
-        """Return the seed of the common robot, the first member's; None: each robot has its own seed."""
+        """Return the seed of the common robot (that of the first member); None: each robot has its own."""
         return seed_of(seed, 1) if self.one_target else None
 
     def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
-        """Yield scenario and seed of each member; flown alone, they give its flight if no other comes near.
+        """Yield scenario and seed of each member. Flown alone, they fly as in the room without encounters.
 
         A room has one mean wind; its direction is drawn from the seed of the run if a member gives none.
         Gusts differ for each member. The first member has the seed of the run.
@@ -208,7 +208,7 @@ _MEMBER_KEYS = (*(name for name in _FIELDS if name not in (*_OF_THE_RUN, *IN_FIL
 
 
 def one_pad(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a scenario's table; a configuration without a pad radius gets the radius of the scenario.
+    """Return a scenario's table; a configuration without a pad radius gets that of the scenario's robot.
 
     Raises ConfigError: the robot's table is wrong; its message names the key that the user wrote.
     """
@@ -221,7 +221,7 @@ def one_pad(table: dict[str, Any]) -> dict[str, Any]:
 
 class _Files(Files[Scenario]):
     def over_base(self, path: Path, table: dict[str, Any], above: tuple[Path, ...] = ()) -> dict[str, Any]:
-        """Merge as ``Files.over_base`` does; without ``name`` the result has the file's name."""
+        """Merge as ``Files.over_base`` does; a table without ``name`` gets the name of the file."""
         own = {"name": path.stem} if "base" in table and "name" not in table else {}
         return {**super().over_base(path, table, above), **own}
 

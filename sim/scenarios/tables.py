@@ -15,7 +15,7 @@ from flightstack.common.strict_toml import ConfigError, Files, span
 from flightstack.core.parameters.flight import PAD_RADIUS_M
 from flightstack.core.types import Vec3
 
-BELOW_PAD_MIN_M = 0.03  # smallest height of the pad's top above the floor, m: pad plate and robot below it
+BELOW_PAD_MIN_M = 0.03  # minimum height of the pad's top above the floor, m: for pad plate and robot
 MEMBERS_MAX = 250  # maximum number of vehicles, because each has a MAVLink system id
 # line on which a pad moves: point on the floor, and direction; direction (0, 0): the pad does not move
 Line = tuple[tuple[float, float], tuple[float, float]]
@@ -79,17 +79,17 @@ class TargetSpec:
     position_m: tuple[float, float] = (0.0, 0.0)  # position of the axle at time zero
     heading_rad: float = 0.0  # heading at time zero, counter-clockwise from east
     random_heading: bool = False  # whether the heading is drawn from the seed
-    wait_for_landing: bool = True  # whether the robot does not move until the landing starts
+    wait_for_landing: bool = True  # whether the robot waits until the landing starts
     # time between two changes of the speed in stop_and_go, reversing
     stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0
-    acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # largest acceleration of the wheels
-    speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # largest speed (OpenCR: wheels at 61 rpm)
-    turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # largest turn rate (OpenCR)
+    acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # maximum acceleration of the wheels
+    speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # maximum speed (OpenCR: wheels at 61 rpm)
+    turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # maximum turn rate (OpenCR)
     heave_amplitude_m: Annotated[float, span(0.0, 0.5)] = 0.0  # amplitude of the pad's heave
     heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0  # frequency of the heave
     pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # height of the pad's top (LDS: 0.192 m)
     pad_radius_m: Annotated[float, PAD_RADIUS_M] = 0.10  # radius of the pad
-    # distance of the pad's centre behind the axle; the centre of the body is at 0.032
+    # distance of the pad's centre behind the axle; the centre of the robot's body is 0.032 m behind the axle
     pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0
 
     def __post_init__(self) -> None:
@@ -119,7 +119,7 @@ class TargetSpec:
         return (x - behind_m * c, y - behind_m * s, self.pad_height_m)
 
     def line(self) -> Line | None:
-        """Return the line on which the pad moves; None: it has no line that is known before the flight."""
+        """Return the line on which the pad moves; None: no such line is known before the flight."""
         stands = self.path is PathKind.STILL or self.speed_m_s == 0.0 == self.turn_rate_rad_s
         behind = bool(self.pad_behind_axle_m)
         if (self.random_heading and (behind or not stands)) or (self.turn_rate_rad_s and not stands):
@@ -139,7 +139,7 @@ class OdometryLink:
     delay_s: Annotated[float, span(0.0, 0.5)] = 0.0  # time from measurement to arrival
     loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability that a sample is lost
     dropout_every_s: Annotated[float, span(0.0, 600.0)] = 0.0  # mean time between drop-outs; 0: none
-    dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0  # upper limit of a drop-out's random length
+    dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0  # upper limit of a drop-out's random duration
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,9 +198,9 @@ class TargetLink(OdometryLink):
 class VehicleSpec:
     """The simulated vehicle: file of parameters, velocity loop, random spreads, and motion capture.
 
-    With ``own`` the on-board estimate has the errors of recorded flights; ``mocap`` gives only its rate and
-    losses. With ``known_drag_1_s`` the estimator has the firmware's form in flight: it uses only body z of
-    the accelerometer, and these values of ``kalman.dragB_*``.
+    With ``own`` the on-board estimate has the errors of recorded flights; ``mocap`` then gives only the rate
+    and the losses of the samples. With ``known_drag_1_s`` the estimator has the firmware's form in flight: it
+    uses only body z of the accelerometer, and these values of ``kalman.dragB_*``.
     """
 
     airframe: str = "crazyflie20"  # name of a file in sim/plant, or path of a file
@@ -212,7 +212,7 @@ class VehicleSpec:
     # half-width of each motor's relative random thrust error around their mean
     motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0
     battery_charge: tuple[Share, Share] = (1.0, 1.0)  # range of the random state of charge at the start
-    # smallest thrust-to-weight ratio of the weakest motor at the start; the charge is raised to reach it
+    # minimum thrust-to-weight ratio of the weakest motor at the start; the charge is raised accordingly
     hover_reserve: Annotated[float, span(0.0, 1.5)] = 0.0
     slow_motors: bool = False  # whether the motor lag is 0.136 s up, 0.108 s down instead of 0.07 s
     ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0  # factor on the measured ground effect
@@ -241,7 +241,7 @@ class Wind:
 
 @dataclass(frozen=True, slots=True)
 class Judge:
-    """Barrier of the verdict, if it differs from the flown one; each result then names both."""
+    """Barrier of the verdict, if it differs from the flown barrier; each result then names both."""
 
     alpha_1_m: Annotated[float, span(0.05, 20.0)]  # shape parameter, as onboard.barrier.alpha_1_m
     beta_m: Annotated[float, span(0.05, 20.0)]  # shape parameter, as onboard.barrier.beta_m

@@ -1,9 +1,9 @@
 """Flies the recorded set-points with the simulated vehicle and its firmware, and compares both flights.
 
 The simulated vehicle starts at the recorded position and receives the recorded set-points at the recorded
-times. Quantities that differ between airframes and days are identified from the first seconds of the
-recording: battery voltage, ratio of motor thrust to the vehicle file, and differences between the motors. The
-vehicle file has all other parameters. The on-board estimate gets random errors as in recorded flights.
+times. The first seconds of a recording identify what differs between airframes and days: battery voltage,
+motor thrust relative to the vehicle file, and differences between the motors. The vehicle file has all other
+parameters. The on-board estimate gets random errors as in recorded flights.
 Only flights with the PID controller are flown; the simulated firmware has no other position controller.
 """
 
@@ -27,7 +27,7 @@ from sim.vehicle.vehicle import VehicleSim
 SETTLE_S = 0.2  # time on the floor before the first set-point, s
 AWAY_M = 100.0  # distance of the ground robot to the east, out of reach, m
 SATURATED = 1.0 - 1e-6  # duty cycle from which a motor counts as saturated
-KNOWN_S = 8.0  # duration of the first compared samples, which identify the airframe, s
+KNOWN_S = 8.0  # duration of the first compared samples, s; they identify the airframe
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class ClosedLoop:
 
 
 def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
-    """Fly the set-points of a flight; return None if it lacks set-points of the PID from the ground on.
+    """Fly the set-points of a flight; return None if the flight has no PID set-points from the ground on.
 
     Only the usable pieces are compared. The noise is drawn from ``seed`` and the name of the flight.
     """

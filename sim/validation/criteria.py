@@ -31,7 +31,7 @@ Statistic = Callable[..., Any]  # function that reduces arrays of equal shape al
 
 
 class Estimate(NamedTuple):
-    """A statistic over flights with its interval; the ends of the interval are NaN for one flight."""
+    """A statistic over flights, and the ends of its interval; the ends are NaN for one flight."""
 
     value: float
     low: float
@@ -102,12 +102,12 @@ class Criterion:
 
     part: str  # open loop, closed loop or sensing
     text: str  # name of the compared quantity, usually the simulator's rms error divided by another rms error
-    low: float  # smallest allowed value of the statistic
-    high: float  # largest allowed value of the statistic
+    low: float  # lower limit of the statistic
+    high: float  # upper limit of the statistic
     reason: str  # reason for these two limits
     statistic: Statistic
     paths: tuple[str, ...]  # paths of the criterion's numbers in the results of a flight
-    # sentence for a missed limit, with a placeholder for the value; None: a sentence made from ``text``
+    # sentence for a missed limit, with a placeholder for the value; None: the sentence is made from ``text``
     cause: str | None = None
     by_chance: bool = False  # whether the result is random: it fails only if the whole interval is outside
     scale: float = 1.0  # factor from the value to the printed number
@@ -185,7 +185,7 @@ MEANING = {
 }
 _HALF = "a model that knows the motor commands must halve the error of one that does not know them"
 _TORQUE = "unknown torque is integrated twice: 0.63 was reached, 0.25 with the recorded attitude"
-OPEN_LOOP_MAX = {  # by horizon, s: largest ratio to the error of constant velocity: position, velocity
+OPEN_LOOP_MAX = {  # by horizon, s: maximum ratio to the error of constant velocity, for position and velocity
     0.1: ((0.5, _HALF), (0.5, _HALF)),
     0.25: ((0.5, _HALF), (0.5, _HALF)),
     0.5: ((0.5, _HALF), (0.75, _TORQUE)),

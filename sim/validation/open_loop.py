@@ -7,8 +7,9 @@ three quantities are calibrated from earlier samples:
 - thrust: one factor, with which the plant reproduces the recorded change of velocity in the last
   ``CALIBRATION_S`` seconds;
 - marker misalignment: two angles, from the same change of velocity;
-- torque: an observer follows the gyro and estimates the torque that the plant lacks. The slow part of this
-  torque is constant in the prediction (unequal motors, offset centre of mass), the fast part decays.
+- torque: an observer follows the gyro and estimates the torque that the plant lacks. In the
+  prediction the slow part of this torque (unequal motors, offset centre of mass) is constant, and the fast
+  part decays.
 
 The recorded commands contain the controller's reaction to the missing torque, so the missing torque opposes
 the rates that the commands alone would cause. ``ANSWER_1_S`` models this.
@@ -43,7 +44,7 @@ CALIBRATION_S = 1.0
 BACK = round(CALIBRATION_S / SAMPLE_S)
 COMMAND_DELAY_MS = 8  # delay from a logged command to the gyro in addition to the motors' lag, ms; fitted
 # gains of the observer; they minimise the errors after 0.5 s, with a flat minimum
-RATE_GAIN = 1.4  # correction of the rate divided by its error in a sample; above 1 due to the gyro's filter
+RATE_GAIN = 1.4  # rate correction divided by rate error, per sample; above 1 because of the gyro's filter
 FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # gains of the missing angular acceleration's fast and slow part, 1/s
 FADES_S = 0.1  # correlation time of the fast part, s
 ANSWER_1_S = 9.0  # angular acceleration against a body rate, divided by that rate, 1/s
@@ -149,7 +150,7 @@ def _follow(
 
 @jitted
 def _observe(acceleration: F64, rates: F64, fade: float, fast: F64, slow: F64) -> None:
-    """Estimate the missing angular acceleration at each sample from earlier ones: ``fast``, ``slow`` (n, 3).
+    """Estimate the missing angular acceleration at each sample from earlier samples, in (n, 3) arrays.
 
     ``acceleration``: angular acceleration of the plant at the recorded rates until the next sample, (n, 3),
     rad/s^2; ``fade``: fraction of the fast part that remains after a sample.
@@ -312,7 +313,10 @@ def compare(flight: Screened, params: Params) -> OpenLoop | None:
 
 
 def _errors(found: F64, piece: Piece, after: I64, misaligned: scipy.spatial.transform.Rotation) -> F64:
-    """Return the errors (m, h, 3) of position, velocity and attitude of states (m, h, 10)."""
+    """Return the errors (m, h, 3) of predicted states (m, h, 10) in position, velocity and attitude.
+
+    m: starts, h: horizons; the reference is the recorded flight.
+    """
     position = np.linalg.norm(found[..., :3] - piece.position[after], axis=-1)
     velocity = np.linalg.norm(found[..., 3:6] - piece.velocity[after], axis=-1)
     angle = np.empty_like(position)

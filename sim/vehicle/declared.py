@@ -1,7 +1,7 @@
-"""Checks that the values a configuration declares (robot, pad, links, wind and others) fit its scenario.
+"""Checks that the values declared in a configuration (robot, pad, links, wind and others) fit its scenario.
 
-The certificate proves a configuration for the values that it declares. These checks compare the declared
-values with the scenario, so that the proof is valid for its flights.
+The certificate proves a configuration for the declared values. These checks compare the declared values with
+the scenario, so that the proof is valid for flights in this scenario.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from sim.scenarios.tables import PathKind, StartKind, TargetSpec
 from sim.vehicle.judge import Shape
 from sim.world.step import DIAGONAL
 
-DELAY_M_S = 0.02  # allowed difference between declared and simulated delay, s; less effect than the noise
-NOISE_SHARE = 0.5  # smallest declared fraction of a link's noise; an estimator filters the noise
-SPEED_SHARE = 0.01  # allowed relative excess of the target's acceleration over the declared one
-# smallest ratio of the declared vertical velocity error to the gusts' rms; tier lab has the lowest ratio
+DELAY_M_S = 0.02  # allowed difference between declared and simulated delay, s; its effect is below the noise
+NOISE_SHARE = 0.5  # minimum ratio of declared to simulated noise of a link; an estimator filters noise
+SPEED_SHARE = 0.01  # allowed relative excess of the target's acceleration over the declared value
+# smallest allowed ratio of the declared vertical velocity error to the gusts' rms: that of tier lab
 GUST_SHARE = 0.066
-RADIO_SHARE = 0.5  # largest fraction of the declared lag spread that the radio's delay may use
-# Fraction of the certificate's bound of the touchdown distance at which all feet must be on the pad. Of 300
-# landings of tier lab 19 crash on a pad of 6 cm, 3 on 7 cm, none on 8 cm, where half of the bound fits.
+RADIO_SHARE = 0.5  # largest allowed ratio of the radio's delay to the declared lag spread
+# Fraction of the certificate's bound on the touchdown distance; at this distance all feet must be on the pad.
+# Of 300 landings of tier lab 19 crash on a pad of 6 cm, 3 on 7 cm, none on 8 cm; half of the bound fits 8 cm.
 FEET_SHARE = 0.5
 TOUCH_STEP_M = 0.001  # step at which the boundary is compared with the height of a touchdown, m
 STEP_M, FAR_M = 0.005, 10.0  # step and largest distance at which the barriers are compared, m
@@ -46,9 +46,9 @@ class _Row(NamedTuple):
     key: str  # key in the configuration, TABLE.KEY
     there: str  # key in the scenario, or a text that names several
     unit: str
-    found: float | None = None  # value in the scenario; None: that of the key ``there``
-    share: float = 1.0  # smallest declared fraction of the value
-    near: float | None = None  # largest allowed difference; None: the declared value may also be larger
+    found: float | None = None  # value in the scenario; None: the value of the key ``there``
+    share: float = 1.0  # smallest allowed ratio of the declared value to the value in the scenario
+    near: float | None = None  # maximum allowed difference; None: the declared value may be larger
     room: float | None = None  # margin; None: it follows from ``share`` or ``near``
     remedy: str = ""  # change that makes this margin positive
 
@@ -163,7 +163,7 @@ def _rows(scenario: Scenario) -> list[_Row]:
 
 
 def _judged(scenario: Scenario) -> Check:
-    """Return the check that outside the pad the barrier of the verdict is nowhere above the flown barrier."""
+    """Return the check that the verdict's boundary is nowhere above the flown boundary outside the pad."""
     flown, judge = scenario.onboard.barrier, scenario.judged_by
     distances = (scenario.target.pad_radius_m + k * STEP_M for k in range(int(FAR_M / STEP_M)))
     below_m, at_m = max((judge.height(d) - flown.height(d), d) for d in distances)
@@ -178,8 +178,9 @@ def _judged(scenario: Scenario) -> Check:
 def _feet(scenario: Scenario) -> Check:
     """Return the check that the pad has room for the feet at the assumed distance of a touchdown.
 
-    The certificate bounds the distance of the vehicle's centre from the middle of the pad. Feet and the whole
-    bound need a larger pad than those of the tiers, on which campaigns land. So ``_reach_m`` assumes less.
+    The certificate bounds the distance of the vehicle's centre from the middle of the pad. A pad with room
+    for the feet at the whole bound is larger than the pads of the tiers, on which campaigns land.
+    ``_reach_m`` therefore assumes a smaller distance.
     """
     geometry, pad_m = load(scenario.vehicle.airframe).geometry, scenario.target.pad_radius_m
     foot_m, (reach_m, where) = DIAGONAL * geometry.foot_offset_m, _reach_m(scenario.onboard)
@@ -202,7 +203,7 @@ def _reach_m(config: FlightConfig) -> tuple[float, str]:
         return next(above, config.touchdown.pad_radius_m), f"there the boundary reaches {key}"
     commit_m = config.robust.commit_radius_m
     bound_m = farthest_m(config.descending, extremes(config))[0]
-    # a bound beyond the pad is reported by the check drift
+    # the check drift reports a bound beyond the pad
     if commit_m < FEET_SHARE * bound_m and bound_m <= config.touchdown.pad_radius_m:
         return FEET_SHARE * bound_m, "half of the bound of the check drift"
     return commit_m, "robust.commit_radius_m"
@@ -224,7 +225,7 @@ def _flown(scenario: Scenario) -> list[Check]:
     link, spec, wind = scenario.odometry, scenario.vehicle, scenario.wind
     mocap, charge = spec.mocap, spec.battery_charge[0]
     discharged = 0.08 if scenario.onboard.reserve is not None else 1.0  # only tier room has low batteries
-    # key, value, worst value in a tier, unit, tier; where a smaller value is worse, both values are negative
+    # key, value, worst value in a tier, unit; comment: the tier; negative values if a smaller value is worse
     rows = [
         ("wind.mean_m_s", wind.mean_m_s, 2.0, "m/s"),  # storm
         ("odometry.loss", link.loss, 0.2, ""),  # storm
@@ -251,7 +252,7 @@ def _flown(scenario: Scenario) -> list[Check]:
 
 
 def _acceleration_m_s2(target: TargetSpec) -> float:
-    """Return the largest acceleration of the pad: along the path, across it, and vertical."""
+    """Return the largest acceleration of the pad, m/s^2: along the path, across the path, or vertical."""
     speed_m_s = target.speed_m_s
     turn_rad_s = abs(target.turn_rate_rad_s)
     turns_m_s2 = turn_rad_s * (speed_m_s + turn_rad_s * abs(target.pad_behind_axle_m))

@@ -3,7 +3,7 @@
 An encounter is the smallest distance of two vehicles between two ticks. The shape of a vehicle is an upright
 cylinder around rotors and body. Between two ticks the relative position follows the cubic through the
 positions and velocities at both ticks. There are two distances: the distance between the centres of mass, and
-the norm of an ellipsoid around the other vehicle, which is 1 on its surface.
+the norm of an ellipsoid around the other vehicle; this norm is 1 on the surface of the ellipsoid.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
 from sim.plant.params import STEP_S, Params
 from sim.world.step import GROUND, PAD, WorldRecord, tumbled
 
-GAP_MS = 30  # longest gap that does not end a contact, ms; a bounce is shorter
+GAP_MS = 30  # maximum gap within a contact, ms; a bounce is shorter
 NONE_MS = -1_000_000
 BESIDE_M, ABOVE_M = 2.0 * RADIUS_BESIDE_M, 2.0 * RADIUS_ABOVE_M  # semi-axes of the ellipsoid, m
 
@@ -66,7 +66,7 @@ class ContactRecord(Record):
     judging: bool  # whether the next touch of the pad counts as the first touch
     touch_ms: int  # time of the first touch
     touch_e: Vector  # vehicle minus pad centre at the start of the step of the touch, m
-    touch_velocity: Vector  # velocity of the vehicle relative to the pad below it, m/s
+    touch_velocity: Vector  # velocity of the vehicle relative to the pad at the point below, m/s
 
 
 @jitted
@@ -139,7 +139,7 @@ def _nearest(
 def _follow(
     before: F64, after: F64, flew: I64, steps: int, shapes: F64, least: F64, inside: I64, overlap: I64, i: int
 ) -> bool:
-    """Update the pairs of vehicle ``i`` with the later ones; arguments and result as in ``Team.follow``."""
+    """Update the pairs of vehicle ``i`` with later vehicles; arguments and result as in ``Team.follow``."""
     number, seen = len(shapes), False
     pair = i * number - i * (i + 1) // 2
     for j in range(i + 1, number):
@@ -166,7 +166,7 @@ class Team:
         # (P, 3) smallest values, infinite at first: distance of the centres of mass, m; this distance while
         # both vehicles flew; norm of the ellipsoid while both flew
         self.least = np.full((number, 3), np.inf)
-        # inside: (P,) whether, in the last call, both flew and one was in the other's ellipsoid; overlap_ms:
+        # inside: (P,) whether both flew in the last call and one was in the other's ellipsoid; overlap_ms:
         # (P,) time from the first tick of that call to the first overlap of the shapes, ms; -1: no overlap
         self.inside, self.overlap_ms = np.zeros(number, dtype=np.int64), np.full(number, -1, dtype=np.int64)
 

@@ -93,7 +93,7 @@ class VehicleRecord(Record):
     mocap: MocapRecord
     judge: JudgeRecord
     contact: ContactRecord
-    motor_share: Motors  # factor of the command: speed = share * command + held (1 and 0 without a fault)
+    motor_share: Motors  # factor of the command: speed = share * command + held; without a fault 1 and 0
     motor_held: Motors  # speed of a motor that a fault fixes, rpm
     drive: Motors  # target speeds of the motors after faults, rpm
     before_e: Vector  # vehicle minus pad centre at the start of the last step, m
@@ -272,7 +272,7 @@ class Physics(ABC):
         self._barrier = judge = scenario.judged_by
         cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
         r.contact.since_ms = r.contact.pad_ms = r.contact.ground_ms = r.contact.touch_ms = NONE_MS
-        # arrays with one element, in the memory of the record
+        # arrays with one element in the memory of the record
         self._since_ms, self._pad_ms, self._ground_ms, self._judging = scalars(
             r.contact, "since_ms", "pad_ms", "ground_ms", "judging"
         )

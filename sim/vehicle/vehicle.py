@@ -57,7 +57,7 @@ class VehicleSim(Physics):
         # the owner of the MAVLink connection uses ``faults.link``
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
         self._read_commands = reader(r.firmware.commands)
-        # set-point that holds the hover at the start against weight and mean wind; zero for other starts
+        # set-point that keeps the vehicle in hover at the start in the mean wind, m/s; zero for other starts
         self.trim_velocity_enu_m_s: Vec3 = ZERO
         # part of the radio's delay that is already simulated when a set-point is sent, ms
         self.sent_before_ms = 0
@@ -79,7 +79,7 @@ class VehicleSim(Physics):
         drag_xy, _, drag_z = self.params.body.drag_n_s_m
         zx, zy, zz = 0.0, 0.0, 1.0
         fx = fy = fz = 0.0
-        for _ in range(20):  # fixed-point iteration: drag depends on the tilt, the tilt on the drag
+        for _ in range(20):  # fixed-point iteration, because drag and tilt depend on each other
             along = (drag_z - drag_xy) * (wx * zx + wy * zy + wz * zz)
             fx, fy = -drag_xy * wx - along * zx, -drag_xy * wy - along * zy
             fz = self._weight_n - drag_xy * wz - along * zz
@@ -174,7 +174,7 @@ class VehicleSim(Physics):
         return None
 
     def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
-        """Send a velocity set-point; it takes effect, and its age starts, after the radio's delay."""
+        """Send a velocity set-point; after the radio's delay it takes effect, and its age starts."""
         self.firmware.send(set_point(velocity_enu_m_s, yaw_rad), self._ms - self.sent_before_ms)
 
     def set_position(self, position_enu_m: Vec3, yaw_rad: float) -> None:
@@ -254,7 +254,7 @@ class VehicleSim(Physics):
 
 
 def warm_up(scenario: Scenario) -> None:
-    """Compile the code of a flight, or load it from the cache, which takes some milliseconds."""
+    """Compile the code of a flight, or load it from the cache, within some milliseconds."""
     vehicle = VehicleSim(scenario, 0)
     vehicle.arm()
     with compiling(_KEPT, "the simulator, about 10 s, once") as cold:

@@ -56,7 +56,7 @@ def midpoint_rates(rates: F64, s: WrenchRecord) -> tuple[float, float, float]:
     """Return the body rates in the middle of the step, rad/s."""
     half = 0.5 * STEP_S
     x, y, z = rates[0], rates[1], rates[2]
-    for _ in range(4):  # each iteration multiplies the error by rate * half a step, at most 0.01
+    for _ in range(4):  # each iteration multiplies the error by (rate * half a step), which is at most 0.01
         gx, gy, gz = gyroscopic(s.inertia, x, y, z)
         x = rates[0] + half * (s.torque[0] - gx) / s.inertia[0]
         y = rates[1] + half * (s.torque[1] - gy) / s.inertia[1]

@@ -27,20 +27,20 @@ from sim.world.bodies import (
 )
 
 WAIT_STEPS = 50  # consecutive steps of 1 ms at rest before the pad carries the vehicle; a bounce is shorter
-STILL_M = 1e-4  # largest motion relative to the pad in these steps, m
+STILL_M = 1e-4  # maximum allowed motion relative to the pad in these steps, m
 DIAGONAL = 1.4143  # ratio of a square's diagonal to its side, rounded up: the feet are at the corners
-SAME_RAD = 0.002  # largest change of attitude in these steps, rad
-UPRIGHT = 0.99  # smallest cosine of the tilt at which the vehicle stands on all feet
-LOADED = 0.5  # smallest load on the feet of a vehicle at rest, divided by its weight
+SAME_RAD = 0.002  # maximum allowed change of attitude in these steps, rad
+UPRIGHT = 0.99  # lower limit of the tilt's cosine for a vehicle that stands on all feet
+LOADED = 0.5  # lower limit of the load on the feet of a vehicle at rest, divided by the weight
 HOLDS = 0.25  # fraction of the holding force (friction, weight) above which MuJoCo computes the steps
-TICK_S = 0.01  # assumed time between velocity updates of the deck, s; acceleration = change / time
-MOVED_M, TURNED_RAD = 1e-4, 1e-3  # largest correction of the deck's pose, m, rad; a larger one is a jump
+TICK_S = 0.01  # assumed time between velocity updates of the deck, s; acceleration = velocity change / time
+MOVED_M, TURNED_RAD = 1e-4, 1e-3  # limits of a correction of the deck's pose; a larger change is a jump
 
 
 class RestRecord(Record):
     """Number of steps at rest on the pad, and the vehicle's pose on the pad."""
 
-    wait_steps: int  # ``WAIT_STEPS``; a value above the steps of a flight disables the resting state
+    wait_steps: int  # ``WAIT_STEPS``, or more than the steps of a flight, which disables the resting state
     steps: int  # number of consecutive steps at rest
     friction: float
     gravity: float  # gravitational acceleration, m/s^2
@@ -158,10 +158,10 @@ def carried(r: RestRecord, wrench: WrenchRecord, body: BodyRecord, deck: DeckRec
     return True
 
 
-TOP_NORMAL = 0.7  # smallest |z| of the contact normal for a contact with the pad's top; about 45 degrees
+TOP_NORMAL = 0.7  # lower limit of the contact normal's |z| for a contact with the pad's top; about 45 degrees
 RIM_M = 0.002  # depth below the pad's top beyond which a contact counts as contact with the edge, m
 
-# Layout of the sensor readings: one for the floor, one for the robot below the pad, then all pad contacts.
+# order of the sensor readings: one for the floor, one for the robot below the pad, then all pad contacts
 PAD_CONTACTS = 16  # maximum number of pad contacts: up to two for each of the vehicle's nine shapes
 PER_CONTACT = 7  # values per contact: whether it exists, position (world, m), normal
 SENSORS = 2 + PAD_CONTACTS * PER_CONTACT

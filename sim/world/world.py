@@ -21,7 +21,7 @@ from sim.world.step import PAD_CONTACTS, ReachRecord, WorldRecord, set_up_rest
 
 MARGIN_M = 1e-3  # margin for rounding errors, m
 _LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # file names on Linux, macOS, Windows
-HEAVY_KG = 1.0e4  # mass of the simulated robot; contacts with the vehicle (0.03 kg) do not move it
+HEAVY_KG = 1.0e4  # mass of the simulated robot; no contact with the vehicle (0.03 kg) moves such a mass
 QPOS, QVEL = 11, 10  # sizes of MuJoCo's state: the vehicle's free joint, then the robot's x, y, z and yaw
 
 
@@ -176,7 +176,7 @@ def model_xml(params: Params, target: TargetSpec) -> str:
     """Return the MuJoCo model as XML. Joints: free joint of the vehicle; x, y, z and yaw of the robot.
 
     The robot is a body with a velocity, because only a moving body carries others by friction (a mocap body
-    has no velocity). Its state is set every step; its mass is so large that no contact moves it in between.
+    has no velocity). The robot's state is set every step; in between, no contact moves such a large mass.
     The friction cone is elliptic: a pyramid has only 0.7 of the friction along the diagonals. Gravity is off
     and the vehicle's weight is applied as a force, so that the robot needs no support.
     """
