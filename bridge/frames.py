@@ -66,7 +66,7 @@ def quaternion_from_yaw(yaw_rad: float) -> Quat:
 
 
 def yaw_from_quaternion(q: Quat) -> float:
-    """Return the heading of the body's x axis in the world's x-y plane, (-pi, pi], of a unit quaternion."""
+    """Return the heading of the body's x axis in the world's x-y plane, (-pi, pi]; ``q``: unit quaternion."""
     w, x, y, z = q
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
@@ -104,7 +104,7 @@ def ned_covariance_from_enu(covariance: Sequence[float]) -> list[float]:
 
 
 def euler_from_quaternion(q: Quat) -> Vec3:
-    """Return roll, pitch in [-pi/2, pi/2] and yaw of a unit quaternion; they rotate about z, then y, then x.
+    """Return roll, pitch in [-pi/2, pi/2] and yaw of a unit quaternion (intrinsic rotations about z, y, x).
 
     If the nose points straight up or down, roll and yaw have the same axis; roll is then 0.
     """

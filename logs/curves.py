@@ -38,7 +38,7 @@ _RAN = (
     FilterStatus.OWN,
 )
 _NEAR_S = 0.02  # maximum time between a step and its true state, s: two ticks
-_MARGIN_SEEN_M = 1e-4  # smallest margin that is drawn, m; a smaller one is a rounding error
+_MARGIN_SEEN_M = 1e-4  # minimum margin that is drawn, m; a smaller margin is a rounding error
 _WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # marks on the axis of computation times, us
 
 Values = tuple[Floats, Floats]  # times since the origin of the flight, s, and values; NaN: a gap
@@ -286,7 +286,7 @@ CHARTS = (
         )),
         Row("wall", "wall time [µs]", (
             Curve("exec", "whole tick", COMMAND, _of("timing", lambda s: 1e6 * s.exec_s)),
-            Curve("solve", "quadratic program", NOMINAL,  # 0: it did not run
+            Curve("solve", "quadratic program", NOMINAL,  # 0: the program did not run
                   _of("timing", lambda s: np.where(s.solve_s > 0.0, 1e6 * s.solve_s, np.nan))),
             Curve("late", "start after deadline", LIMIT, _of("timing", lambda s: 1e6 * s.lateness_s),
                   1.0, hidden=True),

@@ -19,7 +19,7 @@ _NS = 1e-9
 
 
 class Found(NamedTuple):
-    """All identified parameters; ``None``: the logs do not determine it, for a reason in ``missing``."""
+    """All identified parameters; ``None``: the logs do not determine the value, see ``missing``."""
 
     horizontal: Loop
     vertical: Loop

@@ -1,7 +1,7 @@
 """Summarises a log, repairs a damaged log, and writes one topic of a log as a table.
 
-All three also read logs of other programs, with the message definitions in the file, and use the readable
-part of a damaged log.
+All three functions also read logs of other programs, with the message definitions in the file, and use the
+readable part of a damaged log.
 """
 
 from __future__ import annotations
@@ -118,8 +118,8 @@ def recover(log: LogFile, out: Path) -> int:
 def rows(log: LogFile, topic: str, refused: Counter[str]) -> Iterator[dict[str, Any]]:
     """Yield a row for each message of a topic; nested fields have dotted names, a list is one JSON text.
 
-    Reasons why messages cannot be decoded are counted in ``refused``. Raises ValueError: there is no such
-    topic, or it is not CDR.
+    Reasons why messages cannot be decoded are counted in ``refused``. Raises ValueError: the log has no such
+    topic, or the topic is not CDR.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

@@ -15,9 +15,10 @@ from flightstack.core.types import ZERO, Vec3
 STATE_AGE_MAX_S = 0.3  # maximum age of the state, s: thirty packets in a row were lost
 HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s: ten packets in a row were lost
 VARIANCE_MAX_M2 = 0.01  # maximum position variance of an axis, m2; settled: 0.001 (cflib reset_estimator)
-TILT_MAX_DEG = 2.0  # maximum tilt of markers to body, degrees; 1 degree is common: a drift of 6.8 cm/s
-BATTERY_MIN_V = 3.7  # lowest voltage at rest, V: a sixth of the charge is left; the firmware never lands
-# Controllers, by stabilizer.controller, that follow velocity set-points; 0: the default, PID (controller.c).
+TILT_MAX_DEG = 2.0  # maximum tilt of markers to body, degrees; a common 1 degree causes a drift of 6.8 cm/s
+# Lowest voltage at rest for arming, V: a sixth of the charge is left. The firmware never lands by itself.
+BATTERY_MIN_V = 3.7
+# Controllers that follow velocity set-points, by stabilizer.controller; 0 selects the default, PID.
 # With such a set-point Mellinger (2) holds height zero or gives full thrust (controller_mellinger.c).
 CONTROLLERS = {"0": "default", "1": "PID"}
 _POSITION_DECKS = {
@@ -27,7 +28,7 @@ _POSITION_DECKS = {
 }
 _UP: Vec3 = (0.0, 0.0, 1.0)
 _SHARE = 0.1  # weight of a new value in the mean ``_leaning``; at 10 Hz the time constant is 1 s
-_AT_REST_G = 0.1  # maximum difference between measured acceleration and 1 g, g; above it, the vehicle moves
+_AT_REST_G = 0.1  # deviation of the specific force from 1 g, in g, above which the vehicle counts as moving
 
 
 class Condition:
@@ -37,13 +38,13 @@ class Condition:
         self.link: Connected | Lost = Lost("not connected yet")  # present state of the connection
         self.state: CrazyflieState | None = None  # newest state, of any age
         self.health: Health | None = None  # newest position variance and battery data
-        # reason why there is no good external pose; None: there is one, or none is needed
+        # reason why there is no good external pose; None: the newest pose is good, or no pose is needed
         self.mocap_problem: str | None = "mocap: no pose yet" if mocap else None
-        # whether external poses are needed, and time of measurement of the newest one, s
+        # whether external poses are needed, and time of measurement of the newest external pose, s
         self.needs_poses, self.posed_s = mocap, -math.inf
         self._pose_quaternion: Quat | None = None  # attitude of the newest external pose
         self.fit_s = -math.inf  # time when the supervisor last reported armed or ready to arm, s
-        self._leaning: Vec3 | None = None  # mean of up by poses minus up by specific force, body frame
+        self._leaning: Vec3 | None = None  # mean of (up by poses - up by specific force), body frame
 
     def alive(self, now_s: float) -> bool:
         """Whether states of the Crazyflie arrive; without them no telemetry is sent."""
@@ -159,7 +160,7 @@ _STUCK = {
 
 
 def with_remedy(reason: str) -> str:
-    """Return cflib's reason for a failed connection; for an unusable USB device, add what to do."""
+    """Return cflib's reason for a failed connection, with advice if the USB device cannot be used."""
     text = reason.removeprefix("Couldn't load link driver: ")
     if "Cannot find" not in text and "Could not open usb" not in text and "Access denied" not in text:
         return reason

@@ -1,7 +1,7 @@
 """Radio link through cflib: its callbacks fill bounded queues; one worker thread calls cflib.
 
 cflib may block for 2 s in a send (radiodriver.py), and without limit while it connects; so the MAVLink loop
-never calls it. The loop takes events with ``poll`` and queues packets with ``send``; neither blocks. The
+never calls cflib. The loop takes events with ``poll`` and queues packets with ``send``; neither blocks. The
 outbox sends urgent packets first and drops old velocities.
 """
 
@@ -52,7 +52,7 @@ PARAMS = (  # firmware parameters that are read for the checks before arming
 EVENTS_MAX = 512  # maximum number of queued events: four seconds of log packets
 BLOCK_SILENT_S = 1.0  # time without a packet after which a log block is requested again, s
 ANSWER_MAX_S = 2.0  # time without any answer after which an attempt to connect is given up, s
-UNANSWERED_S = 0.5  # time-out of a connection's first answer in a blind landing, s: cflib asks only once
+UNANSWERED_S = 0.5  # time-out of a connection's first answer in a blind landing, s: cflib requests it once
 CONNECT_MAX_S = 120.0  # time-out of an attempt to connect, s; 1,235 requests, a fifth of them lost, take 40 s
 RESEND_S = 0.05  # time-out before cflib repeats a request over UDP, s; cflib's default of 0.2 s suits a radio
 RETRY_S = 0.5  # time between two attempts to connect, s
@@ -73,7 +73,7 @@ class LogBlocks:
     """
 
     def __init__(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
-        """``put``: receives the events; cflib's thread calls it."""
+        """``put``: function that receives the events; cflib calls it in a thread of its own."""
         self._crazyflie, self._put = crazyflie, put
         known = crazyflie.log.toc.get_element_by_complete_name
         for name in (name for block in BLOCKS for name in block.variables):
@@ -244,8 +244,9 @@ class CrazyflieLink:
     def _pass_on(self, crazyflie: Any, wait_s: float) -> Packet | None:
         """Wait for a packet and send it; set-points and orders are sent as soon as the link is open.
 
-        They do not wait for the set-up of the connection, so that a blind landing continues; without a link
-        they are dropped. Other packets and RECONNECT are returned. Raises _LostError: the connection ended.
+        Set-points and orders do not wait for the set-up of the connection, so that a blind landing continues;
+        without a link they are dropped. Other packets and RECONNECT are returned. Raises _LostError: the
+        connection ended.
         """
         packet = self._outbox.get(wait_s, time.monotonic)
         if self._closing.is_set() or self._broken is not None:
@@ -264,9 +265,10 @@ class CrazyflieLink:
     def _close(self, crazyflie: Any) -> None:
         """Close the link and stop the motors, unless the vehicle flies.
 
-        cflib ends with a set-point of zero thrust: within two seconds after a flight the supervisor takes the
-        silence that follows for a lost link and locks. So a stop and its notice are sent instead. cflib joins
-        its threads for up to two seconds; a thread waits for this, so that the next connection may begin.
+        cflib would end with a set-point of zero thrust. Within two seconds after a flight the supervisor
+        would treat the silence after this set-point as a lost link, and lock. So a stop set-point and its
+        notice are sent instead. cflib waits up to two seconds for its threads; a separate thread calls it,
+        so that the next connection may begin.
         """
         if crazyflie.link is not None and not self._flies:
             crazyflie.commander.send_stop_setpoint()

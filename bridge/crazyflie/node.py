@@ -1,7 +1,7 @@
 """Presents a Crazyflie to MAVLink clients as a PX4 vehicle: it takes messages and returns messages.
 
-Pure: no socket, no clock, no thread. Telemetry is made only from new states, so an old state is never sent as
-a new one. Without a state of the Crazyflie no heartbeat is sent, only status texts.
+Pure: no socket, no clock, no thread. Telemetry is made only from new states, so no state is sent twice.
+Without a state of the Crazyflie no heartbeat is sent, only status texts.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class Node(Server[Vehicle]):
         return Snapshot(vehicle, vehicle.state, known, now_s, vehicle.state.boot_ms / 1000.0)
 
     def streamed(self, snapshot: Snapshot[Vehicle]) -> list[Message]:
-        """Return messages made from new states; if states are missing, add due messages without state."""
+        """Return messages made from new states; if states are missing, add due messages that need none."""
         messages, self._streamed = self._streamed, []
         return messages + super().streamed(snapshot) if self._gap(snapshot.now_s) else messages
 
@@ -182,6 +182,6 @@ class Node(Server[Vehicle]):
         state = decode_state(packet.values, boot_ms, at_s - late_s)  # at the time of measurement
         restarts, self._restarts = self._restarts, self.clock.restarts
         self.vehicle.take_state(state, at_s, restarted=restarts != self.clock.restarts)
-        snapshot = self.snapshot(state.at_s)  # streams are due by the time of measurement: no jitter
+        snapshot = self.snapshot(state.at_s)  # streams follow the time of measurement, which has no jitter
         if snapshot is not None:
             self._streamed += super().streamed(snapshot)

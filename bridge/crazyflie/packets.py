@@ -1,9 +1,10 @@
 """Data between bridge and Crazyflie: packets and their queue, events, and decoded log packets.
 
-Urgent packets are sent first; old velocities are dropped. Each packet of the block ``STATE`` is complete:
-``stateEstimateZ`` (firmware stabilizer.c) has millimetres, millimetres per second, a quaternion in 32 bits
-and milliradians per second; with supervisor bits and voltage it fills the 26 bytes of a packet. Decoded
-values have metres, seconds, radians, volts; the Crazyflie's world frame (z up) is used as ENU; body: FLU.
+Urgent packets are sent first; old velocities are dropped. Each packet of the block ``STATE`` has the whole
+state: ``stateEstimateZ`` (firmware stabilizer.c) in millimetres, millimetres per second, a quaternion in 32
+bits and milliradians per second, then supervisor bits and voltage; they fill the 26 bytes of a packet.
+Decoded values have metres, seconds, radians, volts. The Crazyflie's world frame (z up) is used as ENU, its
+body frame is FLU.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class Outbox:
     def __init__(self) -> None:
         self._ready = threading.Condition()
         self._orders: list[Order | SetParam] = []
-        self._newest: dict[type, tuple[Velocity | Pose, float]] = {}  # newest packet of a type, time in s
+        self._newest: dict[type, tuple[Velocity | Pose, float]] = {}  # newest packet of each type, time in s
         self._woken = False
 
     def put(self, packet: Packet, now_s: float) -> None:
@@ -205,8 +206,8 @@ BLOCKS = (STATE, HEALTH, GRAVITY)
 FETCHED_AS: Mapping[str, str] = dict.fromkeys(_MOTORS, "uint16_t")  # requested type; older firmware: 32 bits
 _PWM_MAX = 65535.0
 LATE_MAX_S = 0.05  # maximum delay of a packet, s; a later packet is ignored
-# time for which packets must agree on a changed clock until it is adopted, s; PATIENCE_S if they are late and
-# may come from a queue, since the clock of a simulated firmware may stop; else PROOF_S
+# Time for which packets must agree on a changed clock before this clock is used, s. PATIENCE_S is for late
+# packets: they may come from a queue, since the clock of a simulated firmware may stop. Else PROOF_S is used.
 PROOF_S, PATIENCE_S = 0.05, 0.3
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # difference from the expected time above which the firmware may have restarted, ms
@@ -232,7 +233,7 @@ class BootClock:
         return self._clock.memory.began_s < math.inf
 
     def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:
-        """Return continuous time, ms, and lateness, s, of a 24-bit time; None: do not use the packet."""
+        """Convert a 24-bit time; return continuous time, ms, and delay, s; None: do not use the packet."""
         last_ms, boot_ms, restarted = self._last_ms, time_ms, False
         if last_ms is not None:
             elapsed_ms = 1000.0 * (at_s - self._last_at_s)

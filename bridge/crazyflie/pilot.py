@@ -1,9 +1,9 @@
 """Requests to the firmware's supervisor, and velocity set-points of take-off, hold and landing.
 
 A request to arm or to stop the motors is repeated until it has an effect. Motors-off is three packets: a
-stop set-point; a notice that no more set-points follow, without which the supervisor locks after two seconds
-(firmware supervisor.c); and a disarming request, which also works in flight. If a forced disarm has no
-effect, an emergency stop follows; it is latched until a restart.
+stop set-point, a notice that no more set-points follow, and a disarming request, which also works in flight.
+Without the notice the supervisor locks after two seconds (firmware supervisor.c). If a forced disarm has no
+effect, an emergency stop follows; the stop is latched until a restart.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Arming:
         return [] if self.armed else [Order.ARM]
 
     def refused_by(self, reply: ArmReply) -> bool:
-        """Whether a reply ends the arming request; a refusal by firmware that arms itself does not."""
+        """Whether a reply ends the arming request; a refusal by firmware that arms itself does not end it."""
         if self._request is None or not self.arming or reply.accepted:
             return False
         self._request.refused = True
@@ -75,7 +75,7 @@ class Arming:
         return not self._arms_itself
 
     def off(self, now_s: float, *, forced: bool, latched: bool = False) -> list[Packet]:
-        """Return the packets that stop the motors; a repeated call repeats them, as they may be lost."""
+        """Return the packets that stop the motors; call again to repeat them, since packets may be lost."""
         self.armed, before = False, self._request
         request = self._request = _Request(_Goal.OFF, now_s, now_s, forced, latched)
         if before is not None and before.goal is _Goal.OFF:
@@ -127,22 +127,22 @@ class Arming:
 
 
 GAIN_1_S = 1.5  # position gain, 1/s; a third of the velocity loop's gain avoids overshoot
-SPEED_XY_M_S = 0.3  # largest horizontal speed, m/s
+SPEED_XY_M_S = 0.3  # maximum horizontal speed, m/s
 CLIMB_M_S = 0.4  # maximum climb rate, m/s
 DESCENT_M_S = 0.25  # descent rate, m/s
-ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # largest height error and speed at the end of a take-off
+ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # maximum height error and speed for the end of a take-off
 # height above the start, m, below which a take-off keeps the horizontal velocity of a moving deck
 CLEAR_M = 0.1
-CARRIED_MAX_M_S = 1.0  # largest velocity of a moving deck that the take-off follows, m/s
-# Descent rate without a position, m/s: an accelerometer bias makes the firmware's vertical velocity drift by
-# 0.05 m/s per second, until the vehicle climbs while the estimate shows a descent.
+CARRIED_MAX_M_S = 1.0  # maximum velocity of a moving deck that the take-off follows, m/s
+# Descent rate without a position, m/s: an accelerometer bias makes the firmware's estimate of the vertical
+# velocity drift by 0.05 m/s per second, until the vehicle climbs while the estimate shows a descent.
 UNPLACED_M_S = 0.4
 STOPPED_SHARE = 0.3  # fraction of the commanded descent rate; a vehicle that sinks slower stands on something
 LANDING_MIN_S = 1.0  # time after the start of a landing from which a stop counts, s: a climb must end first
 STOPPED_TIME_S = 0.4  # time for which a stop must last, s; longer than the start of a descent takes
-SINKING_M_S = -0.1  # largest z velocity of a descent command, m/s; a larger one may be a control error
+SINKING_M_S = -0.1  # maximum z velocity of a descent command, m/s; a slower descent may be a control error
 YAW_GAIN_1_S = 2.0  # yaw gain, 1/s; CRTP velocity set-points have a yaw rate but no yaw
-YAW_RATE_MAX_RAD_S = 1.5  # largest yaw rate, rad/s
+YAW_RATE_MAX_RAD_S = 1.5  # maximum yaw rate, rad/s
 
 
 def yaw_rate(wanted_rad: float, state: CrazyflieState) -> float:
@@ -180,7 +180,7 @@ class Pilot:
         self._stopped = Stopped()
 
     def velocity(self, state: CrazyflieState, takeoff_z_m: float | None) -> Velocity:
-        """Return the velocity to the point to hold; ``takeoff_z_m``: its z in a take-off, m, else None."""
+        """Return the velocity to the point to hold; ``takeoff_z_m``: z of this point in a take-off, m."""
         takes_off = takeoff_z_m is not None
         x, y, z = (
             p + v / GAIN_1_S for p, v in zip(state.position_enu_m, state.velocity_enu_m_s, strict=True)

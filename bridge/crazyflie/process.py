@@ -1,7 +1,6 @@
 """Process of the Crazyflie bridge: connects cflib to MAVLink clients.
 
-The loop waits for both links: it sends each set-point to the radio, and each state to the clients, as soon as
-it arrives.
+The loop waits for both links. On arrival it sends a set-point to the radio, or a state to the clients.
 """
 
 from __future__ import annotations
@@ -40,8 +39,8 @@ _URI = re.compile(
     r"^(radio://[0-9A-Fa-f]+/\d{1,3}/(250K|1M|2M)(/[0-9A-Fa-f]{1,10})?(\?rate_limit=\d+)?|usb://\d+"
     r"|(udp|tcp)://[^:/\s]+:\d{1,5})$"
 )
-TICK_S = 0.01  # longest sleep of the loop, s
-POSE_TICK_S = 0.002  # longest sleep with motion capture, s; its samples cannot wake the loop
+TICK_S = 0.01  # maximum sleep of the loop, s
+POSE_TICK_S = 0.002  # maximum sleep with motion capture, s; samples of motion capture cannot wake the loop
 SHUT_DOWN_MAX_S = 20.0  # time limit of the landing when the bridge ends in flight, s
 
 
@@ -56,7 +55,7 @@ class Loop:
     ) -> None:
         self._node, self._link, self._endpoint, self._poses, self._say = node, link, endpoint, poses, say
         self._start_s = time.monotonic()
-        self._begun: tuple[int, int] | None = None  # connection and pose series that last reset the estimator
+        self._begun: tuple[int, int] | None = None  # connection and pose series of the last estimator reset
         self._tick_s = TICK_S if poses is None else POSE_TICK_S
 
     @property
@@ -107,7 +106,7 @@ class Loop:
         self._link.send(pose)
 
     def run(self, stop: Stop, duration_s: float | None) -> int:
-        """Loop until a signal; the first one lands the vehicle, the second ends the loop. Return the status.
+        """Loop until a signal; the first lands the vehicle, the second ends the loop. Return the exit status.
 
         An exception also lands the vehicle: without set-points the firmware would stop the motors.
         """

@@ -1,8 +1,8 @@
 """Limits and options of the Crazyflie bridge, and the firmware parameters that it writes.
 
 In flight the firmware's Kalman filter uses only the accelerometer's body z axis, so it needs the rotor drag:
-with ``kalman.dragB_*`` at the default 0 its velocity is 16 % too high (measured on firmware 2026.08, drag
-0.46 1/s), and at a commanded 0.30 m/s the vehicle flies 0.24 m/s.
+with ``kalman.dragB_*`` at the default 0 the filter's velocity is 16 % too high (measured on firmware 2026.08,
+drag 0.46 1/s), and at a commanded 0.30 m/s the vehicle flies 0.24 m/s.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LOST_S = 1.0  # time without a state after which no heartbeat is sent, s
 RECONNECT_S = 3.0  # time without a state until the link is reopened, s; the firmware stops the motors earlier
 BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # time of a blind landing: 1.0 s plus 1.2 times height / descent rate
 POSE_AGE_MAX_S = 0.5  # maximum age of an external pose, s; with an older pose the position is invalid
-REARM_S = 0.4  # longest disarmed time that is ignored, s: some firmware disarms for 0.12 s every 30 s
+REARM_S = 0.4  # maximum disarmed time that is ignored, s: some firmware disarms for 0.12 s every 30 s
 CLIENT_SILENT_S = 3.0  # time without a heartbeat of any client after which the vehicle lands, s
 STREAM_S = 1.0  # time without set-points after which another client may take control, s; PX4: COM_OF_LOSS_T
 LEVEL_OUT_S = 0.5  # time without set-points until the firmware levels the vehicle, s (supervisor.c)
@@ -33,7 +33,7 @@ STANDING_S = 1.0  # time of a descent command without descent after which the ve
 SPEED_MAX_M_S = 1.0  # maximum speed of a forwarded set-point, m/s
 HEIGHT_RANGE_M = (0.1, 3.0)  # allowed take-off height above home, m
 IDLE_S = 10.0  # time armed on the ground after which the bridge disarms, s; PX4: COM_DISARM_PRFLT
-KILL_KEPT_S = 10.0  # longest time that a kill without a link remains pending, s
+KILL_KEPT_S = 10.0  # maximum time that a kill without a link remains pending, s
 TAKEOFF_MAX_S = 15.0  # time-out of a take-off, s; a climb of 3 m takes 8 s
 TAKEOFF_M = 0.5  # default take-off height above home, m
 

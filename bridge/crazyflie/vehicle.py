@@ -63,7 +63,7 @@ class Vehicle(Condition, Commander):
         self._silence_said = False
         self._connected_s = 0.0
         self._armed_state: CrazyflieState | None = None  # newest state in which the vehicle is armed
-        # time of the newest state with a good position, and maximum duration of a blind landing from there, s
+        # time of the newest state with a good position, s; maximum duration of a blind landing from there, s
         self._placed_s, self._sink_s = -math.inf, 0.0
         self._stopped = Stopped()
         self._client_s = self._own_s = -math.inf
@@ -313,7 +313,7 @@ class Vehicle(Condition, Commander):
         if yaw_rad is not None:
             yaw_rate_rad_s = yaw_rate(yaw_rad, state) if state is not None else 0.0
         self._command(Velocity(velocity_enu_m_s, yaw_rate_rad_s))
-        # then the vehicle counts as standing, so that a client may disarm it after a landing
+        # a vehicle that does not descend on command counts as standing, so that a client may disarm it
         if self._stopped.lasts_s(velocity_enu_m_s[2], state, now_s) > limits.STANDING_S:
             self._moved = False
 

@@ -127,10 +127,10 @@ class Endpoint:
         return received
 
     def _take(self, frame: bytes, peer: Peer, received: list[Received]) -> None:
-        """Check and decode a frame and record its sender; count it if it is rejected."""
+        """Check and decode a frame and record its sender; count a rejected frame."""
         counters, signed = self.counters, frame[2] & FLAG_SIGNED
         if self._signer is None:
-            counters["unchecked"] += signed  # handled like an unsigned frame
+            counters["unchecked"] += signed  # without a key a signed frame is handled like an unsigned one
         elif (refused := self._signer.refusal(frame)) is not None:
             counters[refused.value] += 1
             if refused in _OLD:
@@ -158,7 +158,7 @@ class Endpoint:
         received.append(Received(message, peer))
 
     def _answer_stale(self, peer: Peer) -> None:
-        """Send a heartbeat to a peer with a late clock: an autopilot sets its clock to a signed timestamp."""
+        """Send a heartbeat to a peer with a late clock; an autopilot adopts the timestamp of this frame."""
         now_s = time.monotonic()
         if self._heartbeat is None or self._signer is None or now_s - self._answered_s < _ANSWER_S:
             return

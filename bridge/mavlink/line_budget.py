@@ -43,7 +43,7 @@ class LinePlan(NamedTuple):
 
 
 def plan(baud: int | None, rate_hz: float, own_age_max_s: float, *, signed: bool = False) -> LinePlan:
-    """Choose the highest rate that fits, an integer fraction of the loop rate.
+    """Choose the highest message rate that fits the line: the loop rate divided by an integer.
 
     ``baud``: speed of the serial line, bit/s, None: no limit; ``rate_hz``: loop rate; ``own_age_max_s``:
     maximum age of the vehicle state, s. The lowest allowed rate is 3 / ``own_age_max_s``.

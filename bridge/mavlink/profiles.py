@@ -2,9 +2,9 @@
 
 A new autopilot needs a ``Profile`` in this module; option, detection and pre-flight check then use it. No
 other part of the stack distinguishes autopilots. This project's vehicles use PX4's commands and
-MAV_AUTOPILOT; the simulated vehicle has part of PX4's parameters, the Crazyflie none that are checked.
+MAV_AUTOPILOT. The simulated vehicle has part of PX4's parameters; the Crazyflie has none that are checked.
 Sources: PX4 ``px4_custom_mode.h``, ``mavlink_receiver.cpp`` and ``offboardCheck.cpp`` (v1.16); ArduPilot
-``ArduCopter/mode.h``, ``mode_guided.cpp`` and ``GCS_Mavlink.cpp`` (4.6); both measured in their SITL.
+``ArduCopter/mode.h``, ``mode_guided.cpp`` and ``GCS_Mavlink.cpp`` (4.6); both were measured in SITL.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Step:
 
     command: int  # MAV_CMD number
     name: str
-    # first parameters; later ones are sent as the profile's ``unset`` value, except the height of a take-off
+    # first parameters; the others are sent as the profile's ``unset`` value, except the height of a take-off
     params: tuple[float, ...]
     done: Callable[[VehicleStatus], bool]
     prestream: bool = False  # whether the command requires streaming set-points
@@ -43,8 +43,8 @@ class Profile:
     autopilot: int  # MAV_AUTOPILOT in the heartbeat
     modes: Mapping[int, Mode]  # mode by custom_mode of the heartbeat; other values mean OTHER
     sequences: Mapping[Request, tuple[Step, ...]]
-    # whether param7 of NAV_TAKEOFF counts from home, so the vehicle's height above home is added; if not, it
-    # counts from sea level, so the height of home is added
+    # Whether param7 of NAV_TAKEOFF is a height above home: then the vehicle's height above home is added to
+    # the climb. If not, param7 is a height above sea level, and the height of home is added.
     takeoff_above_home: bool
     # Whether set-points may be sent during the vehicle's take-off. If not, a set-point ends the take-off, and
     # the external mode is a take-off until the first set-point.
@@ -97,7 +97,7 @@ def _guided_or_airborne(status: VehicleStatus) -> bool:
 
 def _landing(status: VehicleStatus) -> bool:
     # "Disarmed" and "in the air" contradict each other: the step then counts as not done, so the landing
-    # command is sent. It is harmless if the vehicle stands on the ground.
+    # command is sent. This command is harmless if the vehicle stands on the ground.
     return status.mode is Mode.LAND or not (status.armed or status.landed in _AIRBORNE)
 
 
@@ -240,7 +240,7 @@ def profile(name: str) -> Profile | None:
 
 
 def found(autopilot: int) -> Profile | None:
-    """Return the first profile with this MAV_AUTOPILOT; later ones are variants with the same commands."""
+    """Return the first profile with this MAV_AUTOPILOT; the others are variants with the same commands."""
     return next((each for each in PROFILES.values() if each.autopilot == autopilot), None)
 
 

@@ -1,7 +1,7 @@
 """Checks the order, age, rate and jumps of motion capture poses; options of the bridges that receive them.
 
 The Crazyflie's estimator does not reject outliers (firmware mm_pose.c): one pair of swapped markers makes the
-vehicle flip. So a pose is forwarded only if the vehicle can have moved there from the last good pose.
+vehicle flip. So a pose is forwarded only if the vehicle can have moved to this pose from the last good pose.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Refusal(Enum):
 class Limits:
     frame_id: str | None = None  # required frame of the poses; None: any frame is accepted
     late_max_s: float = 0.1  # maximum delay relative to the fastest recent sample, s
-    # time for which poses must agree on a changed clock of their sender before one is used, s
+    # time for which poses must agree on a changed clock of their sender before a pose is used, s
     clock_proof_s: float = 0.3
     gap_max_s: float = 0.2  # age of the last good pose above which a problem is reported, s
     rate_min_hz: float = 20.0  # rate of the poses below which a warning is sent, Hz; PX4 needs 30 to 50 Hz
@@ -47,7 +47,7 @@ class Limits:
     turn_rate_max_rad_s: float = 20.0  # maximum rotation rate of the body, rad/s
     turn_rad: float = 0.2  # allowance for noise, which is added to the angle, rad
     room_m: float = 100.0  # half side of the room, m; the Crazyflie's estimator resets beyond 100 m
-    gap_counted_s: float = 1.0  # longest time between poses that counts for the possible motion, s
+    gap_counted_s: float = 1.0  # maximum time between poses that counts for the possible motion, s
     return_m: float = 0.5  # maximum distance from the last good pose after rejected poses, m
     settle_s: float = 1.0  # time at a new place after which it is accepted, s; only if disarmed
 
@@ -132,7 +132,7 @@ class PoseChecks:
         self._elsewhere = passed
         if not continues or passed.measured_s - self._elsewhere_since_s < limits.settle_s:
             return Refusal.JUMP
-        self._resets += 1  # disarmed and at one place for ``settle_s``: it was carried there
+        self._resets += 1  # the vehicle, disarmed and at one place for ``settle_s``, was carried there
         return passed._replace(resets=self._resets)
 
     def _reaches(self, before: Passed, after: Passed, most_m: float) -> bool:

@@ -1,6 +1,6 @@
 """Process of the mocap bridge: receives poses from Zenoh, sends them to a MAVLink vehicle.
 
-The profile of the vehicle's autopilot has the message: ODOMETRY or VISION_POSITION_ESTIMATE.
+The profile of the vehicle's autopilot selects the message: ODOMETRY or VISION_POSITION_ESTIMATE.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class MocapVehicle:
             None  # profile of the vehicle's autopilot; None: unknown or unsupported
         )
         self._origin, self._origin_sender = origin, OriginSender(origin, system_id)
-        self._autopilot = -1  # MAV_AUTOPILOT number of the newest heartbeat; -1: none has come
+        self._autopilot = -1  # MAV_AUTOPILOT number of the newest heartbeat; -1: no heartbeat yet
         self._origin_known = self._armed = False
         self._heard_s = self._beat_s = -math.inf
 
@@ -193,7 +193,7 @@ class MocapVehicle:
         return messages + self._origin_sender.step(lacks_origin, now_s)
 
 
-TICK_S = 0.002  # longest delay that the loop adds to a pose, s
+TICK_S = 0.002  # maximum delay that the loop adds to a pose, s
 
 
 class Bridge:

@@ -17,7 +17,7 @@ from flightstack.core.types import ZERO, Vec3
 NO_COVARIANCE: tuple[float, ...] = (0.0,) * 36  # unknown covariance: all zeros, by the convention of ROS
 # tolerance of a quaternion's squared norm, as in tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
 _UNIT_TOLERANCE = 0.01
-_LARGEST = 1e9  # limit of valid values, m, m/s, rad/s; a value from it on is damaged data
+_LARGEST = 1e9  # limit of valid values, m, m/s, rad/s; a value at or above this limit is damaged data
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseStamped"
 POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -104,7 +104,7 @@ def decode_pose(payload: bytes, schema: str = POSE) -> Pose:
 
 
 def checked_unit(orientation_wxyz: Quat, others: Vec3 | tuple[float, ...]) -> Quat:
-    """Return the quaternion with unit length; raise OdometryError if it or one of ``others`` is bad."""
+    """Return the quaternion with unit length; raise OdometryError if it is bad or one of ``others`` is."""
     w, x, y, z = orientation_wxyz
     n = (*others, w, x, y, z)
     if not (math.isfinite(sum(n)) and max(n) < _LARGEST and min(n) > -_LARGEST):

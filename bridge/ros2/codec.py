@@ -136,8 +136,8 @@ def codec(
 class _Generator:
     """Generates the source text of encoder and decoder.
 
-    A method that adds a field takes the expression of its value in the encoder, and returns the expression of
-    its value in the decoder.
+    A method that adds a field takes the expression of the field's value in the encoder, and returns the
+    expression of the field's value in the decoder.
     """
 
     def __init__(self, frame_id: str | None, fields: Callable[[str], tuple[Field, ...] | None]) -> None:

@@ -17,7 +17,7 @@ import xxhash
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import pack_attachment
 
-DOMAIN_MAX = 232  # largest domain id; DDS ports limit it (ROS 2 documentation, "The ROS_DOMAIN_ID")
+DOMAIN_MAX = 232  # maximum domain id, due to the DDS ports (ROS 2 documentation, "The ROS_DOMAIN_ID")
 TOPIC_LENGTH_MAX = 247  # maximum length of a topic name (rmw validate_full_topic_name.h)
 NO_HASH = "TypeHashNotSupported"  # placeholder of ROS 2 Humble, which has no type hashes
 QOS_KEEP_10 = "::,10:,:,:,,"  # reliable, volatile, keep last 10; empty means rmw_zenoh's default (qos.cpp)
@@ -136,7 +136,7 @@ class Ros2Node:
 
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
         """Announce a topic and declare its publisher; with a wrong type hash ROS 2 receives no sample."""
-        # numbers of tokens: 0 is the node itself
+        # number 0 is the token of the node itself
         key = topic_key(self._node.domain, topic, type_name, type_hash)
         token = self._node.publisher_token(len(self._tokens), topic, type_name, type_hash)
         self._tokens.append(zenoh_link.liveliness_token(self._session, token))
@@ -149,7 +149,7 @@ class Ros2Publisher:
     def __init__(
         self, publisher: zenoh_link.Publisher, identity: bytes, node: Ros2Node | None = None
     ) -> None:
-        """``identity``: id of the publisher, 16 bytes; ``node``: stored, since its tokens end with it."""
+        """``identity``: id of the publisher, 16 bytes; ``node``: stored, since it owns the tokens."""
         self._publisher, self._identity, self._node = publisher, identity, node
         self._sequence = 0  # sequence number of the newest message; 0 before the first
 

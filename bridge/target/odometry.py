@@ -1,6 +1,6 @@
 """Target odometry on Zenoh: ``nav_msgs/msg/Odometry`` in CDR with the attachment of rmw_zenoh.
 
-It also defines the decoded samples and estimates their noise.
+This module also decodes the samples and reads the noise that their sender reports.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from flightstack.core.types import TargetSample, Vec3
 
 ENCODING = "application/cdr;nav_msgs/msg/Odometry"
 WARN_FACTOR = 1.5  # ratio of reported to configured noise above which a warning is sent
-_UNUSED_M2 = 1e3  # variance from which a value counts as unknown; diff_drive_controller writes 1e6
+_UNUSED_M2 = 1e3  # variance from which a value counts as unknown; drivers write, for example, 1e6
 
 
 class RawSample(NamedTuple):

@@ -32,7 +32,7 @@ from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import ZERO, Vec3
 
 TEXTS_MAX = 32  # maximum number of different warnings per flight; the counters continue
-OFFSET_MAX_M = 5.0  # largest offset of the landing spot on an axis, m; a larger one probably has a wrong unit
+OFFSET_MAX_M = 5.0  # maximum offset of the landing spot on an axis, m; a larger offset may have a wrong unit
 LOOK_EVERY = 100  # number of samples after which frames and covariance are checked again
 CAPACITY = 1024  # maximum number of samples between two polls
 
@@ -124,9 +124,9 @@ class TargetSpec:
         return plain and self.offset_m == ZERO
 
 
-SETTLED_M_S = 0.05  # largest usable standard deviation of velocity, m/s; a TurtleBot3 Burger drives 0.22 m/s
+SETTLED_M_S = 0.05  # maximum usable standard deviation of velocity, m/s; a TurtleBot3 Burger drives 0.22 m/s
 UNKNOWN_M_S = 100.0  # standard deviation of an unmeasured velocity, m/s; far above robot speeds
-GATE_SIGMAS = 6.0  # distance of an outlier from the expected position, sigmas; by chance rarer than 1 in 10^7
+GATE_SIGMAS = 6.0  # minimum distance of an outlier from the expected position, sigmas; chance: < 1 in 10^7
 # number of consecutive outliers, or poses older than the last one, after which the estimate restarts
 OUTLIERS_MAX = 5
 UNSETTLED_MAX = 50  # number of poses without a velocity after which a warning is sent
@@ -136,8 +136,8 @@ class PoseTrack:
     """Converts poses of a target into odometry of ``child_frame_id`` by estimating the velocity.
 
     The stack's estimator expects position and velocity; it gets the velocity 0 with so large a noise that
-    this has no influence. Odometry is the measured pose with the estimated velocity; there is none before
-    the estimate has settled, and none for an outlier. ``link``: noise of poses and motion.
+    this value has no influence. Odometry is the measured pose with the estimated velocity; no odometry is
+    made before the estimate has settled, or from an outlier. ``link``: noise of poses and motion.
     """
 
     def __init__(self, link: TargetLink, child_frame_id: str) -> None:
@@ -149,7 +149,7 @@ class PoseTrack:
         self.problem = ""  # reason why poses result in no odometry, or empty
 
     def take(self, pose: Pose) -> Odometry | None:
-        """Return the odometry of a pose; None: a repeated pose, an outlier, or velocity not known yet."""
+        """Return the odometry computed from a pose; None: repeated pose, outlier, or unknown velocity."""
         time_s, last = pose.stamp_ns / 1e9, self._last
         step_s = (pose.stamp_ns - last.stamp_ns) / 1e9 if last is not None else math.inf
         if step_s == 0.0:
@@ -314,7 +314,7 @@ class KeySearch:
         self._found: dict[str, None] = {}
 
     def keys(self) -> tuple[str, ...]:
-        """Return the sorted names found so far; for rmw_zenoh ``ros2:/TOPIC``. The first call finds none."""
+        """Return the sorted names found so far (rmw_zenoh: as ``ros2:/TOPIC``); the first call finds none."""
         if not self._subscribers:
             self._subscribers = [
                 zenoh_link.remote_subscriber(self._session, key, _CAPACITY) for key in _LIKELY

@@ -29,10 +29,10 @@ Sample = Any
 LOOPBACK = "tcp/127.0.0.1:0"  # endpoint on any free port; only this machine can connect
 LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # default address of a router for clients and ROS 2 nodes
 _LEASE_MS = 2000  # time without messages after which a peer is disconnected and connected again, ms
-# the same in lockstep, ms: a pause must lose no message; a killed process disconnects immediately anyway
+# the same time in lockstep, ms: a pause must lose no message; a killed process disconnects immediately anyway
 _LOCKSTEP_WAIT_MS = 60_000
-_ALIVE_TIMEOUT_S = 1.0  # time-out of a liveliness query, s; this process answers it from its tables
-_CLIENT_WAIT_MS = 10_000  # longest wait for a router that has not started, ms
+_ALIVE_TIMEOUT_S = 1.0  # time-out of a liveliness query, s; this process answers the query from its tables
+_CLIENT_WAIT_MS = 10_000  # maximum wait for a router that has not started, ms
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 
@@ -187,7 +187,7 @@ def _reason(error: zenoh.ZError) -> str:
 
 
 def blocking_publisher(session: Session, key: str, encoding: str | None = None) -> Publisher:
-    """Declare a publisher that waits for room, at most 5 s or 60 s in lockstep; then Zenoh disconnects."""
+    """Declare a publisher that waits for room, at most 5 s, in lockstep 60 s; then Zenoh disconnects."""
     return _publisher(session, key, encoding, zenoh.CongestionControl.BLOCK)
 
 
@@ -236,7 +236,7 @@ def is_matched(publisher: Publisher) -> bool:
 
 
 def transports(session: Session) -> int:
-    """Return the number of connections; if it remains 0, the peer is unreachable or rejects us."""
+    """Return the number of connections; if this remains 0, the peer is unreachable or rejects them."""
     return len(session.info.transports())
 
 
@@ -282,7 +282,7 @@ LOOK_EVERY_S = 1.0
 
 
 class ConnectionAlarm:
-    """Monitors the connection of a session to the endpoints ``whom``, if any; poll it in every tick."""
+    """Monitors the connection of a session to the endpoints ``whom``, if any; call ``poll`` in every tick."""
 
     def __init__(self, session: Session, whom: Sequence[str], role: Role = Role.PEER) -> None:
         self._session, self._whom = session, ", ".join(whom)

@@ -1,7 +1,7 @@
 """Reads the readable records of an MCAP file, and reports the first unreadable one.
 
-The ``mcap`` package stops at the first damage, and returns a file that it does not understand as complete.
-Here reading continues behind an unreadable record, unless its length is wrong.
+The ``mcap`` package stops at the first damage, and reports no problem for a file that it does not understand.
+Here reading continues behind an unreadable record, unless the length of the record is wrong.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mcap.stream_reader import get_chunk_data_stream
 MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # first bytes of the file (MCAP, "Magic")
 _HEAD = struct.Struct("<BQ")  # fields before a record: kind, and length of its content in bytes
 _MESSAGE = struct.Struct("<HIQQ")  # fields before the payload: channel, sequence, log time, publish time
-_TIME_MAX_NS = 2**63 - 1  # maximum time in ROS 2, ns; its times are signed
+_TIME_MAX_NS = 2**63 - 1  # maximum time in ROS 2, ns; times in ROS 2 are signed
 _COMPRESSIONS = ("", "lz4", "zstd")
 _NO_CRC = bytes(4)
 _DECLARED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
@@ -127,7 +127,7 @@ class Records:
         return found
 
     def _repeated(self) -> Iterator[Any]:
-        """Yield the declarations that the summary repeats, because the first ones may be unreadable."""
+        """Yield the declarations that the summary repeats, because those before it may be unreadable."""
         with suppress(Exception):  # a missing or damaged summary is reported by the later pass
             summary = make_reader(self._stream, validate_crcs=True).get_summary()
             for record in (*summary.schemas.values(), *summary.channels.values()):

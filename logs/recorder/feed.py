@@ -2,9 +2,9 @@
 
 The socket carries a stream of records, each a fixed header and a payload. The header holds the times and the
 sequence number, so the recorder never parses the payload of a message. A process buffers its records during a
-tick and sends them at its end. The recorder is a separate process, so a full disk or a slow compressor never
-stops the loop. In real time no call blocks: a record that does not fit into the bounded buffer is dropped and
-counted in the log. In lockstep the simulation waits instead, so no message is lost.
+tick and sends them at the end of the tick. The recorder is a separate process, so a full disk or a slow
+compressor never stops the loop. In real time no call blocks: a record that does not fit into the bounded
+buffer is dropped and counted in the log. In lockstep the simulation waits instead, so no message is lost.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Attachment(msgspec.Struct, tag=True):
 
 
 class Losses(msgspec.Struct, tag=True):
-    """Number of records that a client has dropped so far; sent first, because it contains the name."""
+    """Number of records that a client has dropped so far; sent first, because this record has the name."""
 
     client: str
     dropped: int
@@ -207,7 +207,7 @@ class Feed:
         self._sock = None
 
     def _control(self, content: Control) -> None:
-        """Buffer a control record; these are few, and may exceed the limit of the buffer."""
+        """Buffer a control record; such records are few, and may exceed the limit of the buffer."""
         if self.alive:
             self._buffer += control(content, self._log_time_ns)
 

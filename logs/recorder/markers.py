@@ -60,7 +60,7 @@ class Marker(NamedTuple):
 
 
 class Path:
-    """Path with a limited number of points, whose spacing increases with the length of the path."""
+    """Path with a limited number of points; the spacing of the points increases with the path's length."""
 
     def __init__(self) -> None:
         self.points: list[Vec3] = []
@@ -126,7 +126,7 @@ def surface(barrier: Barrier, reach: float = REACH) -> bytes:
     """Return the boundary h = 0 around the landing spot as triangles, three doubles per point.
 
     ``reach``: radius of the surface, divided by the distance of the peak from the axis. At ``REACH`` the
-    height is 56 % of the peak; a larger surface would hide the flight. In a fleet it ends at the peak.
+    height is 56 % of the peak; a larger surface would hide the flight. A fleet's surfaces end at the peak.
     """
     reach_m = reach * barrier.peak_distance_m
 

@@ -40,7 +40,7 @@ class SafeStream:
     """Unbuffered output that ends at a complete record even if the disk fails.
 
     The MCAP writer writes complete records. A record that does not fit is removed again, so the file remains
-    readable up to the last complete one.
+    readable up to the last complete record.
     """
 
     def __init__(self, raw: BinaryIO) -> None:
@@ -67,7 +67,7 @@ class SafeStream:
         """Do nothing: each write is passed to the system immediately."""
 
     def sync(self) -> None:
-        """Pass the written data to the disk, which may take seconds. Raises DiskError: it failed."""
+        """Pass the written data to the disk, which may take seconds. Raises DiskError: the disk failed."""
         try:
             os.fdatasync(self._raw.fileno())
         except OSError as error:
@@ -90,7 +90,7 @@ class McapFile(Writer):  # type: ignore[misc]
         self._channels: dict[tuple[str, str], int] = {}
 
     def channel(self, topic: str, schema: str) -> int:
-        """Return the channel of a topic; senders of the same topic and type share it."""
+        """Return the channel of a topic; senders of the same topic and type share a channel."""
         number = self._channels.get((topic, schema))
         if number is None:
             if schema not in self._schemas:
@@ -119,7 +119,7 @@ class McapFile(Writer):  # type: ignore[misc]
 
 # Maximum duration of a chunk in log time, ns; needed in lockstep, which runs faster than the wall clock.
 FLUSH_LOG_TIME_NS = 250_000_000
-RECORDER_NAME = "flight_recorder"  # source of the recorder's events on /rosout; these depend on wall time
+RECORDER_NAME = "flight_recorder"  # source of the recorder's events on /rosout, which depend on wall time
 RECORDER = "recorder"  # metadata record with the counts of the recorder
 # exceptions that a record with invalid content raises; the recorder continues with the next record
 _NONSENSE = (ValueError, msgspec.MsgspecError, struct.error)
@@ -166,7 +166,7 @@ class Recorder:
         return Client(self.statistics.clients)
 
     def take(self, client: Client, data: bytes) -> None:
-        """Write the received data of a client. Raises WireError: no further data of it can be read."""
+        """Write the received data of a client. Raises WireError: its further data cannot be read."""
         client.received += data
         for record in feed.split(client.received):
             try:

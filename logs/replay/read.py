@@ -52,7 +52,7 @@ class TickRecord:
     unix_ns: int  # log time of the tick, Unix time, ns
     given: TickInputs | None = None  # inputs of the controller; None if the log ends before their record
     step: bytes | None = None  # recorded decisions; None if the log ends before their record
-    # recorded battery and motor values and thrust reserve; None: the flight has none
+    # recorded battery and motor values and thrust reserve; None: not recorded
     power: bytes | None = None
     told: bool = False  # whether the tick has messages of other members; they are in ``given``
     state: ControllerStateRow | None = None  # state of the controller after the tick; None in most ticks
@@ -121,7 +121,7 @@ class FlightInputs:
                 given=found[given][-1] if found[given] else None,
                 step=found[step][-1] if found[step] else None,
                 told=bool(found[neighbours]),
-                # a snapshot of an older tick follows a gap in the log and is left out
+                # after a gap in the log, the snapshot of an older tick may follow; this snapshot is left out
                 state=next((each for each in found[state] if each.stamp_ns == unix_ns), None),
                 events=[row for row in said if row.name == self.names.logger(CONTROLLER)],
                 said=[row for row in said if row.name == self.names.logger(ONBOARD)],

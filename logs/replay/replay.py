@@ -1,7 +1,7 @@
-"""Replays a flight log as a regression test: the current controller must reproduce its outputs bit by bit.
+"""Replays a flight log as a regression test: the current controller must reproduce the log's outputs exactly.
 
-The replay starts at tick 0 with a new controller. With another configuration it shows how the commands
-change for the recorded inputs.
+The replay starts at tick 0 with a new controller. With another configuration the replay shows how the
+commands change for the recorded inputs.
 """
 
 from __future__ import annotations

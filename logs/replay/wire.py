@@ -2,7 +2,7 @@
 
 The recorded MAVLink frames and target samples run through the flight code without a socket
 (``flightstack.onboard.runner``, ``bridge.mavlink.client.link``). The results must equal the recorded inputs,
-and the frames sent for the replayed decisions must equal the recorded ones, except for the sequence numbers.
+and the frames sent for the replayed decisions must equal the recorded frames, except for sequence numbers.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _ID_AND_PAYLOAD = slice(7, -2)  # message id and payload of an unsigned MAVLink 
 
 
 class RecordedEndpoint(Endpoint):
-    """An endpoint without a socket: returns recorded frames and stores the sent ones."""
+    """An endpoint without a socket: returns recorded frames and stores sent frames."""
 
     def __init__(self, system_id: int) -> None:
         self.tap = None
@@ -68,7 +68,7 @@ class WireReplay:
     """MAVLink link of one recorded flight; for each tick call ``take``, then ``answer``."""
 
     def __init__(self, flight: FlightInputs, config: FlightConfig, found: Tally) -> None:
-        """Create the link as it was at tick 0; its differences from the log are added to ``found``."""
+        """Create the link as it was at tick 0; ``found`` receives the differences from the log."""
         self._flight, self._found, onboard = flight, found, flight.onboard
         autopilot, recognised = onboard.get("autopilot", PX4.name), flight.preflight.get("profile", AUTO)
         if autopilot == AUTO and recognised in PROFILES:

@@ -16,7 +16,7 @@ _ENOUGH = 200  # maximum number of shown faults
 
 
 class FaultSpan(NamedTuple):
-    """A fault and its times since the flight's origin, s; without an end it lasts until the log ends."""
+    """A fault, with start and end since the flight's origin, s; a missing end is the end of the log."""
 
     text: str
     begin_s: float

@@ -55,9 +55,9 @@ class Bar(NamedTuple):
 
 
 def timeline(axis: Axis, bars: Iterable[Bar], events: Sequence[Event], zero_s: float) -> go.Figure | None:
-    """Draw bars in lanes, ordered by their first bars, and events below; ``None``: no bars and no events.
+    """Draw bars in lanes, one for each name in the order of ``bars``, and a lane of events below.
 
-    ``zero_s``: event time, s, that is zero on the axis.
+    ``zero_s``: event time, s, that is zero on the axis. Returns ``None`` without bars and events.
     """
     found = list(bars)
     lanes = [*dict.fromkeys(bar.lane for bar in found), *["event"][: len(events)]]

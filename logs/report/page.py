@@ -1,6 +1,6 @@
 """HTML pages of flights and campaigns: a page is a list of panels and needs no network.
 
-``render(Page(...))`` makes a page of any figures and tables. It escapes texts, but not HTML made by ``part``.
+``render(Page(...))`` makes a page of any figures and tables; it escapes texts, but not HTML made by ``part``.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def need_libraries() -> None:
 
 @cache
 def plotly_source() -> str:
-    """Return the plotting library as gzip in base64, a third of its size; the page unpacks it."""
+    """Return the plotting library as gzip in base64, a third of the size; the page unpacks the library."""
     packed = gzip.compress((files("plotly") / "package_data" / "plotly.min.js").read_bytes(), _LEVEL, mtime=0)
     return base64.b64encode(packed).decode("ascii")
 

@@ -35,7 +35,7 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
     from logs.report.figures import overview, panels
     from logs.report.style import axis_of
 
-    name = "report" if fleet.path.name == "flight.mcap" else fleet.path.stem  # as `sitl` and `fly` name it
+    name = "report" if fleet.path.name == "flight.mcap" else fleet.path.stem  # as in `sitl` and `fly`
     zero_s, run = fleet.landing_start_s or 0.0, run_of(fleet)
     sides = [
         Side(name, flight, verdict.members[name], fleet.shift_s(flight) - zero_s)

@@ -18,7 +18,7 @@ from logs.report.style import UNSAFE, layout, layout_3d, light, line, thin
 
 _SURFACE_RINGS, _SURFACE_SPOKES = 48, 73
 _SURFACE_COLORS = [[0.0, "#fff3c4"], [0.5, "#f7b267"], [1.0, "#d55e00"]]  # low to high, as in the paper
-_DISTANCE_MIN_M = 0.6  # smallest maximum of the distance axis, m, so that the cone is visible
+_DISTANCE_MIN_M = 0.6  # minimum length of the distance axis, m, so that the cone is visible
 _BEFORE = "#9aa5b1"
 _SYMBOLS_3D = {"circle": "circle", "square-open": "square", "triangle-up": "diamond"}
 
@@ -39,7 +39,7 @@ class Track(NamedTuple):
 
 
 def tracks(flight: Flight) -> list[Track]:
-    """Return the tracks of a log, the most accurate one first."""
+    """Return the tracks of a log, the most accurate track first."""
     steps, truth, found = flight.steps, flight.truth, []
     if truth is not None:
         found.append(Track("true", TRUE, "solid", truth.t_s, truth.position_enu_m, truth.pad_position_enu_m))
@@ -158,7 +158,7 @@ def _places(flight: Flight, path_m: Floats) -> list[tuple[str, Floats, str]]:
 
 
 def plan(flight: Flight) -> go.Figure | None:
-    """Draw the paths since the start of the landing from above, and the vehicle's path before it."""
+    """Draw from above the paths since the start of the landing, and the vehicle's path before that time."""
     found, figure = tracks(flight), go.Figure()
     if not found:
         return None

@@ -35,9 +35,9 @@ _PHASES: dict[Phase | int, tuple[int, int, int, float]] = {
 }
 _SPACE_PX = 640  # height of a spatial figure, pixels
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and distance of the legend below the axis, pixels
-POINTS_MAX = 4000  # maximum number of points of a line; more are not visible and make the page large
+POINTS_MAX = 4000  # maximum number of points of a line; more points are not visible and make the page large
 _FAULT_STRIP = 0.965  # lower edge of the strip that marks a fault, as a fraction of the figure's height
-LABEL_SHARE = 0.05  # smallest width of a band with a name, as a fraction of the axis
+LABEL_SHARE = 0.05  # minimum width of a band with a name, as a fraction of the axis
 BEFORE_S, AFTER_S = 1.0, 3.0  # time shown initially before and after the landing, s
 _LAST = (Phase.LANDED, Phase.ABORT)
 
@@ -79,7 +79,7 @@ def layout_3d(figure: go.Figure, titles: tuple[str, str, str], **scene: Any) -> 
 
 
 def phase_color(phase: Phase | int, *, bar: bool = False) -> str:
-    """Return the colour of a phase for the band behind curves, or a stronger one for a bar."""
+    """Return the colour of a phase for the band behind curves, or a stronger colour for a bar."""
     red, green, blue, opacity = _PHASES.get(phase, (102, 102, 102, 0.05))
     return f"rgba({red}, {green}, {blue}, {0.2 + 1.5 * opacity if bar else opacity:.3g})"
 
@@ -94,7 +94,7 @@ class Axis(NamedTuple):
 
 
 def axis_of(sides: Sequence[Side]) -> Axis:
-    """Return the axis of a page; zero is the start of the first landing, or of the log if there is none."""
+    """Return the axis of a page; zero is the start of the first landing, or without landing, of the log."""
     began = any(side.flight.landing_start_s is not None for side in sides)
     whole = [min(s.offset_s for s in sides), max(s.flight.duration_s + s.offset_s for s in sides)]
     landing = whole
@@ -111,7 +111,7 @@ def _landing_end_s(side: Side) -> float:
 
 
 def _add_phases(figure: go.Figure, axis: Axis, side: Side) -> None:
-    """Shade the phases in a figure, write their names above it, and mark the faults by a strip."""
+    """Shade the phases in a figure, write their names above the figure, and mark the faults by a strip."""
     (low, high), offset_s, spans = axis.first, side.offset_s, side.flight.phase_spans()
     bands = [(begin_s, end_s, 0.0, phase_color(phase)) for phase, begin_s, end_s in spans]
     bands += [(fault.begin_s, fault.end_s, _FAULT_STRIP, FAULT) for fault in fault_spans(side.flight)]
@@ -142,7 +142,7 @@ def chart(
 ) -> go.Figure:  # fmt: skip
     """Draw traces over time, each in its row (1 is the top).
 
-    ``axes``: y axis of each row; ``side``: flight whose phases and faults are marked; None: none are.
+    ``axes``: y axis of each row; ``side``: flight whose phases and faults are marked; None: no marks.
     """
     rows = len(axes)
     figure = make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=0.05)

@@ -124,7 +124,7 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
 
 
 def key_numbers(verdict: FleetVerdict, sides: Sequence[Side]) -> list[tuple[str, str, str]]:
-    """Return name, value and unit of each key number; the value is the worst one of all flights."""
+    """Return name, value and unit of each key number; the value is the worst of all flights."""
     worst, distance_m = sides[0]._replace(verdict=verdict), verdict.distance_min_m
     found = [
         (name, number(value(worst), digits, factor), unit)
@@ -183,7 +183,7 @@ def waits_table(sides: Sequence[Side]) -> str:
 
 
 def _filled(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> str:
-    """Return a table, or an empty text if it has no rows: the page then leaves its panel out."""
+    """Return a table; without rows return an empty text, so that the page leaves the panel out."""
     return part("table", head, rows, numbers=numbers) if rows else ""
 
 

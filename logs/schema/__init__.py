@@ -5,7 +5,7 @@ Written by hand: the definitions in ``msg/*.msg``, the levels of events in ``eve
 from the definitions; ``rows.pyi`` is generated.
 
 The flight of ``cf2`` has topics ``/cf2/...``, metadata ``cf2/run``, attachments ``cf2/onboard.toml``, loggers
-``cf2.onboard`` on /rosout, and MAVLink frames on ``/uas2`` with its system id.
+``cf2.onboard`` on /rosout, and MAVLink frames on ``/uas2``, where 2 is the MAVLink system id.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Names(NamedTuple):
     """Record names of one vehicle in a flight."""
 
     member: str  # namespace of the vehicle
-    system_id: int  # MAVLink system id, part of the topics of its frames
+    system_id: int  # MAVLink system id, part of the topics of the vehicle's frames
 
     def record(self, name: str) -> str:
         return f"{self.member}/{name}"

@@ -37,7 +37,7 @@ from logs.schema.schemas import TARGET_SAMPLE, fields_of
 
 _SAMPLE_FIELDS = tuple(field.name for field in fields_of(TARGET_SAMPLE))
 _sample_values = attrgetter(*_SAMPLE_FIELDS)
-# fields of a step that are attributes or properties of ``Outputs``: they need only a line in the .msg file
+# fields of a step that are attributes or properties of ``Outputs``; such a field needs only its .msg line
 _OF_OUTPUTS = tuple(name for name in ControllerStepRow._fields if hasattr(Outputs, name))
 _NO_STATUS = (False, 0, 0, False, 0.0)
 _NO_POWER = (0.0, 0.0, 0.0, 0.0)

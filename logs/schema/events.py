@@ -1,4 +1,4 @@
-"""Packs events of ``/rosout`` (``rcl_interfaces/msg/Log``); contact bits of a true state."""
+"""Packs events as ``/rosout`` messages (``rcl_interfaces/msg/Log``), and defines the contact bits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import IntEnum, IntFlag
 from logs.schema.rows import LogRow
 from logs.schema.schemas import STRING, packer
 
-ONBOARD, CONTROLLER = "onboard", "controller"  # sources of events; a replay compares those of the controller
+ONBOARD, CONTROLLER = "onboard", "controller"  # sources of events; a replay compares the controller's events
 CAUSE = "cause of the abort: "  # prefix of the event that reports the autopilot's reason
 
 _pack_string = packer(STRING)

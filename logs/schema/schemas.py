@@ -1,9 +1,9 @@
 """Definitions of all message types in the flight log: texts, hashes, and a generic codec.
 
 This stack's types and MAVROS' raw frame are the ``.msg`` files in ``msg/``, which are written by hand.
-Standard types come from ``bridge/ros2/standard.msg``, and those that it lacks from the ROS 2 Jazzy store of
-``rosbags``. Decoded MAVLink messages are made from the dialect when first needed. Writer, reader and
-comparison share one store.
+Standard types come from ``bridge/ros2/standard.msg``; types that this file lacks come from the ROS 2 Jazzy
+store of ``rosbags``. Decoded MAVLink messages are made from the dialect when first needed. Writer, reader
+and comparison share one store.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def fields_of(name: str) -> tuple[Field, ...]:
 
 
 def same_fields(name: str, text: str) -> bool:
-    """Whether a type's definition in a log, with all types in it, has the fields of this software."""
+    """Whether a log's definition of a type, and of all types in it, has the fields of this software."""
     texts = {name: text.partition(SEPARATOR)[0], **split(text)}
     return all(fields_of_text(body) == fields_of(kind) for kind, body in texts.items() if kind in _OURS)
 

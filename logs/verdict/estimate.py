@@ -3,9 +3,9 @@
 An estimate has no contacts. The first contact is found from the descent: low over the pad, the sink rate
 relative to the pad falls to almost zero within a few hundredths of a second, faster than a vehicle in flight
 can brake. Position and velocity at the contact come from a straight line through the steps before it: later
-steps already include the impact. Phase LANDED means that the motors have stopped; a crash that the stack did
-not notice looks like a timeout, which the reason states. The numbers are as accurate as the estimates of
-vehicle and target: a constant error of either is not visible.
+steps already include the impact. Phase LANDED means that the motors have stopped. A crash that the stack did
+not notice looks like a timeout; the reason of the verdict says so. The numbers are as accurate as the
+estimates of vehicle and target: a constant error of either estimate is not visible.
 
 An autopilot with its own physics may have a floor but no pad (``Flight.pad_carries``): the vehicle then lands
 on the floor at the pad's height and remains there while the target moves on. Such a flight is judged until
@@ -48,12 +48,12 @@ STOPPED_SHARE = 0.5  # fraction of the earlier median sink rate; below it the de
 # interval after a stop, s; its mean sink rate must also be below STOPPED_SHARE times the earlier median
 STAYS_S = 0.05
 SINK_MIN_M_S = 0.05  # slowest descent whose end can be detected, m/s
-# fraction of the highest sink rate; the last step above it was before the contact. A lower fraction includes
-# steps of a lagging state (lag 0.03 s, 50 Hz: contact 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)
+# Fraction of the highest sink rate; the last step above this rate was before the contact. A lower fraction
+# includes steps of a lagging state (lag 0.03 s, 50 Hz: contact 0.10 m/s too slow with 0.85, 0.03 at 0.95).
 BEGINS_SHARE = 0.95
 # median absolute second difference of white Gaussian noise, in standard deviations of the noise
 BEND_OF_NOISE = 1.65
-FALL_S = 0.06  # the last fast step is looked for from this time before the stop on, s
+FALL_S = 0.06  # time before the stop from which the last fast step is searched, s
 FIT_S = 0.05  # time before the contact that the straight line covers, s
 HEIGHT_ERROR_MAX_M = 0.05  # maximum sum of the height errors of both estimates, m
 _NO_CONTACTS = "an estimate shows no contacts"
@@ -122,7 +122,7 @@ def _outcome(flight: Flight, steps: Steps, touch: Touch | None) -> tuple[Outcome
 def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> Touch | None:
     """Find the first contact with the pad from step ``begin`` on; ``config`` None: sizes of a Crazyflie.
 
-    Returns ``None`` if the estimate shows no contact and the controller noticed none.
+    Returns ``None`` if neither the estimate nor the controller shows a contact.
     """
     height_max_m = _height_max_m(config)
     for first, last in _runs(steps.phase, begin):
@@ -142,7 +142,7 @@ def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> Tou
 
 
 def feet_and_gap_m(config: FlightConfig | None) -> tuple[float, float]:
-    """Return the height of the reference point above the feet, and the largest gap that counts as contact, m.
+    """Return the height of the reference point above the feet, and the maximum gap that counts as contact, m.
 
     ``None`` selects the defaults of a Crazyflie.
     """
@@ -180,7 +180,7 @@ def _stopped(steps: Steps, span: slice, height_max_m: float) -> int | None:
         last = int(np.searchsorted(t_s, t_s[at] - FALL_S))
         fall = sink_m_s[last:at]
         peak_m_s, bend_m_s = float(np.nanmax(fall, initial=0.0)), np.abs(np.diff(before, 2))
-        noise_m_s = float(np.median(bend_m_s)) / BEND_OF_NOISE  # zero for a steady descent without noise
+        noise_m_s = float(np.median(bend_m_s)) / BEND_OF_NOISE  # estimated noise of the sink rate, m/s
         quick = np.flatnonzero(fall >= peak_m_s - max((1.0 - BEGINS_SHARE) * peak_m_s, 3.0 * noise_m_s))
         return span.start + last + int(quick[-1]) if len(quick) else None
     return None
@@ -193,9 +193,9 @@ def _within(t_s: Floats, values: Floats, begin_s: float, end_s: float) -> Floats
 
 
 def _at(steps: Steps, begin: int, last: int) -> Touch:
-    """Return position and velocity at the contact, halfway between the last step before it and the next.
+    """Return position and velocity at the contact, halfway between the last step before it and the next step.
 
-    An estimated velocity is late by about half a step or more: the line through it ends at the next step.
+    An estimated velocity is late by about half a step or more, so its line is evaluated at the next step.
     """
     t_s, next_s = 0.5 * float(steps.t_s[last] + steps.t_s[last + 1]), float(steps.t_s[last + 1])
     first = max(begin, int(np.searchsorted(steps.t_s, t_s - FIT_S)))

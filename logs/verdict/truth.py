@@ -26,7 +26,7 @@ from logs.verdict.types import (
 )
 
 REST_SPEED_MAX_M_S = 0.05  # maximum speed relative to the pad at rest, m/s; sliding and rolling are faster
-LAND_AWAY_SPEED_MAX_M_S = 1.0  # maximum sink rate of a landing after an abort, m/s; faster is a fall
+LAND_AWAY_SPEED_MAX_M_S = 1.0  # maximum sink rate of a landing after an abort, m/s; a faster one is a fall
 _SAME_S = 1e-6  # tolerance of equal times, s; much shorter than a tick
 
 
@@ -38,7 +38,7 @@ _NAMES = {
     ContactBit.VEHICLE: "another vehicle",
 }
 _HITS = ~int(ContactBit.PAD)  # all contacts except with the top of the pad
-# contacts after touchdown that count as a crash, even of one foot beside a small pad
+# contacts that count as a crash also after touchdown, e.g. of one foot with the ground beside a small pad
 _FALLS = int(ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED | ContactBit.VEHICLE)
 
 

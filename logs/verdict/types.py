@@ -14,11 +14,11 @@ from logs.reader.flight_data import Floats, Judged
 from logs.schema.events import CAUSE
 
 VIOLATION_LIMIT_M = -0.005  # violation limit, m: a lower h outside the pad violates the barrier
-# ellipsoid radii of a vehicle, m (examples of Crazyswarm; firmware: 0.3 and 0.9); those of a pair are added
+# ellipsoid radii of a vehicle, m (examples of Crazyswarm; firmware: 0.3 and 0.9); a pair has their sum
 RADIUS_BESIDE_M = 0.125
 RADIUS_ABOVE_M = 0.375
 REST_TIME_S = 2.0  # time at rest after the motors stop, s
-GAP_MAX_S = 0.2  # longest allowed time without data, s
+GAP_MAX_S = 0.2  # maximum allowed time without data, s
 TRUTH = "truth"
 ESTIMATE = "estimate"
 PROCESS = "process"
@@ -80,7 +80,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """A contact, with position and velocity just before it; NaN: unknown."""
+    """A contact, with position and velocity just before the contact; NaN: unknown."""
 
     index: int  # index of the first state at or after the contact
     t_s: float  # time of the contact, s

@@ -3,8 +3,8 @@
 The judged time starts with the first controller step in phase APPROACH; the verdict uses the simulator's true
 states, not the controller's estimate:
 
-* landed: first contact is with the pad within its radius, and 2 s after the motors stop the vehicle rests on
-  the pad while the target still drives;
+* landed: the first contact is with the pad, within its radius, and the vehicle rests on the pad 2 s after the
+  motors have stopped, even while the target drives;
 * crashed: contact before touchdown with ground, robot body or pad edge, or a tumble;
 * aborted: the phase machine ended the landing by itself and reported it (phase ABORT);
 * timeout: all other cases, also a miss without a declared abort and a log that ends too early;
@@ -53,7 +53,7 @@ _WORST = {"h_min_m": min, "h_min_outside_pad_m": min, **dict.fromkeys(_TOUCHDOWN
 
 
 def judge(flight: Flight) -> Verdict:
-    """Judge a flight by its true states, or by the estimate if the log has none."""
+    """Judge a flight by its true states, or by the estimate if the log has no true states."""
     found = judge_estimate(flight) if flight.truth is None else judge_truth(flight, flight.truth)
     lost = records_lost(flight)
     if found.outcome is not Outcome.TIMEOUT or not any(lost.values()):
@@ -97,7 +97,7 @@ class FleetVerdict(Verdict):
     collisions: int | None  # number of pairs that collided; None: data are missing, or no pairs
     # number of times that two flying vehicles came inside their ellipsoid; None as for ``collisions``
     ellipsoid_violations: int | None
-    # smallest ellipsoid norm of two flying vehicles; below 1: inside; None: never two in flight, or unknown
+    # smallest ellipsoid norm of two flying vehicles; below 1: inside; None: unknown, or never two at once
     ellipsoid_min: float | None
     distance_min_m: float | None  # smallest distance of two centres of mass, m; None: unknown, or no pairs
 
@@ -229,7 +229,7 @@ def result(
 
 
 def _run(flight: Flight) -> dict[str, Any]:
-    """Return the metadata of a flight's run, and the filter of its configuration if they do not name it."""
+    """Return the metadata of a flight's run; a missing filter is that of the configuration."""
     filter_flown = flight.config.filter if flight.config is not None else None
     return {"filter": filter_flown, **flight.metadata.get("run", {})}
 

@@ -32,7 +32,7 @@ MEMORY_LIMIT = "512MB"  # memory limit of the viewer, and of the server; the old
 
 
 class LiveRecording:
-    """Rerun recording of running flights; each call of ``add`` adds newer data of one of them."""
+    """Rerun recording of running flights; each call of ``add`` adds newer data of one flight."""
 
     def __init__(self, where: str, configs: Mapping[str, FlightConfig | None]) -> None:
         """Open the view of vehicles with these names; a vehicle without configuration has no barrier."""

@@ -68,7 +68,7 @@ def blueprint(members: Sequence[str]) -> Any:
 
 
 def _tabs(member: str) -> Iterator[Any]:
-    """Yield a tab for each chart with the curves of a flight; the first one also shows the phases."""
+    """Yield a tab for each chart with the curves of a flight; the first tab also shows the phases."""
     for number, chart in enumerate(curves.CHARTS):
         origins = {of_member(f"/{chart.key}/{row.key}", member): row.title for row in chart.rows}
         views: list[Any] = [rrb.TimeSeriesView(origin=origin, name=name) for origin, name in origins.items()]
@@ -97,7 +97,7 @@ class Canvas:
     ) -> None:
         self.stream, self.member, self.own_color = stream, member, own_color
         self.paths: dict[str, markers.Path] = {}  # past positions of vehicle and target, by entity
-        self.phase: int | None = None  # newest phase in the viewer
+        self.phase: int | None = None  # phase of the newest step sent to the viewer
         self._origin_ns = origin_ns
         self._styled: set[str] = set()
 
@@ -161,7 +161,7 @@ def open_viewer(recording: Path, *, web: bool) -> int:
 def viewer_program() -> str:
     """Return the path of Rerun's program.
 
-    It is not ``bin/rerun``, a Python wrapper that starts the program and leaves it running after SIGTERM.
+    This is not ``bin/rerun``: that Python wrapper starts the program and leaves it running after SIGTERM.
     """
     return str(files("rerun_cli") / "rerun")
 

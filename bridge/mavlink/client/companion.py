@@ -49,8 +49,8 @@ class OriginSender:
     def step(self, wanted: bool, now_s: float) -> list[Message]:
         """Return the message to send now.
 
-        ``wanted``: the vehicle is disarmed, and has sent neither its origin nor a local position, which shows
-        that there is an origin; a second origin would reset the estimate.
+        ``wanted``: the vehicle is disarmed and has sent neither its origin nor a local position. A local
+        position shows that the vehicle has an origin; a second origin would reset the estimate.
         """
         origin = self._origin
         if origin is None or not wanted or self._tries >= _TRIES or now_s - self._last_s < _PERIOD_S:
@@ -98,8 +98,8 @@ _SET_MESSAGE_INTERVAL = 511  # MAV_CMD number of SET_MESSAGE_INTERVAL
 _CHECK_S = 1.0  # time over which a rate is measured, s
 _ENOUGH = 0.7  # sufficient fraction of the requested rate; lost messages and the autopilot's tick reduce it
 _ROUNDING_S = 1e-6  # margin for the rounding error of a time, s
-_REQUESTS = 5  # number of requests that are sent at intervals of _CHECK_S; later ones follow less often
-_AGAIN_S = 3.0  # time between two later requests, s, as long as no message arrives
+_REQUESTS = 5  # number of requests that are sent at intervals of _CHECK_S; later requests follow at _AGAIN_S
+_AGAIN_S = 3.0  # interval of the requests after the first _REQUESTS, s, while no message arrives
 
 
 @dataclass(slots=True)
@@ -167,7 +167,7 @@ class StreamRequests:
 
 
 _NAV_TAKEOFF = dialect.MAV_CMD_NAV_TAKEOFF
-_STREAM_GAP_S = 0.3  # longest pause within a stream of set-points, s (PX4 itself allows 1.0 s)
+_STREAM_GAP_S = 0.3  # maximum pause within a stream of set-points, s (PX4 itself allows 1.0 s)
 _RESULTS: dict[int, str] = {
     value: entry.name.removeprefix("MAV_RESULT_") for value, entry in dialect.enums["MAV_RESULT"].items()
 }
@@ -192,10 +192,10 @@ class CommandSequencer:
     def __init__(self, profile: Profile, target: tuple[int, int], takeoff_height_m: float) -> None:
         self._profile, self._target, self._height_m = profile, target, takeoff_height_m
         self._stream_start_s = self._stream_last_s = -math.inf
-        # height of home above sea level, m, if the take-off counts from there; None: requested before arming
+        # height of home above sea level, m, if the take-off height has this datum; None: not received
         self.home_amsl_m: float | None = None
-        # arrival time, s, and newest height above home, m, if the take-off counts from there; arming moves
-        # home to the vehicle unless home is locked
+        # arrival time, s, and newest height above home, m, if the take-off height has this datum. Arming
+        # moves home to the vehicle unless home is locked.
         self.above_home: tuple[float, float] | None = None
         self._offset_m = 0.0  # height that is added to the climb in the take-off command, m
         self.failed: str | None = None  # reason why the current request failed, or None
@@ -278,7 +278,7 @@ class CommandSequencer:
             return None
         if self._counts_from_sea_level:
             return dialect.MAVLINK_MSG_ID_HOME_POSITION if self.home_amsl_m is None else None
-        if step.command != _NAV_TAKEOFF or self._tries > 0:  # a repeated command has the first one's height
+        if step.command != _NAV_TAKEOFF or self._tries > 0:  # a repetition has the same height
             return None
         newer = self.above_home is not None and self.above_home[0] > self._entered_s
         return None if newer else dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT

@@ -62,15 +62,15 @@ class VehicleLink:
         """Set up the link, which owns ``endpoint``; the endpoint sends with the vehicle's system id.
 
         ``takeoff_height_m``: climb of ``Request.TAKEOFF``; ``rate_hz``: rate of the loop, requested for
-        position and attitude; ``profile`` None: the first heartbeat selects it; ``defer_timesync``: lockstep,
-        see ``poll``; ``origin``: sent to a vehicle that needs one and has none; ``every``: number of ticks
-        between two set-points and between two states, above 1 on a slow serial line; ``power``: request the
-        throttle, for ``VehicleState.power``.
+        position and attitude; ``profile`` None: the first heartbeat selects the profile; ``defer_timesync``:
+        lockstep, see ``poll``; ``origin``: sent to a vehicle that needs an origin and has none; ``every``:
+        number of ticks between two set-points and between two states, above 1 on a slow serial line;
+        ``power``: request the throttle, for ``VehicleState.power``.
         """
         # ``state`` decodes telemetry and keeps the newest values and the profile
         self.state = VehicleState(profile)
         self.senders = Senders()
-        self.foreign = Counter[tuple[int, int]]()  # frames of other systems and components
+        self.foreign = Counter[tuple[int, int]]()  # numbers of frames of other systems and components
         # lockstep: TIMESYNC requests are passed to ``take_timesync``, and each message gets the simulated
         # time of the TIMESYNC request that follows it
         self.defer_timesync = defer_timesync
@@ -155,7 +155,7 @@ class VehicleLink:
             self._outgoing += self._origin_sender.step(wanted, now_s)
 
     def send_setpoint(self, setpoint: ApprovedSetpoint, now_s: float) -> bool:
-        """Queue a velocity (sent nowhere else). False: no profile, not finite, or it would end a take-off."""
+        """Queue a velocity; only this method sends any. False: no profile, not finite, or ends a take-off."""
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
         profile = self.state.profile
         if profile is None or not self._may_stream(profile) or not math.isfinite(sum(velocity) + yaw):
@@ -217,7 +217,7 @@ class VehicleLink:
     def took(self, own: OwnState, ticks: int, passed: Iterable[int], *, setpoints: bool) -> None:
         """Record ticks that ran without ``poll``.
 
-        ``passed``: ids of the other messages that arrived; those that this link heeds are ``repeated``;
+        ``passed``: ids of the other messages that arrived; of these, only ``repeated`` ids concern this link;
         ``setpoints``: whether all ticks sent a set-point; False: no tick did.
         """
         self.state.took(own)

@@ -1,8 +1,8 @@
 """Selects the frames of one vehicle by their ids and address, and explains why none arrive.
 
 Ids do not identify a sender: a script or router with default ids, or a second vehicle, may use them, too. A
-sender is an address with ids, and a heartbeat adds its kind (type and autopilot). Frames that contradict the
-known sender are ignored and counted as long as it is alive, and reported whenever the count has doubled. A
+sender is an address with ids, and a heartbeat adds its kind (type and autopilot). While the known sender is
+alive, frames that contradict it are ignored and counted; a notice follows whenever the count has doubled. A
 frame that arrives a second time, over a slower path or a duplicating line, contains an outdated state.
 """
 
@@ -21,7 +21,7 @@ from bridge.mavlink.transport.address import Peer
 
 SILENT_S = 2.5  # time without a frame after which the known sender counts as silent, s; heartbeats have 1 Hz
 _APART_S = 0.5  # time for which frames of both addresses prove two senders, s; reordering is shorter
-_GAP_MAX = 4  # largest expected step of the sequence number (modulo 256): three lost frames
+_GAP_MAX = 4  # maximum expected step of the sequence number (modulo 256): three lost frames
 _STEADY = 8  # number of frames in a row with steps up to _GAP_MAX after which a larger step is suspicious
 _AGAIN_S = 0.95  # time after which a repeated contradicting heartbeat is accepted, s: heartbeats have 1 Hz
 _FRAMES = 200  # number of stored frames; below 256, so that their sequence numbers differ
@@ -42,9 +42,9 @@ class Senders:
 
     known: Peer | None = None  # address of the vehicle; None before its first frame
     ignored: int = 0  # number of rejected frames with the vehicle's ids
-    doubled: str | None = None  # error text if two addresses send with the vehicle's ids; None: one does
-    _now_s: float = -math.inf  # arrival of the newest frame
-    _known_s: float = -math.inf  # arrival of the newest frame from the known address
+    doubled: str | None = None  # error text if two addresses send with the vehicle's ids; None: one address
+    _now_s: float = -math.inf  # arrival time of the newest frame
+    _known_s: float = -math.inf  # arrival time of the newest frame from the known address
     _kind: Kind | None = None
     _beat_s: float = -math.inf  # time of the known sender's newest frame after its first heartbeat
     _claims: tuple[int, int] | None = None  # base_mode and custom_mode of the last accepted heartbeat
@@ -79,8 +79,8 @@ class Senders:
     def admits(self, message: Message, peer: Peer, now_s: float, *, armed: bool) -> bool:
         """Whether a frame with the vehicle's ids comes from the vehicle.
 
-        A heartbeat from another address replaces a silent sender; in flight only if its kind is the same. So
-        a radio that restarts behind another port is accepted, but a second vehicle is not.
+        A heartbeat from another address replaces a silent sender; in flight only a heartbeat of the same kind
+        does. So a radio that restarts behind another port is accepted, but a second vehicle is not.
         """
         self._now_s = now_s
         if self.known is None:

@@ -20,11 +20,11 @@ _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 _REBOOT_S = 1.0  # smallest backward step of the boot clock that shows a reboot after a silence, s
 # time for which rejected messages must agree before they are accepted, s; longer than the default of
-# checks.own_age_max_s, so that the vehicle state counts as lost before
+# checks.own_age_max_s, so the vehicle state counts as lost first
 _PROOF_S = 0.3
-_TICK_S = 0.1  # longest period of the loop that handles messages, s: a message may be handled so much later
+_TICK_S = 0.1  # maximum period of the loop that handles messages, s; messages wait up to this time
 _YAW_AGE_MAX_S = 0.5  # maximum time between a position and the attitude that gives the heading, s
-_LARGEST = 1e6  # largest plausible value, m, m/s, rad or rad/s; a larger value counts as corrupted
+_LARGEST = 1e6  # maximum plausible value, m, m/s, rad or rad/s; a larger value counts as corrupted
 _THROTTLE_AGE_MAX_S = 1.0  # maximum age of the throttle in VFR_HUD, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _LANDED = {state.value: state for state in Landed}
@@ -146,7 +146,7 @@ class VehicleState:
         if not _usable(m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed):
             self.counters["not_finite"] += 1
         elif self._in_time(self._attitude_clock, time_s, arrival_s):
-            # a heading is as old as the difference between its and the position's time stamp
+            # the age of a heading is the time stamp of the position minus that of the attitude
             self._yaw_enu_rad = yaw_enu_from_ned(m.yaw)
             self._yaw_time_s = time_s
             if self._watches_power:

@@ -38,9 +38,9 @@ class Framer:
     """Splits datagrams, or a stream that arrives in chunks, into MAVLink 2 frames.
 
     Frames extend from marker to checksum, or to the end of the signature. After a frame, a stream waits for
-    the complete next frame; after noise only if the header is that of a known message and the length fits,
-    so a stray 0xFD delays no frames. Only the first byte of a wrong candidate is skipped. Dropped bytes and
-    frames are counted under the names listed in docs/how_to/security.md.
+    the complete next frame. After noise it waits only if the header is that of a known message and the length
+    fits, so a stray 0xFD delays no frames. Only the first byte of a wrong candidate is skipped. Dropped bytes
+    and frames are counted under the names listed in docs/how_to/security.md.
     """
 
     def __init__(self, counters: Counter[str], *, stream: bool = False) -> None:
@@ -145,8 +145,8 @@ def _has_sender(data: bytes, pos: int) -> bool:
 def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
     """Set the flags and correct the checksum; the message may be unknown.
 
-    The checksum is linear: for two messages of the same length and CRC_EXTRA its difference depends only on
-    the bytes that differ.
+    The checksum is linear: if two messages have the same length and CRC_EXTRA, the difference of their
+    checksums depends only on the bytes that differ.
     """
     crc_at = end - _CHECKSUM
     changed = bytearray(frame[:end])

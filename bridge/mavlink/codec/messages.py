@@ -57,7 +57,7 @@ MESSAGES.update({row["id"]: _make_class(row) for row in wide_rows()})
 
 # CRC_EXTRA of every known message: the checksum also covers the message's definition.
 CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in MESSAGES.items()}
-# CRC-16/MCRF4XX by the package fastcrc; without a build of it, by pymavlink's slow class.
+# CRC-16/MCRF4XX by the package fastcrc; if fastcrc is not available, by pymavlink's slow class.
 checksum = dialect.mcrf4xx or (lambda data: dialect.x25crc(data).crc)
 
 Message = Any  # an instance of one of pymavlink's generated classes, which have no type hints

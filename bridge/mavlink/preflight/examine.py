@@ -64,7 +64,7 @@ class ParameterReader:
     def __init__(self, names: Iterable[str], target: tuple[int, int], *, bytewise: bool) -> None:
         self.values: dict[str, float] = {}  # received values by name
         self.missing: dict[str, str] = {}  # reasons why parameters are missing, by name
-        self._asked = dict.fromkeys(names, (0, -math.inf))  # tries and time of the newest one, by name
+        self._asked = dict.fromkeys(names, (0, -math.inf))  # number of tries, time of the newest try, by name
         self._target, self._bytewise = target, bytewise
         self._tries_max = _READ_TRIES
 
@@ -144,7 +144,7 @@ class _EndedError(Exception):
 class Examination:
     """Check of one vehicle on the ground; it consumes the messages of its endpoint.
 
-    ``chosen``: configured profile, None: the heartbeat selects it; ``senders``: stores the vehicle's address
+    ``chosen``: configured profile, None: by the heartbeat; ``senders``: stores the vehicle's address
     for the flight; ``stopped``: returns True to end the check early; ``say``: receives a text about the wait
     every two seconds.
     """
@@ -315,11 +315,11 @@ def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s
     """Set or remove the MAVLink signing key of a vehicle on the ground by SETUP_SIGNING.
 
     The key is sent unencrypted, so only a cable or loopback is allowed. PX4 1.18 and later accepts a first
-    key unsigned on any link; a key of zeros, signed with the current key, ends signing. ArduPilot also
-    accepts a key but never signs on its first USB link. Both reject a key if armed.
+    key in an unsigned message on any link; a key of zeros, in a message signed with the current key, ends
+    signing. ArduPilot also accepts a key but never signs on its first USB link. Both reject a key if armed.
 
     ``key``: the new key, or the current key with ``remove``; ``wait_s``: time-out of the first heartbeat.
-    Returns the reason of a failure; None: the vehicle has shown the change.
+    Returns the reason of a failure; None: the frames of the vehicle confirm the change.
     """
     kind, host, port = parse_url(url)
     if kind != "serial" and not is_local(resolve(f"MAVLink URL {url!r}", host, port)):

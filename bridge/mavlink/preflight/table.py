@@ -19,11 +19,11 @@ _SLACK = 1e-6  # relative tolerance of a parameter in single precision
 
 
 class Needs(NamedTuple):
-    horizontal_m_s: float  # largest horizontal velocity command, m/s
+    horizontal_m_s: float  # maximum horizontal velocity command, m/s
     vertical_m_s: float
-    horizontal_m_s2: float  # largest horizontal acceleration of the commanded velocity, m/s2
+    horizontal_m_s2: float  # maximum horizontal acceleration of the commanded velocity, m/s2
     vertical_m_s2: float
-    altitude_max_m: float  # largest height of the flight above the ground, m
+    altitude_max_m: float  # maximum height of the flight above the ground, m
     system_id: int = 1  # MAVLink id of the vehicle and its companion
 
 
@@ -75,7 +75,7 @@ class Rule:
     stops: tuple[str, ...] = ()  # values that stop the motors in the air and are always unsafe
     wanted: str = ""  # allowed values as text, {} for the number; empty: text from the condition
     # conditions, of which exactly one is given (tested for the shipped files)
-    low: Bound | None = None  # smallest allowed value; ``high``: largest
+    low: Bound | None = None  # minimum allowed value; ``high``: maximum
     high: Bound | None = None
     values: tuple[str, ...] = ()  # allowed whole numbers with their meaning, such as "4 (land)"
     bits_set: int | None = None
@@ -242,7 +242,7 @@ class Choice(NamedTuple):
 
 
 def choose(table: Table, release: Release | None, silence: str, *, accept: bool) -> Choice:
-    """Choose the rules of a release, or of the nearest one if the release is unknown.
+    """Choose the rules of a release, or of the nearest known release if it is unknown.
 
     ``release`` None: no release was received, because of ``silence``; ``accept``: allow an unknown release.
     """

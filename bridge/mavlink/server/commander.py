@@ -30,8 +30,8 @@ Sender = tuple[int, int] | tuple[int, int, Peer]
 GROUND_STATIONS = frozenset({255, 245})
 
 
-SPEED_MAX_M_S = 5.0  # largest accepted speed, m/s; far above the commands of any controller of this stack
-YAW_RATE_MAX_RAD_S = 6.0  # largest accepted yaw rate, rad/s
+SPEED_MAX_M_S = 5.0  # maximum accepted speed, m/s; far above the commands of any controller of this stack
+YAW_RATE_MAX_RAD_S = 6.0  # maximum accepted yaw rate, rad/s
 
 # POSITION_TARGET_TYPEMASK: a set bit means "ignore". Bit 9 concerns the acceleration, which is unused.
 _POSITION = 0b000000111
@@ -87,7 +87,7 @@ _CHUNK = 50  # maximum number of characters of one STATUSTEXT
 _TEXTS_MAX = 64  # maximum number of texts that wait to be sent
 # time between two refusals on one topic, s; a wrong stream repeats its error 100 times a second
 _SAME_GAP_S = 1.0
-_BURST = 20  # maximum number of refusals in that time; a ground station's start causes 12
+_BURST = 20  # maximum number of refusals in _SAME_GAP_S; the start of a ground station causes 12
 
 
 class Text(NamedTuple):
@@ -147,7 +147,7 @@ class Right(Enum):
 
     ANYBODY = "anybody"  # any sender; for queries, telemetry and landing, which are harmless
     OWNER = "owner"  # sender in control; for commands that change the motion of the vehicle
-    OWNER_OR_GROUND = "owner or ground station"  # one of these; for stopping the motors
+    OWNER_OR_GROUND = "owner or ground station"  # sender in control or ground station; to stop the motors
 
 
 class Battery(NamedTuple):

@@ -225,7 +225,7 @@ class Commands(Generic[V]):
         return Answer(messages=(dialect.MAVLink_message_interval_message(message_id, interval_us),))
 
     def _right_to_interval(self, command: Command) -> Right:
-        """Return the right to set this rate: peers share it, so only the sender in control may lower it."""
+        """Return the right to set a rate: peers share all rates; only the sender in control may lower one."""
         rarer = self._streams.rarer(integer(command.given(1)), command.given(2) or 0.0)
         return Right.OWNER if rarer else Right.ANYBODY
 

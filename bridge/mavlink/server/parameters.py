@@ -137,5 +137,5 @@ class Parameters:
 
 
 def _error(name: str, error: int, sender: Sender, index: int = -1) -> Message:
-    """Return PARAM_ERROR; PX4 sends no reply, so clients wait seconds (mavlink.io, services/parameter)."""
+    """Return PARAM_ERROR (mavlink.io, services/parameter); PX4 sends no reply, so clients wait seconds."""
     return dialect.MAVLink_param_error_message(*sender[:2], name.encode("ascii", "replace"), index, error)

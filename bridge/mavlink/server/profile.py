@@ -1,4 +1,4 @@
-"""PX4 as this project's vehicles imitate it: modes and capabilities.
+"""PX4's modes and capabilities that this project's vehicles imitate.
 
 The constants are from PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``).
 ``bridge.mavlink.profiles`` describes how the flight stack uses an autopilot.
@@ -46,7 +46,7 @@ PX4_CODES: Mapping[FlightMode, Code] = {
 }
 _BY_CODE = {(code.main, code.sub): mode for mode, code in PX4_CODES.items()}
 
-# landed_state of EXTENDED_SYS_STATE in the air; on the ground it is always ON_GROUND.
+# landed_state of EXTENDED_SYS_STATE in the air; on the ground the value is always ON_GROUND.
 AIRBORNE_STATE: Mapping[FlightMode, int] = {
     FlightMode.HOLD: dialect.MAV_LANDED_STATE_IN_AIR,
     FlightMode.TAKEOFF: dialect.MAV_LANDED_STATE_TAKEOFF,

@@ -70,7 +70,7 @@ class Server(ABC, Generic[V]):
         *,
         system_id: int = SYSTEM_ID,
     ) -> None:
-        """``rate_hz``: rate of the ticks, and highest rate of any message."""
+        """``rate_hz``: rate of the ticks, and maximum rate of every message."""
         self.vehicle, self.parameters = vehicle, parameters
         self.system_id = system_id
         self.streams: Streams[V] = Streams(rate_hz, streams)
@@ -104,10 +104,10 @@ class Server(ABC, Generic[V]):
 
     @abstractmethod
     def snapshot(self, now_s: float) -> Snapshot[V] | None:
-        """Return the present state of the vehicle; None if it is unknown, so that no telemetry is sent."""
+        """Return the present state of the vehicle; None: unknown state, so no telemetry is sent."""
 
     def heard(self, message: Message, now_s: float) -> None:
-        """Take note of a message to this vehicle before it is handled; a subclass may override this."""
+        """Take note of a message to this vehicle before its handler runs; a subclass may override this."""
 
     def own_commands(self) -> dict[int, Entry]:
         """Return commands that extend or replace the common ones."""
@@ -163,7 +163,7 @@ class Server(ABC, Generic[V]):
         return min(self._heartbeat_due_s, self.streams.next_s(heeded))
 
     def brief(self, now_s: float, heeded: frozenset[int]) -> list[Message] | None:
-        """Return the due messages with these ids, as ``telemetry`` does, without those of every tick.
+        """Return the due messages with these ids, as ``telemetry`` does, without the messages of every tick.
 
         Return None, and change no state, if texts, parameters or a change of the vehicle must be sent.
         """
@@ -205,12 +205,12 @@ class Server(ABC, Generic[V]):
         return messages
 
     def _for_us(self, message: Any) -> bool:
-        """Whether a message is for this system or all systems; without an address it is for all."""
+        """Whether a message is for this system or all systems; a message without an address is for all."""
         system = getattr(message, "target_system", 0)
         return system in (0, self.system_id) and getattr(message, "target_component", 0) in (0, COMPONENT_ID)
 
     def _on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Handle SET_POSITION_TARGET_LOCAL_NED; its only reply is a text after a refusal."""
+        """Handle SET_POSITION_TARGET_LOCAL_NED; the only reply is a text after a refusal."""
         vehicle, setpoint = self.vehicle, read_setpoint(message, self.vehicle.yaw_rad)
         refused = setpoint if isinstance(setpoint, str) else vehicle.take_setpoint(setpoint, sender, now_s)
         if refused is not None:
@@ -223,7 +223,7 @@ class Server(ABC, Generic[V]):
         return self.commands.run(message, sender, now_s)
 
     def _on_set_mode(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Handle SET_MODE as DO_SET_MODE; its only reply is a text."""
+        """Handle SET_MODE as DO_SET_MODE; the only reply is a text."""
         if message.target_system == self.system_id:
             main, sub = message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24 & 0xFF
             command = dialect.MAVLink_command_long_message(

@@ -26,7 +26,7 @@ V = TypeVar("V", bound=Commander)
 
 @dataclass(slots=True)
 class Snapshot(Generic[V]):
-    """State of a vehicle at one time; all its telemetry is built from this."""
+    """State of a vehicle at one time, from which all its telemetry is built."""
 
     vehicle: V
     # state from the vehicle's estimator: position_enu_m of the centre of mass, velocity_enu_m_s, quaternion
@@ -147,7 +147,7 @@ def _millivolts(battery: Battery) -> int:
 
 
 _OFF = float("inf")
-_INTERVAL_MAX_S = 2000.0  # longest interval, s; MESSAGE_INTERVAL counts microseconds in 32 bits, up to 2147 s
+_INTERVAL_MAX_S = 2000.0  # maximum interval, s; MESSAGE_INTERVAL counts microseconds in 32 bits, up to 2147 s
 
 
 @dataclass(slots=True)
@@ -157,7 +157,7 @@ class _Stream(Generic[V]):
     default_s: float  # default period of the stream, s; infinite: off
     interval_s: float  # present period, s
     due_s: float
-    passed_s: float = -_OFF  # time when it was last sent; it is sent at most once per tick
+    passed_s: float = -_OFF  # time when the message was last sent, s; it is sent at most once per tick
 
     def passes(self, now_s: float, limit_s: float) -> bool:
         """Whether the message is due before ``limit_s``; if so, the call schedules it one interval later."""
@@ -240,7 +240,7 @@ class Streams(Generic[V]):
     def next_s(self, message_ids: frozenset[int]) -> float:
         """Return a lower bound, s, of the due times of these messages, except messages of every tick.
 
-        The bound is -inf unless exactly position and attitude, of these messages, are sent at every tick.
+        The bound is -inf unless position and attitude are sent at every tick, and no other of these messages.
         """
         if not self._busy_ids.issuperset(EVERY_TICK) or (self._busy_ids & message_ids).difference(EVERY_TICK):
             return -_OFF

@@ -1,8 +1,8 @@
 """The transports of a MAVLink endpoint: UDP, serial lines and TCP connections, and the text of its counters.
 
-A serial line or TCP connection is reopened every half second after a loss. Its outgoing frames wait in a
-bounded buffer; if it is full, a new frame is dropped as a whole, so that the receiver never gets a part of
-one. Only ``wait`` blocks.
+After a loss, a serial line or TCP connection is tried again every half second. Outgoing frames wait in a
+bounded buffer. If the buffer is full, a new frame is dropped as a whole, so that the receiver never gets a
+part of a frame. Only ``wait`` blocks.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ def dropped(counters: Counter[str]) -> str:
     return ", ".join(f"{name} {n}" for name, n in sorted(counters.items()) if n and name not in _PASSED)
 
 
-_RECEIVED_MAX = 4096  # largest accepted datagram, bytes; more than an Ethernet frame
-_DATAGRAM_MAX = 1400  # longest sent datagram, bytes; PX4's buffer has 1600 (mavlink_receiver.cpp)
+_RECEIVED_MAX = 4096  # maximum length of an accepted datagram, bytes; more than an Ethernet frame
+_DATAGRAM_MAX = 1400  # maximum length of a sent datagram, bytes; PX4's buffer has 1600 (mavlink_receiver.cpp)
 _SOCKET_BUFFER = 1 << 20  # requested size of the receive buffer, bytes; the kernel may grant less
 
 
 class DatagramTransport:
-    """A UDP socket; without listening it has ``address`` as its only peer. Only ``wait`` blocks."""
+    """A UDP socket; a socket that does not listen has ``address`` as its only peer. Only ``wait`` blocks."""
 
     baud: int | None = None
     is_stream = False
@@ -60,7 +60,7 @@ class DatagramTransport:
         self._readable.register(self._socket, select.POLLIN)
 
     def receive(self) -> Chunk | None:
-        """Return one datagram; None: no datagram. An oversized one is counted and returned empty."""
+        """Return one datagram; None: no datagram. An oversized datagram is counted and returned empty."""
         if not self._readable.poll(0):  # the poll takes a third of the time of an empty recvfrom
             return None
         try:
@@ -113,12 +113,12 @@ def _datagrams(frames: Sequence[bytes]) -> list[bytes]:
 
 RETRY_S = 0.5  # time between two tries to open a lost connection, s
 _READ_BYTES = 4096  # maximum number of bytes of one read
-_SLICE_S = 0.005  # longest wait between two writes of pending bytes, s
+_SLICE_S = 0.005  # maximum wait between two writes of pending bytes, s
 _OUTGOING_MAX = 4096  # maximum number of buffered bytes of a TCP connection
 _FRAME_MAX = 280  # length of the longest frame, bytes; minimum size of a serial line's queues
 _BITS_PER_BYTE = 10  # bits per byte on a serial line: a start bit, eight data bits, a stop bit (8N1)
-_QUEUE_S = 0.1  # transmission time of buffered frames on a serial line, s: an older set-point is useless
-_KERNEL_QUEUE_S = 0.05  # transmission time of the bytes in the kernel's buffer, s
+_QUEUE_S = 0.1  # maximum transmission time of buffered frames on a serial line, s: old set-points are useless
+_KERNEL_QUEUE_S = 0.05  # maximum transmission time of the bytes in the kernel's buffer, s
 _CONNECT_MAX_S = 2.0  # time without reply after which a TCP connection attempt is given up, s
 _UNANSWERED_MAX_MS = 2000  # time without acknowledgement after which a TCP connection counts as lost, ms
 _SEND_BUFFER = 4096  # size of the kernel's buffer for TCP, bytes; small to limit the latency
@@ -131,7 +131,7 @@ class ByteStream:
     local_port = 0
 
     def __init__(self, kind: str, address: Peer, counters: Counter[str], notices: deque[str]) -> None:
-        """``address``: device and baud ("serial") or IPv4 address and port ("tcp"); ``notices``: gets texts.
+        """``address``: device and baud ("serial") or IPv4 address and port ("tcp"); ``notices``: for texts.
 
         Raises OSError: the serial line cannot be opened; a refused TCP connection is tried again.
         """
@@ -143,7 +143,7 @@ class ByteStream:
         self._outgoing_max = _bytes_in(_QUEUE_S, number) if self.baud else _OUTGOING_MAX
         self._peer, self._counters, self._notices = address, counters, notices
         self._channel: Channel | None = None
-        self._was_up = self._told = False  # whether it was ever connected; whether this loss is reported
+        self._was_up = self._told = False  # whether a connection ever existed; whether its loss is reported
         self._lost_s = self._retry_s = time.monotonic()
         self._outgoing = bytearray()  # pending frames; a part of the first one may have been sent
         self._nothing = socket.socketpair()  # descriptors that are never readable
@@ -280,7 +280,7 @@ class _SerialChannel:
         return os.write(self._port.fileno(), data[:room]) if room > 0 else 0
 
     def close(self) -> None:
-        # The kernel's buffer is nearly empty; closing does not wait for a missing device.
+        # The kernel's buffer is nearly empty, so closing does not wait, even if the device is missing.
         with contextlib.suppress(OSError):
             self._port.close()
 
