@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
+import scipy  # scipy loads its parts at their first use; this takes 0.3 to 0.5 s
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -30,10 +30,10 @@ SEGMENT_MIN_S = 1.5  # minimum length of a segment, s; shorter ones depend mostl
 TIME_MIN_S = 3.0  # minimum total length of all segments, s
 EXCITATION_MIN_M_S = 0.04  # minimum standard deviation of the high-passed command, m/s
 EXPLAINED_MIN = 0.6  # minimum fraction of the velocity's variance that the model must explain
-ERROR_MAX = 0.2  # largest accepted relative standard error of the lag
+ERROR_MAX = 0.2  # maximum accepted relative standard error of the lag
 START = (1.0, 6.0, 0.7, 0.02)  # start values of the fit: gain, rate in 1/s, damping, dead time in s
 LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.6)  # bounds of the fit, in the same order
-# shortest modelled dead time, s; a shorter one is included in the lag of the second-order model
+# minimum modelled dead time, s; a shorter dead time is included in the lag of the second-order model
 DEAD_TIME_MIN_S = 0.12
 
 

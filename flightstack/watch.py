@@ -178,7 +178,7 @@ def _no_news(watch: Watch, endpoints: Sequence[str]) -> Text:
 
 
 def _causes(watch: Watch, endpoints: Sequence[str]) -> Iterator[str]:
-    """Yield what is wrong with the connections; which of several endpoints is the vehicle's is not known."""
+    """Yield the problems of the connections; which of several endpoints is the vehicle's is not known."""
     connected, number = watch.connections, len(endpoints)
     named = endpoints[0] if number == 1 else "one endpoint"
     if number > 1 and connected < (number if watch.role is zenoh_link.Role.PEER else 1):

@@ -148,7 +148,7 @@ def campaign(
     """Fly many seeds of a scenario with one or several vehicles, with a progress bar.
 
     A filter class that a notebook or function defines reaches the workers by fork. If a fork is not safe
-    (other threads, no Linux), cloudpickle is used; without cloudpickle, this process flies the seeds.
+    (other threads, or not Linux), cloudpickle sends the class; without it this process flies the seeds.
 
     Args:
         name: name, file or object of the scenario.
@@ -170,8 +170,8 @@ def sweep(
 ) -> Sweep:  # fmt: skip
     """Fly a set of seeds at each point of a grid of keys.
 
-    Each landing is judged by the barrier with which it was flown, also if the grid changes this barrier,
-    unless the scenario or the changes contain the table ``judge``.
+    Each landing is judged by the barrier of its own flight, also if the grid changes this barrier. If the
+    scenario or the changes contain a table ``judge``, the barrier in this table judges all landings.
 
     Args:
         name: name, file or object of the scenario.

@@ -34,7 +34,7 @@ STEP_REWARD = -0.001  # reward for each tick
 VIOLATION_REWARD = -0.1  # reward for each tick with h below -5 mm outside the pad
 END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}  # reward at the end, by outcome
 OTHER_END_REWARD = -5.0
-_SPEED_FAR_M = 1e3  # bound of each observed value, m or m/s
+_SPEED_FAR_M = 1e3  # limit of each observed value's magnitude, m or m/s
 
 ENV_ID = "flightstack/Landing-v0"
 
@@ -155,7 +155,8 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     def builtin_action(self) -> np.ndarray:
         """Return the nominal velocity that the stack itself would choose in this tick, m/s ENU, (3,).
 
-        The velocity can exceed the action space. If each step uses it, the flight equals that of ``fs.land``.
+        The velocity can exceed the action space. If each step uses it as action, the flight equals the flight
+        of ``fs.land``.
         """
         return np.array(self._builtin)
 

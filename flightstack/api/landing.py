@@ -60,7 +60,7 @@ def scenario(
 
 
 def single(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> Scenario:
-    """Return a scenario as ``scenario`` does. Raises ConfigError also if it has several vehicles."""
+    """Return a scenario as ``scenario`` does. Raises ConfigError also for several vehicles."""
     made = scenario(name, changes, filter=filter)
     made.one(0, None)
     return made

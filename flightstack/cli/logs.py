@@ -150,7 +150,7 @@ log.add_command(compare, "diff")
 
 @contextmanager
 def new_file(path: Path, *, force: bool) -> Iterator[Path]:
-    """Yield a temporary name next to ``path``; after success the file gets its final name."""
+    """Yield a temporary name beside ``path``; after success rename the temporary file to ``path``."""
     if path.exists() and not force:
         raise FileExistsError(f"{path} exists and is not overwritten; give another name or --force")
     part = path.with_name(f".{path.name}.part")

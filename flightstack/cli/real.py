@@ -83,7 +83,7 @@ def preflight(options: PreflightOptions) -> None:
 
 
 def _set_up_signing(options: PreflightOptions) -> None:
-    """Set the vehicle's signing key, or remove it and exit."""
+    """Set the vehicle's signing key, or remove it. Exit after a removal and after a failure."""
     remove, file = options.remove_signing, options.signing_key
     if file is None or options.provision_signing == remove:
         raise click.UsageError(

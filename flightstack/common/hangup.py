@@ -1,8 +1,8 @@
 """Signals that end a process (at its start, in flight, at a closed terminal), and its standard streams.
 
-If the reader of the output ends (``| head``, a closed terminal) or stops reading, the disk is full, or the
-streams are closed at the start, output is lost without an exception, because a library could convert an
-exception to an exit. No other file gets the descriptor of a standard stream.
+Output is lost if its reader ends (``| head``, a closed terminal) or stops reading, if the disk is full, or if
+the streams are closed at the start. A loss raises no exception, because a library could convert an exception
+to an exit. No other file gets the descriptor of a standard stream.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def begun() -> None:
 
 
 def _call_off(number: int, frame: FrameType | None) -> None:
-    """Raise the exception; in a callback that would drop exceptions, only store it for ``begun``."""
+    """Raise CalledOffError; in a callback that would drop the exception, only store it for ``begun``."""
     _came.append(CalledOffError(f"ended by {signal.Signals(number).name}"))
     while frame is not None:
         if _COMPILER in frame.f_code.co_filename:
@@ -63,7 +63,7 @@ def _call_off(number: int, frame: FrameType | None) -> None:
 
 
 class Stop:
-    """Requests to end a process: the first signal ends it in order, a second SIGTERM or SIGINT at once."""
+    """Requests to end a process: in order after a first signal, at once after a second SIGTERM or SIGINT."""
 
     __slots__ = ("count",)
 
@@ -101,7 +101,7 @@ def handle(handlers: Mapping[signal.Signals, Callable[[], object]]) -> None:
             signal.signal(number, lambda *_, run=handler: run())
 
 
-# errors of a stream whose reader has ended: they are permanent; others (ENOSPC) can be temporary
+# errors of a stream whose reader has ended; these errors are permanent, others (ENOSPC) can be temporary
 _GONE = (errno.EPIPE, errno.EIO, errno.EBADF)
 _PART = select.PIPE_BUF  # number of bytes that a pipe accepts without blocking if ``select`` reports it
 _NUMBERS = {"stdout": 1, "stderr": 2}

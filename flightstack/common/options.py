@@ -34,7 +34,7 @@ class Option:
     name: str
     help: str = ""
     metavar: str | None = None
-    span: tuple[float | None, float | None] = (None, None)  # smallest and largest allowed number, if limited
+    span: tuple[float | None, float | None] = (None, None)  # minimum and maximum number; None: no limit
     # allowed texts, or MODULE:NAME of a tuple of them in another package; empty: any text
     choices: tuple[str, ...] | str = ()
     path: str = "any"  # allowed kind of path: any, file or folder

@@ -4,8 +4,8 @@ Stack time, in seconds, is the time since the start of the process (monotonic cl
 lockstep the time in the log is simulated time after a fixed date, so that equal seeds give equal logs.
 
 A simulator that paces itself shares its clock with the processes of its run in a file. The simulator writes
-its time, which the processes use instead of wall time. Each process (follower) writes the time until which it
-sleeps, and at this time the simulator waits for the process, so a busy machine slows all processes equally.
+the simulated time; the processes use this time instead of wall time. Each process (follower) writes the time
+until which it sleeps. At this time the simulator waits for the process, so a busy machine slows all equally.
 The file contains 64-bit integers in nanoseconds: Unix time of the clock's zero, simulated time, and for each
 follower the simulated time until which it sleeps.
 """
@@ -91,12 +91,12 @@ def wait_until(
     pause_s: float = _PAUSE_S,
     what: str = "",
 ) -> bool:
-    """Poll ``done`` until it or ``stopped`` is true, or the time-out has passed.
+    """Poll ``done`` and ``stopped`` until one of them is true or the time-out has passed.
 
     Zenoh's handlers cannot wait with a time-out. The first polls only yield the processor, because a message
     usually arrives during these polls.
 
-    ``timeout_s``: longest wall time; a pause of the machine counts as at most 0.1 s; ``pause_s``: sleep
+    ``timeout_s``: maximum wall time; a pause of the machine counts as at most 0.1 s; ``pause_s``: sleep
     between two polls; ``what``: text on standard error during a long wait, if not empty. Returns False after
     the time-out; after True, the caller must check ``stopped``.
     """
@@ -184,7 +184,7 @@ class SimulationClock:
         return self._cells[_ZERO] + self._cells[_NOW]
 
     def advance(self, now_ns: int, stopped: Callable[[], bool]) -> None:
-        """Set the simulated time; wait until each follower sleeps until a later time or ``stopped()`` holds.
+        """Set the simulated time; wait until ``stopped()`` holds or each follower sleeps until a later time.
 
         A follower that needs more than 0.5 s of wall time is ignored until it writes its next time.
         """
@@ -216,7 +216,7 @@ class FollowedClock:
         self._seen_ns, self._moved_s = self._cells[_NOW], time.monotonic()
         self._ahead_s = 0.0  # total time that passed during past stalls of the simulator, s
         self._stall_s = 0.0  # time that has passed during the current stall of the simulator, s
-        self._least_s = 0.0  # smallest time that the clock returns, s: the end of the last sleep
+        self._least_s = 0.0  # minimum time that the clock returns, s: the end of the last sleep
 
     def monotonic(self) -> float:
         """Return the simulated time, s."""
@@ -233,7 +233,7 @@ class FollowedClock:
     def sleep(self, seconds: float) -> None:
         """Sleep for this number of simulated seconds."""
         until_s = self.monotonic() + seconds
-        # the simulator waits at this time, which must count as reached despite rounding
+        # the simulator stops at until_ns until this follower continues; the margin makes a rounded time count
         until_ns = int((until_s - self._ahead_s - self._stall_s) * _NS) - _ROUNDING_NS
         self._cells[self._place] = until_ns
         while self._cells[_NOW] < until_ns and self.monotonic() < until_s:

@@ -1,7 +1,7 @@
-"""Worker processes whose results are returned as they arrive; a worker that dies or hangs loses no result.
+"""Worker processes whose results are returned as they arrive; no result is lost if a worker dies or hangs.
 
-The processes are forked and use the modules and code that this process has loaded and compiled; if it has
-other threads, they are spawned.
+The workers are forked and use the modules and code that this process has loaded and compiled. If a fork is
+not safe (``may_fork``), the workers are spawned.
 """
 
 from __future__ import annotations

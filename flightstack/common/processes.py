@@ -65,8 +65,8 @@ def socket_folder() -> Path:
 class Child:
     """One process of the run; its standard error is written to the file ``name``.txt in ``folder``.
 
-    Without ``program``, the child runs a command of ``flightstack``: in a fork of this process, which has
-    loaded the modules already, or, if a fork is not possible, as a program.
+    Without ``program``, the child runs a command of ``flightstack``. The child is then a fork of this
+    process, which has already loaded the modules; if a fork is not possible, the child is a new program.
     """
 
     end_signal = signal.SIGTERM  # signal that a program receives when this process ends
@@ -176,7 +176,8 @@ class Port:
     """TCP port on loopback for a later server; other runs cannot take the port while this object is open.
 
     If the kernel chose the port (bind to port 0), an outgoing connection could take the port a moment later.
-    The ports of this class are below the range of outgoing connections; a bound UDP port reserves each.
+    The ports of this class are below the range of outgoing connections. A bound UDP socket with the same
+    number reserves each port.
     """
 
     _RANGE = range(20_000, 32_000)  # Linux uses outgoing ports from 32768 on (ip_local_port_range)

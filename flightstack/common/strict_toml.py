@@ -45,7 +45,7 @@ def span(low: float, high: float) -> msgspec.Meta:
 class Files(Generic[T]):
     """Loader of TOML files with the keys of the dataclass ``cls``, by name in ``package`` or by path.
 
-    ``kind``: name of the type in errors; ``hint``: end of the error for an unknown name.
+    ``kind``: name of the type in errors; ``hint``: text that is appended to the error for an unknown name.
     """
 
     def __init__(self, cls: type[T], package: str, kind: str, hint: str = "") -> None:
@@ -161,7 +161,7 @@ def decoded(data: bytes) -> str:
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF32_LE, "utf-32"),  # before UTF-16: this mark begins with that of UTF-16
+    (codecs.BOM_UTF32_LE, "utf-32"),  # UTF-32 is before UTF-16, because its mark begins with that of UTF-16
     (codecs.BOM_UTF32_BE, "utf-32"),
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),

@@ -3,8 +3,8 @@
 With ``NUMBA_DISABLE_JIT=1`` all functions run as plain Python, and numba is not loaded. Fast-math is not
 used: operations keep their written order, so that each run gives the same bits.
 
-numba checks only the file of a compiled function to decide whether its stored machine code is valid, but not
-the functions that it calls. The cache directory therefore has a hash of all sources in its name.
+To decide whether stored machine code is valid, numba checks only the file of the compiled function, not the
+files of the functions that it calls. Therefore the name of the cache directory has a hash of all sources.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SOURCES = (
     *(f"sim/runners/{name}.py" for name in ("ticks", "robot", "room")),
 )
 OFF = "NUMBA_DISABLE_JIT"  # environment variable of numba that disables compilation
-_APART_MAX_S = 120.0  # longest wait for a part that a second process compiles, s
+_APART_MAX_S = 120.0  # maximum wait for a part that a second process compiles, s
 _NEEDLESS = ("scipy.linalg", "coverage")  # optional imports of numba that compiled code does not use
 
 
@@ -147,13 +147,13 @@ def compiling(what: str, about: str) -> Iterator[bool]:
 def at_once(here: Callable[[], object], apart: Callable[[], object]) -> None:
     """Compile two parts of the code at the same time, ``apart`` in a forked process.
 
-    The process leaves only machine code on disk. If the process fails, or takes longer than
+    The forked process leaves only machine code on disk. If this process fails, or takes longer than
     ``_APART_MAX_S`` after ``here``, the part ``apart`` is compiled at its first call.
     """
     if cache_directory() is None:
         here()
         return
-    ended, ends = os.pipe()  # readable when the process has ended
+    ended, ends = os.pipe()  # the read end becomes readable when the forked process ends
     child = -1
     with contextlib.suppress(OSError):  # too many processes
         child = os.fork()
@@ -183,7 +183,7 @@ def _say(text: str) -> None:
 def load_numba() -> Any:
     """Return numba, loaded without optional imports that this package does not use.
 
-    Their absence saves 0.5 s (a sixth) of the load time, and another 0.5 s with the first machine code.
+    Without these imports numba loads 0.5 s (a sixth) faster, and the first machine code another 0.5 s faster.
     Without scipy.linalg compiled code cannot multiply matrices.
     """
     absent = [name for name in _NEEDLESS if name not in sys.modules]

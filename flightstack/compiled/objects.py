@@ -1,8 +1,8 @@
 """Compiled forms of the core's objects; they are generated from the annotations of the classes.
 
 Compiled code gets the address of an object, and reads and writes the object's annotated fields: numbers,
-tuples of numbers, named tuples, texts (as numbers), and other objects. It calls the compiled methods of the
-object's class. Compiled code cannot access fields of any other kind, and never finds ``None`` in a field.
+tuples of numbers, named tuples, texts (as numbers), and other objects. The code also calls the compiled
+methods of the object's class. Compiled code cannot access fields of other kinds; no field contains ``None``.
 Dataclasses that are not frozen contain the state: ``Objects.write`` copies the state from Python's objects
 and ``Objects.read`` copies it back. All other objects are copied once.
 """

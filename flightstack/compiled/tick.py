@@ -1,7 +1,7 @@
 """Controller whose ordinary landing ticks are compiled from the source of ``Controller.land``.
 
-Its set-points, states and log rows equal those of plain Python to the last bit; a replay of a flight's log in
-plain Python verifies this. All other ticks run in Python. Nothing is compiled in flight.
+The set-points, states and log rows of a compiled tick equal those of plain Python to the last bit; a replay
+of a flight's log in plain Python verifies this. All other ticks run in Python. Nothing is compiled in flight.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Answer:
     """Result of a compiled tick."""
 
     landing: Landing
-    reserve: float = math.nan  # thrust reserve: largest thrust divided by the weight
+    reserve: float = math.nan  # thrust reserve: maximum thrust divided by the weight
 
 
 @jitted

@@ -50,8 +50,8 @@ class VelocityCommand(Situation):
 
     program: SafetyFilter  # quadratic program of the landing, without neighbours
     gate: Gate
-    slew_step: Vec3  # largest velocity change per tick on each axis, m/s
-    up_step_m_s: float  # largest upward velocity change per tick that the thrust reserve allows, m/s
+    slew_step: Vec3  # maximum velocity change per tick on each axis, m/s
+    up_step_m_s: float  # maximum upward velocity change per tick that the thrust reserve allows, m/s
     crowded: bool  # whether neighbours or a missing right of way limit the velocity in this tick
     _period_s: float
 

@@ -2,9 +2,9 @@
 
 samples -> estimates -> phase (``mission/``) -> nominal velocity -> neighbours (``beside``) -> filter and gate
 (``setpoint``); the last two are methods of ``VelocityCommand`` in ``command.py``. Live flight, lockstep
-simulation and replay call ``step``. ``land`` is the same sequence for an ordinary tick: a single vehicle with
-good inputs that follows set-points or has landed, and no change of phase. Campaigns and, in real time, the
-onboard process run ``land`` compiled; its results equal those of ``step`` to the last bit.
+simulation and replay call ``step``. ``land`` is the same sequence for an ordinary tick: a single vehicle that
+follows set-points or has landed, good inputs, and no change of phase. Campaigns and, in real time, the
+onboard process run ``land`` compiled. The results of ``land`` equal those of ``step`` to the last bit.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ class AbortWay(IntEnum):
 
     NONE = 0
     MOTORS_OFF = 1  # motors off immediately: emergency stop
-    HANDS_OFF = 2  # the stack sends no commands: another client controls the vehicle, or its motors are off
+    HANDS_OFF = 2  # the stack sends no commands: another client controls the vehicle, or the motors are off
     LAND_HERE = 3  # landing by the autopilot: the vehicle cannot or must not fly clear
     FLY_CLEAR = 4  # climb, fly clear of the target, then land
 
@@ -158,7 +158,7 @@ class OwnMemory:
     x_now: AxisState = AT_REST  # state of the x axis, predicted over the delay to now
     y_now: AxisState = AT_REST
     sent_m_s: Vec3 = ZERO  # newest set-point that was sent, m/s
-    # set-points of the last ticks, oldest first; the newest sample does not reflect all of them
+    # set-points of the last ticks, oldest first; some have no effect yet on the newest sample
     pending: tuple[Vec3, Vec3, Vec3, Vec3] = (ZERO, ZERO, ZERO, ZERO)
 
 
@@ -213,7 +213,7 @@ class FleetMemory:
 class State:
     """Complete controller state: with the configuration and the next inputs it determines all outputs.
 
-    Every configuration has all parts; a log leaves out the parts that equal their defaults.
+    The state has all parts with every configuration; a log leaves out parts that equal their defaults.
     """
 
     memory: Memory = field(default_factory=Memory)

@@ -27,16 +27,16 @@ from flightstack.core.numeric import rare
 FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators can run 3 % slow
 HOLDS_S = 1.0  # time in which at least one message is assumed to have a short delay, s
 FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the fastest slew of a Linux clock
-ELAPSED_MAX_S = 1.0  # longest part of a pause between messages in which a minimum rises, s
-FLOOR_MAX_S = 0.2  # largest difference between fast and slow minimum, s; drift of clocks causes larger ones
+ELAPSED_MAX_S = 1.0  # maximum part of a pause between messages in which a minimum rises, s
+FLOOR_MAX_S = 0.2  # limit of the difference between fast and slow minimum, s; clock drift would exceed it
 GRAIN_S = 1e-6  # tolerance for Unix times as doubles, s; their rounding error is 2.4e-7 s
-# how far the delay of a message may be below the shortest delay so far, s; ``ahead_max_s`` adds one tick
+# maximum time by which a delay may be below the shortest delay so far, s; ``ahead_max_s`` adds one tick
 AHEAD_S = 0.03
-AGREE_S = 0.1  # largest difference of arrival minus stamp between messages of one clock, s
-GAP_MAX_S = 0.5  # longest pause between two messages whose times agree, s
+AGREE_S = 0.1  # maximum allowed difference of arrival minus stamp between messages of one clock, s
+GAP_MAX_S = 0.5  # maximum pause between two messages whose times agree, s
 PATIENCE_S = 10.0  # time for which late messages must agree, s; delays by queues change within this time
-QUEUE_MAX_S = 10.0  # longest delay by a queue after a pause, s; a longer queue needs time to fill
-STAMP_MAX_S = 2.0**32  # largest valid stamp, s: the year 2106; ROS 2 and Unix times end before it
+QUEUE_MAX_S = 10.0  # maximum delay by a queue after a pause, s; a longer queue needs time to fill
+STAMP_MAX_S = 2.0**32  # maximum valid stamp, s: the year 2106; ROS 2 and Unix times end before this year
 
 
 class Reading(IntEnum):
@@ -76,7 +76,7 @@ class SenderClock:
     ahead_max_s: float  # ``AHEAD_S`` plus one tick, s
     _late_max_s: float  # lateness above which a message is rejected, s
     _proof_s: float  # time for which rejected messages must agree until their clock is adopted, s
-    # smallest step back after a pause for which a clock is adopted immediately, s: the sender has restarted
+    # minimum step back after a pause for which a clock is adopted immediately, s: the sender has restarted
     _reboot_s: float
 
     def __init__(

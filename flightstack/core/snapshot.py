@@ -10,7 +10,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Charge, Inputs, OwnState, Vec3
 
-FUTURE_MAX_S = 0.05  # how far the time of a vehicle state may be ahead of the stack's clock, s
+FUTURE_MAX_S = 0.05  # maximum time of a vehicle state ahead of the stack's clock, s
 
 
 @numeric
@@ -48,8 +48,7 @@ class Snapshot(NamedTuple):
     follows: bool = True  # whether the vehicle follows the commanded velocity
     charge: Charge = Charge.FIT  # state of the battery; FIT without a table [reserve]
     permissions: Permissions = ALONE  # permissions by the fleet; a single vehicle has all of them
-    # whether the velocity of ``target`` comes from its positions, because its reported velocity is not
-    # trusted
+    # whether the velocity of ``target`` comes from positions, because the reported velocity is not trusted
     target_placed: bool = False
 
     @property

@@ -176,7 +176,7 @@ class MemberStatus(NamedTuple):
     velocity_enu_m_s: Vec3  # measured velocity of the member, m/s
     wanted_enu_m_s: Vec3  # velocity command of the member, m/s
     position_sigma_m: float = 0.0  # standard deviation of the position on each axis, m
-    clock_bound_s: float = 0.0  # largest error of the stamp, s
+    clock_bound_s: float = 0.0  # upper limit of the stamp's error, s
     intent: Intent = Intent.STANDING  # announced intention of the member
     claim_s: float = math.nan  # time at which the member claimed the right of way, s; NaN: no claim
     pad_position_enu_m: Vec3 | None = None  # position of the member's landing spot, m; None: unknown

@@ -29,7 +29,7 @@ from sim.robot import try_out
 from sim.scenarios.scenario import Scenario, load, path_of, text
 from sim.vehicle.declared import not_proven, outside
 
-GRACE_S = 60.0  # wall time after the longest flight at which a run is stopped, s
+GRACE_S = 60.0  # wall time after the end of the longest flight at which a run is stopped, s
 _PORT = re.compile(r"(\w+/[^?#]*:)(\d+)((?:[?#].*)?)")  # Zenoh endpoint with a port: tcp/HOST:PORT#options
 LOCKSTEP_SLOWEST = 0.05  # ratio of simulated to wall time below which one vehicle in lockstep is stopped
 

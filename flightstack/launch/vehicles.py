@@ -2,7 +2,7 @@
 
 A function for each kind of vehicle starts the processes and returns the options with which the onboard
 process connects to them. Vehicles with built-in physics have no pad: they land on the floor under the landing
-spot. Their position is 0 at the start, so the robot's path is moved instead.
+spot. These vehicles have the position 0 at the start, so the robot's path is moved instead.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Run(NamedTuple):
 
     @property
     def longest_s(self) -> float:
-        """Longest time of a flight, s: the scenario's duration plus the time for an abort."""
+        """Maximum time of a flight, s: the scenario's duration plus the time for an abort."""
         members = self.scenario.members
         return max(each.duration_max_s + each.onboard.retreat.abort_time_max_s for each in members)
 
@@ -73,7 +73,7 @@ class Flying:
 
 
 def _own(run: Run) -> Flying:
-    """Start one process that simulates the robots and the vehicles; these use the simulator's autopilot."""
+    """Start one process that simulates robots and vehicles; the vehicles use the simulator's autopilot."""
     compile_first(run.scenario)
     elsewhere = run.options.members
     child = run.start(
@@ -204,7 +204,7 @@ class Vehicle(NamedTuple):
     with_robots: bool = False  # whether the vehicle's process also simulates the robots
     # whether the autopilot's program simulates the physics: without a pad, and from the position 0
     own_physics: bool = False
-    vehicles_max: int = 1  # largest number of vehicles of a run
+    vehicles_max: int = 1  # maximum number of vehicles of a run
 
 
 _PX4_CONFIGURATIONS = {"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}  # names by airframe

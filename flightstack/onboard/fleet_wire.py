@@ -14,8 +14,8 @@ With d = this clock - other clock at one moment:
     arrival at the other process - stamp of this process       >= -d    reported minimum: ``echo_ns``
 
 So d lies between -echo_ns and ahead_ns. The estimate is the centre, and its bound is half the width: half the
-sum of both directions' minimum delays. The delays need not be known or equal. Cristian's method (1989) does
-the same with one round trip instead of the minimum delay in each direction.
+sum of both directions' minimum delays. The delays need not be known or equal. Cristian's method (1989)
+uses one round trip instead of the minimum delay in each direction.
 
 Clocks drift, so both minimum values grow with their age by ``DRIFT_PPM``.
 """
@@ -46,7 +46,7 @@ BYTES_MAX = 2048  # maximum size of an accepted message, bytes
 PROOF_S = 0.3  # time for which messages must agree after a clock step, s; it is longer than the latency
 ONE_WAY_S = 2.0  # duration of one-way reception after which a text reports it, s
 NAMESAKE_S = 1.0  # time before the start for finding another process with the same vehicle id, s
-# largest drift between two clocks, ppm: Linux slews each of them by at most 500 ppm (adjtimex(2))
+# maximum drift between two clocks, ppm: Linux slews each of them by at most 500 ppm (adjtimex(2))
 DRIFT_PPM = 1000
 
 

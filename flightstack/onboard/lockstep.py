@@ -30,7 +30,7 @@ from logs.schema.controller_rows import pack_neighbours, status_row, unpack_neig
 
 CREDIT_EVERY = 10  # number of ticks between two credits (messages that allow the target to continue)
 WAIT_SLICE_S = 0.05  # wall time between two checks for signals during a wait, s
-FIRST_WAIT_MAX_S = 600.0  # longest wall time of a wait for a first message, s; some senders compile first
+FIRST_WAIT_MAX_S = 600.0  # maximum wall time of a wait for a first message, s; some senders compile first
 # wall time without a message of the simulated world after which it counts as dead, s: on a busy computer a
 # process can wait for the processor for many seconds, and the world waits for all onboard processes
 WORLD_SILENT_S = 75.0
@@ -38,7 +38,7 @@ TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys of messages from and t
 
 
 class VehicleTicks(LinkedVehicle):
-    """Vehicle that requests the ticks by TIMESYNC; by default, it does not wait for a missing request."""
+    """Vehicle that requests the ticks by TIMESYNC; the default is not to wait for a missing request."""
 
     def __init__(self, link: VehicleLink, rate_hz: int, stopped: Callable[[], bool] = lambda: True) -> None:
         super().__init__(link, lockstep=True)
@@ -131,7 +131,7 @@ class LockstepWires(VehicleTicks):
         return decoded(self._released, now_s)
 
     def landing_began(self, tick: int) -> None:
-        """Send the target its first driving tick: the first tick that it cannot have simulated yet."""
+        """Send the target its first driving tick: the first one that the target cannot have simulated yet."""
         self._go_tick = tick + RUN_AHEAD_TICKS + 1
         self._give_credit(tick)
 

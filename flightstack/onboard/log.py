@@ -78,7 +78,7 @@ class OnboardLog:
         self._peer_names = PeerNames(feed.metadata, names.record(MAVLINK_PEERS))
         self._asked = b""  # newest TIMESYNC request from the vehicle
         self._sequence = self._unix_ns = 0
-        self._flush_every = 10 if lockstep else 1  # ticks between flushes; 10 wakes the recorder less often
+        self._flush_every = 10 if lockstep else 1  # ticks between flushes; with 10 the recorder wakes less
         self._every, self._state_every, self._health_every = map(every, (STATUS_HZ, STATE_HZ, HEALTH_HZ))
         self._state_text = state_text(config)
         self._live_step = live("controller/step", "ControllerStep")

@@ -48,7 +48,7 @@ class Arrived(NamedTuple):
 
 NOTHING = Arrived()
 _PERIOD_S = 0.02  # wall time between two landing requests after the last tick, s
-STALL_MAX_S = 0.05  # largest delay of a tick whose samples are used, s: 1/5 of the default target_age_max_s
+STALL_MAX_S = 0.05  # maximum delay of a tick whose samples are used, s: 1/5 of the default target_age_max_s
 
 
 class Taken(NamedTuple):
@@ -114,9 +114,9 @@ class Runner:
         """Fly until the flight is over or an error occurs, then release the vehicle.
 
         Autopilots differ when set-points stop: PX4 lands, ArduPilot hovers. A process that ends in flight
-        therefore requests the autopilot's landing until a heartbeat confirms it, for a bounded time: through
-        the controller as long as ticks can run, or directly after an exception, whose text ``failed``
-        receives.
+        therefore requests the autopilot's landing until a heartbeat confirms it, for a bounded time. The
+        controller makes the request as long as ticks can run. After an exception the process requests the
+        landing directly, and ``failed`` receives the text of the exception.
         """
         controller, ended, works = self._controller, None, True
         try:

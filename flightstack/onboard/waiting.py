@@ -28,7 +28,7 @@ _PROBLEMS = 2  # maximum number of texts about rejected samples in one report
 
 
 class _Pace:
-    """Longest interval between arrivals since the last report; a reported one is kept until an arrival."""
+    """Longest interval between arrivals since the last report; after the report, until the next arrival."""
 
     def __init__(self) -> None:
         self._last_s, self._longest_s, self._reported = math.nan, 0.0, True
@@ -114,7 +114,7 @@ class WaitReport:
     ) -> str | None:
         """Return the text for the operator, if one is due.
 
-        ``arrived``: number of target samples in this tick; ``problems``: why some could not be decoded.
+        ``arrived``: number of target samples in this tick; ``problems``: errors of undecodable samples.
         """
         phase, snapshot = out.phase, out.snapshot
         own, status = snapshot.inputs.own, snapshot.inputs.status

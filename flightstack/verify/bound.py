@@ -1,8 +1,9 @@
 """Proven bounds: the largest value of a function over an interval, and the ranges of a barrier's derivatives.
 
-Samples can miss the worst point. This module bounds a function over any interval from above, with the exact
-ranges of its monotone pieces (``Shape``: slope and curvature). The interval with the largest bound is halved
-until no bound exceeds the largest computed value by more than ``TOLERANCE``. Intervals can be unbounded.
+Samples can miss the worst point. This module bounds a function from above over a whole interval. ``Shape``
+gives exact ranges of slope and curvature: their terms are monotone between known points. The interval with
+the largest bound is halved until no bound exceeds the largest computed value by more than ``TOLERANCE``.
+Intervals can be unbounded.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import NamedTuple
 from flightstack.core.safety.barrier import Barrier
 
 TOLERANCE = 1e-4  # allowed excess of a bound over the maximum, in the unit of the value: m/s, m/s^2 or mm
-PIECES_MAX = 20_000  # maximum number of intervals, 100 times the usual one; the bound is valid at this number
+PIECES_MAX = 20_000  # maximum number of intervals, 100 times the usual number; the bound then still holds
 EQUAL = 1e-9  # difference below which two values count as equal
 ROUNDING = 1e-12  # assumed relative rounding error; that of a dozen operations is below 3e-15
 
@@ -77,7 +78,7 @@ class Shape:
     """Boundary of the safe set, with a margin of any value in a range."""
 
     barrier: Barrier  # the paper's boundary
-    margin_m: Span  # smallest and largest margin far from the pad, m
+    margin_m: Span  # range of the margin far from the pad, m
     fade_radius_m: float  # radius w within which the margin fades, m
 
     def slope(self, d: Span) -> Span:

@@ -36,7 +36,7 @@ def any_filter(config: FlightConfig, descent_m_s: float, key: str) -> list[Check
               f"found {lag_s:g}, the tracking lag converges to {memory_s:g} s of flight",
               "raise checks.follow_memory_s or lower checks.follow_lag_max_s"),
         # The tracking lag of a velocity error e converges to e times the decay time. A vehicle that does not
-        # follow lands at its position, which is below the barrier if it is beside the pad.
+        # follow lands where it is; this place is below the boundary if it is beside the pad.
         Check("checks.follow_memory_s",
               "a steady error of the velocity is not taken for a vehicle that does not follow",
               lag_s / memory_s - STEADY_ERROR, "of the full speed",

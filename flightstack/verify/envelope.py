@@ -25,7 +25,7 @@ class Extremes:
     shape: Shape  # boundary; the margin ranges from that of ``usual`` to that of a target at the age limit
     usual: Shape  # boundary with the margin that applies while all samples of the target arrive
     pad_radius_m: float  # radius outside which the barrier must hold, m
-    box_speed_m_s: float  # largest approach speed, m/s: diagonal of the velocity box plus the target's speed
+    box_speed_m_s: float  # maximum approach speed, m/s: diagonal of the velocity box plus the target's speed
     target_speed_m_s: float  # horizontal speed of the target, also relative to a hovering vehicle, m/s
     target_climb_m_s: float  # vertical speed of the pad, m/s
     target_acceleration_m_s2: float  # horizontal acceleration of the target, m/s^2

@@ -2,7 +2,7 @@
 
 docs/how_it_works/robust_filter.md, *Velocity feedback*, derives both bounds and gives the measurements behind
 the limits. ``linear`` is the loop x' = A x, with the delay as a first-order Padé element; A depends linearly
-on the vehicle through W = w^2 and D = 2 z w (w: natural frequency, z: damping). ``follow_m`` bounds the
+on the vehicle through W = w^2 and D = 2 zeta w (w: natural frequency, zeta: damping). ``follow_m`` bounds the
 distance between the pad's centre and a vehicle that follows its target. An interval of the lag spread
 without a proof, or with a large bound, is halved.
 """
@@ -24,10 +24,10 @@ from flightstack.verify.types import PROOF, Check
 F64 = npt.NDArray[np.float64]
 TICKS_LATE = 1.5  # delay of a set-point, ticks: on average half a tick, plus one tick after its inputs
 SHARE = 0.5  # ratio of the required decay rate on an interval of the lag spread to the rate at its centre
-PIECE_MIN = 1e-6  # smallest width of an interval of lag factors; without a proof there: decay rate 0
-BANDWIDTH = 2.5  # largest ratio of feedback rate to velocity loop rate; the model omits motors and attitude
-OBSERVER = 0.5  # smallest ratio of observer rate to velocity loop rate, so that a disturbance is found soon
-# largest acceleration by velocity_loop.error_max_m_s, m/s^2, for which the linear model holds
+PIECE_MIN = 1e-6  # minimum width of an interval of lag factors; without a proof there: decay rate 0
+BANDWIDTH = 2.5  # maximum ratio of feedback rate to velocity loop rate; the model omits motors and attitude
+OBSERVER = 0.5  # minimum ratio of observer rate to velocity loop rate, so that a disturbance is found soon
+# maximum acceleration by velocity_loop.error_max_m_s, m/s^2, for which the linear model holds
 ACCELERATION_MAX_M_S2 = 3.0
 MIN_DECAY_1_S = 0.1  # required proven decay rate, 1/s: an error halves in 7 s
 
@@ -160,15 +160,15 @@ def _bandwidth(config: FlightConfig) -> float:
 
 
 STEP_S = 3e-3  # step of the impulse responses, s; their values between two steps are bounded
-DOUBLINGS = (11, 14)  # smallest and largest number of doublings: responses of 6 to 49 s; the rest is bounded
-SLACK = 0.03  # largest fraction of a result that the vehicles beside the interval's centre can add
-FOLLOW_PIECE_MIN = 1e-4  # smallest width of an interval of lag factors
+DOUBLINGS = (11, 14)  # minimum and maximum number of doublings: responses of 6 to 49 s; the rest is bounded
+SLACK = 0.03  # maximum fraction of a result that the vehicles beside the interval's centre can add
+FOLLOW_PIECE_MIN = 1e-4  # minimum width of an interval of lag factors
 _POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # state indices of ``linear``
 _TARGET, _ERROR, _OTHER = range(3)  # indices of the loop's inputs
 
 
 def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """Return the largest distance from the pad's centre of a following vehicle, m, and the worst factor.
+    """Return the largest distance of a vehicle that follows from the pad's centre, m, and the worst factor.
 
     The distance is infinite if no bound is proven, and always for an estimated vehicle state. The factor is
     the ratio of the vehicle's velocity loop rate to the declared one.
@@ -213,7 +213,7 @@ def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tupl
 def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
     """Return input columns, output rows, and the direct feed-through from inputs to outputs.
 
-    In s' = (r' - s) / T the error q of the command r has an unbounded derivative: the state is s - q / T.
+    In s' = (r' - s) / T the derivative of r's error q is unbounded; therefore the state is s - q / T.
     """
     loop, feedback = config.velocity_loop, config.velocity_feedback
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s

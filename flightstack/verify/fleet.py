@@ -1,11 +1,11 @@
 """Checks of a configuration with a table [fleet], and of all members together (docs/how_it_works/fleet.md).
 
 Some velocity must satisfy the landing barrier, the velocity limits (box) and the neighbours' constraints
-(rows). h is the value of a neighbour's barrier and g its gradient. The worst constraint of a neighbour is
+(rows). h is the value of a neighbour's barrier, g the gradient of h. The worst constraint of a neighbour is
 
     g . u >= |g| w + a t - rate h,
 
-where w is the neighbour's speed, a t its ellipsoid's growth rate at the largest latency, rate = rate_1_s;
+where w is the neighbour's speed, a t its ellipsoid's growth rate at the maximum latency, rate = rate_1_s;
 this vehicle has the whole share, and the neighbour approaches straight. g is a unit vector whose vertical
 part is multiplied by k = radius_xy / radius_z. The checks use the box's horizontal disc, without slew limit.
 """
@@ -87,11 +87,11 @@ def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
     T y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
     and y remains positive if y' >= -L y, where L is the larger root.
 
-    A receiver relies on an announcement in ticks that start until ZERO_LATENCIES after it, and until these
-    ticks and late ones end. The sender keeps the whole share until HOLD_LATENCIES after it.
+    A receiver relies on an announcement in all ticks that start within ZERO_LATENCIES after the announcement,
+    until these ticks and late ones end. The sender keeps the whole share for HOLD_LATENCIES after it.
 
-    For an active constraint g . (u - c) = -rate h (c: the other's velocity), g . u has to grow by rate times
-    the closing speed plus c's derivative; the curvature of h reduces this sum, and the half share halves it.
+    While the constraint g . (u - c) >= -rate h is active (c: the other vehicle's velocity), g . u must grow
+    at least at rate * closing speed + g . c'. The curvature of h reduces this value; share HALF halves it.
     The remaining slew limit is homogeneous in g and concave, so it is smallest along an axis.
     """
     fleet, speeds_m_s = config.fleet, config.limits.velocity_max_m_s
@@ -102,7 +102,7 @@ def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
     spare_s = (HOLD_LATENCIES - ZERO_LATENCIES) * fleet.latency_max_s
     needed_s = (1.0 + LATE_TICKS) * (1.0 / config.loop.rate_hz)
     corner_m_s, found_m_s2 = math.hypot(vx, vy, vz), math.hypot(*slew_m_s2)
-    # largest rate at which this vehicle can reduce h, along any gradient, m/s
+    # maximum rate at which this vehicle can reduce h, along any gradient, m/s
     own_m_s = math.sqrt(vx * vx + vy * vy + (fleet.flat * vz) ** 2)
     allowed_m_s = fleet.rate_1_s * (fleet.reach_m - fleet.radius_xy_m)
     closing_m_s = own_m_s + fleet.speed_max_m_s
@@ -221,7 +221,8 @@ def anywhere_m(config: FlightConfig) -> float:
 def up_the_slope_m_s(config: FlightConfig, slope: float, climb_m_s: float) -> float:
     """Return the horizontal speed that remains for motion up the boundary's steepest slope, m/s.
 
-    The landing barrier needs a climb, within the box, of (this speed + the pad's speed) slope + pad's climb.
+    The landing barrier needs the climb rate (this speed + the pad's speed) * slope + the pad's climb rate.
+    The box must contain this climb rate.
     """
     vx, vy, vz = config.limits.velocity_max_m_s
     if slope <= 0.0:
@@ -232,7 +233,7 @@ def up_the_slope_m_s(config: FlightConfig, slope: float, climb_m_s: float) -> fl
 def one_short_m_s(config: FlightConfig, aside_m_s: float, lowest: float) -> Most:
     """Return the largest violation of one neighbour's constraint at h = 0, m/s, and the elevation of g, rad.
 
-    ``aside_m_s``: largest horizontal speed of evasion; ``lowest``: smallest elevation of g; -pi / 2 is a
+    ``aside_m_s``: maximum horizontal speed of evasion; ``lowest``: smallest elevation of g; -pi / 2 is a
     neighbour directly above a vehicle that has to climb.
     """
     fleet, flat, vz = config.fleet, config.fleet.flat, config.limits.velocity_max_m_s[2]
@@ -255,7 +256,7 @@ def _common_points(config: FlightConfig, slope: float, climb_m_s: float) -> list
     from_m, reach_m = anywhere_m(config), fleet.reach_m - fleet.radius_xy_m
     short_m_s, elevation = one_short_m_s(config, up_the_slope_m_s(config, slope, climb_m_s), -math.pi / 2.0)
     open_m_s, _ = one_short_m_s(config, min(vx, vy), 0.0)
-    # speed that is needed far from the landing barrier, between two neighbours, m/s
+    # speed that is needed far from the landing boundary, between two neighbours, m/s
     opposite_m_s = max(1.0, fleet.flat) * speed_m_s + fleet.growth_m_s
     return [
         Check(

@@ -26,7 +26,7 @@ MIN_DECAY_1_S = 0.1  # required decay rate, 1/s: an error halves in 7 s; for gai
 SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # checked deviations from the declared lag, divided by ``lag_spread``
 RESPONSES = (1.0, 1.15, 1.3)  # ratios of steady velocity to set-point; identified vehicles reach 1.3
 # Ratio of steady velocity to set-point at which a loop with a dead time must still be stable: its phase lag
-# has no bound, so only the gain limits oscillation; identified gains are means of large and small commands.
+# has no bound, so only the gain limits oscillation. Identified gains are means of large and small commands.
 RESPONSE_LATE = 1.35 * RESPONSES[-1]
 # Number of states before the queues: position relative to the target, velocity, acceleration; velocity and
 # derivative of the model, disturbance, slope, velocity command; velocity of the target, and error of the
@@ -81,9 +81,9 @@ def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: fl
 def drift_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
     """Return a vehicle's largest distance from the pad's centre, m, and its lag divided by the declared one.
 
-    The distance, within a time after the final descent starts, is the free motion from the largest distance
-    and speed at the start, plus the bounds of the target's acceleration and the velocity command's error
-    times their sums of absolute impulse responses.
+    The distance holds until ``time_s`` after the start of the final descent. It has three parts: the free
+    motion from the maximum distance and speed at the start and, for the target's acceleration and for the
+    error of the velocity command, the bound times the sum of the absolute impulse response.
     """
     slower = [1.0 + share * config.envelope.lag_spread for share in SLOWER]
     return max((_drift_m(config, x, time_s, lag, each), lag) for lag in slower for each in RESPONSES)

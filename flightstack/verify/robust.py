@@ -20,7 +20,7 @@ from flightstack.verify.paper import shortfall
 from flightstack.verify.types import PROOF, Check
 
 NOISE_SIGMAS = 7.0  # covered jump, in standard deviations of one position (5 of the difference of two)
-HELD_M = 0.005  # largest depth below the boundary outside the pad that is not yet a violation, m
+HELD_M = 0.005  # maximum depth below the boundary outside the pad that is not yet a violation, m
 
 
 def demand(x: Extremes, slope: Span) -> float:

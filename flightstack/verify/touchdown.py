@@ -24,7 +24,7 @@ from flightstack.verify.types import PROOF, Check
 
 STEP_S = 2e-3  # step of the comparison system, s
 PIECES = 20  # number of intervals into which the range of lags is divided
-AGREE = 1.6  # largest allowed ratio of declared and modelled lag, the larger divided by the smaller
+AGREE = 1.6  # maximum allowed ratio of declared and modelled lag, the larger divided by the smaller
 
 
 def descent_time_s(config: FlightConfig, x: Extremes) -> float:
@@ -85,10 +85,10 @@ class _Descent(NamedTuple):
     """Numbers of a final descent, which are hashed; a configuration from Python code can contain lists."""
 
     gain_1_s: float
-    error_m_s: float  # error of the commanded velocity
+    error_m_s: float  # error of the commanded velocity, m/s
     target_acceleration_m_s2: float
-    distance_m: float  # at the start of the final descent
-    speed_m_s: float  # relative to the target, at the start of the final descent
+    distance_m: float  # distance from the centre at the start of the final descent, m
+    speed_m_s: float  # speed relative to the target at the start of the final descent, m/s
     time_s: float
 
 

@@ -38,12 +38,12 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-FUTURE_MAX_S = 0.05  # how far a stamp may be ahead of this clock, in addition to the clock error, s
-# ratio of the longest flight of another member (wait and landing) to ``fleet.wait_max_s``
+FUTURE_MAX_S = 0.05  # maximum time of a stamp ahead of this clock, in addition to the clock error, s
+# ratio of the maximum flight time of another member (wait and landing) to ``fleet.wait_max_s``
 FLIGHTS_OF_OTHERS = 2.0
-REPORTED_M_S = 0.005  # smallest relaxation of the neighbours' constraints that is reported, m/s
+REPORTED_M_S = 0.005  # minimum relaxation of the neighbours' constraints that is reported, m/s
 STEADY_S = 1.0  # time without relaxed constraints after which the end of the relaxation is reported, s
-HELD_BACK_M_S = 0.3  # largest speed on each horizontal axis in a silent vehicle's reachable set, m/s
+HELD_BACK_M_S = 0.3  # maximum speed on each horizontal axis in a silent vehicle's reachable set, m/s
 STAYS_S = 5.0  # time after a landing until an event reports that this vehicle blocks a requested pad, s
 
 
@@ -51,7 +51,7 @@ class Rows(NamedTuple):
     """Neighbours within reach, and one constraint on this vehicle's velocity for each of them."""
 
     rows: tuple[Row, ...]  # constraints of the program; the nearest neighbour first
-    # constraints on the same vehicles, not tightened by the reachable sets of those whose messages are late
+    # constraints for the same neighbours, without the reachable sets of neighbours with late messages
     basic: tuple[Row, ...]
     neighbours: tuple[Near, ...]  # data of the neighbours for the side-step, in the order of ``rows``
     # whether the speed is limited because a silent vehicle may be near
@@ -229,8 +229,8 @@ class FleetMember:
     ) -> tuple[Vec3, Rows]:  # fmt: skip
         """Return the nominal velocity with the side-step, and the constraints of the neighbours.
 
-        ``base``: returns the velocity to which the slew limit is relative, from the vehicle's velocity;
-        ``most_m_s``: largest velocity on each axis.
+        ``base``: function from the vehicle's velocity to the base of the slew limit; ``most_m_s``: maximum
+        velocity on each axis.
         """
         if self._is_alone:
             return nominal, NO_ROWS

@@ -25,11 +25,11 @@ from flightstack.core.parameters.fleet import CARRIED_AGES, HOLD_LATENCIES, ZERO
 from flightstack.core.types import ZERO, Intent, MemberStatus, Vec3
 
 LEAST_M = 1e-6  # distance from the ellipsoid's centre below which the gradient has no direction, m
-# After its companion fails, a vehicle follows its last set-point until its autopilot lands it.
+# If a companion fails, the vehicle follows the last set-point until the autopilot lands the vehicle.
 LEAD_S = 0.2  # lead time of a set-point, s: set-point = command + lead time * derivative of the command
 SMOOTH_S = 0.03  # time constant of the low-pass filter for the velocity command's derivative, s
 DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # silent vehicle's drift: rate, maximum (docs/design_notes/0004-fleet.md)
-SINK_M_S = 0.5  # largest sink rate of an autopilot's landing, m/s
+SINK_M_S = 0.5  # maximum sink rate of an autopilot's landing, m/s
 RIDES_S = 3.0  # time for which a silent vehicle on a pad is assumed to move with the pad, s
 
 
@@ -69,7 +69,7 @@ def barrier(p_m: Vec3, radius_xy_m: float, radius_z_m: float, *, first: bool = T
 def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
     """Return the largest distance of a vehicle from its extrapolated position, m, and its derivative, m/s.
 
-    In the worst case the vehicle accelerates against its last velocity, up to the largest speed.
+    In the worst case the vehicle accelerates against its last velocity, up to the maximum speed.
     """
     most_m_s, a = max(fleet.speed_max_m_s, speed_m_s) + speed_m_s, fleet.acceleration_max_m_s2
     speeds_up_s = most_m_s / a
@@ -81,9 +81,9 @@ def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
 def jump(before: MemberStatus, message: MemberStatus, fleet: Fleet) -> Vec3:
     """Return the offset of a reported position from the predicted one; zero if the position is reachable.
 
-    A reachable position differs from the predicted one by at most the effect of the largest acceleration, the
-    reported errors of position and clock of both messages, and the ellipsoid's margin. The margin is for a
-    landing, which stops a vehicle immediately.
+    A reachable position differs from the predicted one at most by the sum of three parts: the effect of the
+    maximum acceleration, the errors of position and clock that both messages report, and the ellipsoid's
+    margin. The margin is for a landing, which stops a vehicle immediately.
     """
     gone_s = message.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = message.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
@@ -111,10 +111,11 @@ def estimate(
 ) -> Estimate:
     """Estimate the current position of another vehicle, and the largest error of this estimate.
 
-    A vehicle whose messages are late is extrapolated for ``CARRIED_AGES`` with its last possible set-point,
-    about as long as an autopilot continues without its companion. The vehicle can drift from this path and
-    sink to the ground. Its region grows until ``silent_flight_s``, when its own fail-safe has ended the
-    flight. A vehicle that is down stands still, or moves with a pad that can have stopped since the message.
+    A vehicle with late messages is extrapolated for ``CARRIED_AGES`` with the last possible set-point, about
+    as long as an autopilot continues without a companion. The vehicle can drift from this path and sink to
+    the ground. The region of possible positions grows until ``silent_flight_s``; by then the vehicle's
+    fail-safe has ended the flight. A vehicle that is down stands still, or moves with a pad that can have
+    stopped since the message.
     """
     v, p = message.velocity_enu_m_s, message.position_enu_m
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
@@ -235,7 +236,7 @@ class Near(NamedTuple):
 
 
 def sidestep(nominal: Vec3, near: Sequence[Near], rate_1_s: float) -> Vec3:
-    """Return the nominal velocity plus a side-step to the right of each vehicle that it approaches.
+    """Return the nominal velocity plus a side-step to the right of each vehicle that this one approaches.
 
     The side-step grows from 0, where the constraint becomes active, to the closing speed at h = 0.
     """

@@ -1,9 +1,9 @@
 """Order of landings on one pad, or on pads near each other, agreed by messages without a leader.
 
 A vehicle that starts its landing claims the right of way with a time stamp. The claim is granted when every
-member with a conflicting pad has sent a message later than claim plus latency, in which that member has no
-claim or names this vehicle in ``yields_to`` (the reply of Ricart and Agrawala's algorithm). The older claim
-is first, or the claim of the lower id if both are equally old. A member yields until the other member's claim
+member with a conflicting pad has replied (as in Ricart and Agrawala's algorithm). A reply is a message that
+the member sent later than claim plus latency, without a claim or with this vehicle in ``yields_to``. The
+older claim is first; of two equally old claims, that of the lower id. A member yields until the other claim
 ends.
 
 Clocks can disagree on the order of two claims. If both members then yield, the one with the lower id stops

@@ -1,6 +1,6 @@
 """Quadratic program of a fleet member: ``safety/qp_filter.py`` with one more constraint for each neighbour.
 
-OSQP starts from the exact solution (``solution.py``), and its result is used only if it satisfies all
+OSQP starts from the exact solution (``solution.py``). The result of OSQP is used only if it satisfies all
 constraints (``Row``) and equals that solution. If no velocity satisfies all constraints, vehicles with late
 messages get constraints without their reachable sets; if this is not enough, the constraints of all
 neighbours are relaxed by the smallest common slack. The landing barrier and the velocity limits (box) are
@@ -26,8 +26,8 @@ from flightstack.core.safety.projection import best_corner
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
-FIRM_MAX = 2  # largest number of constraints that are never relaxed
-AGREES_M_S = 1e-6  # largest difference between the solver's result and the exact solution, m/s
+FIRM_MAX = 2  # maximum number of constraints that are never relaxed
+AGREES_M_S = 1e-6  # maximum allowed difference between the solver's result and the exact solution, m/s
 _ROWS = FIRM_MAX + OTHERS_MAX
 INWARD_RATE_1_S = 2.5  # ratio of allowed horizontal velocity to distance from the pad's centre, 1/s
 OUTWARD_PART = 0.5  # fraction of the landing barrier's allowed decay that is available to horizontal motion
@@ -87,7 +87,7 @@ class FleetProgram:
                 less = given_m_s + RELAXED_M_S
                 found = nearest(nominal, [*firm, *(Row(g, b - less) for g, b in neighbours)], lower, upper)
                 point = found[0] if found is not None else point
-            elif landing is not None:  # with rounding errors only this corner satisfies the barrier
+            elif landing is not None:  # numerically no other velocity satisfies the landing barrier
                 point = corner
         slack = -landing.missing_m_s(point) if landing is not None else math.nan
         active = landing is not None and landing.missing_m_s(clip_to_box(nominal, lower, upper)) > 0.0
@@ -126,7 +126,7 @@ class FleetProgram:
 class Cone(NamedTuple):
     """Limits of this vehicle's velocity over the pad."""
 
-    rate_1_s: float  # omega of paper eq. 11, 1/s: largest allowed decay rate of h
+    rate_1_s: float  # omega of paper eq. 11, 1/s: maximum allowed decay rate of h
     slope_max: float  # steepest slope of the safe set's boundary
     lag_s: float  # time until a climb command takes effect, s
     period_s: float  # period of a tick, s

@@ -66,7 +66,7 @@ def by_active_set(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) 
     normals, bounds, lengths = [], [], []
     for (gx, gy, gz), bound in rows:
         length = math.sqrt(gx * gx + gy * gy + gz * gz)
-        if not length > _LEAST_LENGTH:  # without a gradient, all velocities or none satisfy it
+        if not length > _LEAST_LENGTH:  # without a gradient, all velocities or none satisfy the constraint
             gx = gy = gz = 0.0
             length = 1.0
         lengths.append(length)

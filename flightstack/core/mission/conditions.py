@@ -32,12 +32,12 @@ _ASKED: dict[Operator, int] = {
     Operator.TIME_OVER: C.ABORT_ASKED,
 }
 _NO_STATUS = VehicleStatus(-math.inf, False, Mode.UNKNOWN, Landed.UNKNOWN, False)
-# longest time in each phase, s, in the order of ``Phase``
+# maximum time in each phase, s, in the order of ``Phase``
 PhaseTimes = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
 def phase_times_s(config: FlightConfig) -> PhaseTimes:
-    """Return the longest time allowed in each phase, s."""
+    """Return the maximum time allowed in each phase, s."""
     most_s = dict.fromkeys(Phase, math.inf)
     most_s |= {
         Phase.WAIT: config.checks.wait_time_max_s,
@@ -176,7 +176,7 @@ def time_flags(s: Situation, now_s: float) -> int:
         | (C.LANDING_TIME_OVER if started and now_s - memory.started_s > landing_time_max_s else 0)
         | (C.PHASE_TIME_OVER if now_s - memory.phase_since_s > s.times_s[phase.value] else 0)
         | (C.ON_PAD if phase is Phase.TOUCHDOWN and memory.contact else 0)
-        # a vehicle that stands off the pad's centre has h < 0, where no touchdown rule applies
+        # contact alone counts in LAND: on the pad beside its centre h < 0, and touchdown rules need h >= 0
         | (C.TOUCH if phase is Phase.LAND and memory.contact else 0)
     )
 
@@ -196,7 +196,7 @@ def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) ->
 def target_below(config: FlightConfig, snapshot: Snapshot) -> str:
     """Return why the landing spot is implausible for a vehicle on the ground; empty if it is plausible.
 
-    A target whose z axis points down has its landing spot below the ground, where the vehicle would fly.
+    If the target's z axis points down, the landing spot is below the ground, and the vehicle would fly there.
     """
     status, e_m, most_m = snapshot.inputs.status, snapshot.e_m, config.checks.target_below_max_m
     if status is None or status.landed is not Landed.ON_GROUND or e_m is None:
@@ -251,7 +251,7 @@ def _at_start(config: FlightConfig, at: Relative) -> bool:
 def landing_flags(s: Situation, at: Relative, now_s: float, may_land: bool, may_touch: bool) -> int:
     """Return the flags that depend on the vehicle's position over the pad; all inputs must be good."""
     memory, strategy, touchdown = s.memory, s.strategy, s.config.touchdown
-    # the vehicle leaves the cone at a wider radius than it enters, so that noise does not toggle the phase
+    # the radius for leaving the cone is wider than that for entering, so that noise does not toggle the phase
     radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
     low = at.e_m[2] < max(s.config.barrier.peak_height_m, touchdown.height_m)
     over_pad = at.d_m <= radius and low and may_land

@@ -52,8 +52,8 @@ _ABORT = re.compile(rf"(?: *[0-9.]+ s  )?(?:(?:{_PHASES}) -> )?ABORT: ")
 STANDING_S = 4.0  # contact time allowed in LAND, s; most vehicles move to the centre (h >= 0) in 3 s
 SLIDING_TIME_S = 0.15  # prediction time of a slide, s: contact is detected after 0.1 s, motors stop in 0.05 s
 ABORT_SETTLE_S = 1.0  # minimum time in an abort, s, in which a heartbeat (1 Hz) can report the end
-PLACE_RADIUS_M = 0.1  # largest distance from the place beside the target at which the landing starts, m
-PLACE_SPEED_M_S = 0.15  # largest horizontal speed at which a landing beside the target starts, m/s
+PLACE_RADIUS_M = 0.1  # maximum distance from the place beside the target at which the landing starts, m
+PLACE_SPEED_M_S = 0.15  # maximum horizontal speed at which a landing beside the target starts, m/s
 DRIFT_CAUSES = (
     "usual causes: a twist in header.frame_id instead of child_frame_id, a heading that is off by 180 "
     "degrees, swapped axes"

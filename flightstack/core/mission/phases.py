@@ -46,7 +46,7 @@ class Condition(IntEnum):
     RECOVERED = 1 << 15  # inputs were good for ``recovery_time_s``; in WAIT also: inputs arrived in this time
     RETRIES_LEFT = 1 << 16  # a go-around is allowed
     HIGH_ENOUGH = 1 << 17  # the vehicle is above every part of the target
-    PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase is over
+    PHASE_TIME_OVER = 1 << 18  # the maximum time allowed in this phase is over
     LANDING_TIME_OVER = 1 << 19  # the landing or the wait for the right of way takes too long
     COMMAND_FAILED = 1 << 20  # the vehicle has refused a command, also after repetitions
     # in TOUCHDOWN, with enough h to climb away: the vehicle is about to leave the corridor above the pad

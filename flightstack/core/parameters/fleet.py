@@ -1,7 +1,8 @@
 """Parameters of a fleet: members, the ellipsoid between two vehicles, and bounds of the members' motion.
 
-The ellipsoid of two Crazyflies has the semi-axes 0.25 and 0.75 m: each has a radius of 0.125 and 0.375 m, as
-Crazyswarm sets them for the firmware's collision avoidance. Downwash makes the ellipsoid higher than wide.
+The ellipsoid of two Crazyflies has the semi-axes 0.25 and 0.75 m: each Crazyflie has the radii 0.125 and
+0.375 m that Crazyswarm sets for the firmware's collision avoidance. Downwash makes the ellipsoid higher than
+wide.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import Annotated
 from flightstack.common.strict_toml import ConfigError, span
 
 ID_MAX = 250
-OTHERS_MAX = 8  # largest number of other members; each can add a constraint to the program
-PART_OF_LAG = 0.25  # largest rate_1_s * lag of the velocity loop for which h of two vehicles cannot overshoot
+OTHERS_MAX = 8  # maximum number of other members; each can add a constraint to the program
+PART_OF_LAG = 0.25  # maximum rate_1_s * lag of the velocity loop for which h of two vehicles cannot overshoot
 # time after its last announcement for which a yielding vehicle takes the whole share, in latencies
 HOLD_LATENCIES = 3.0
 ZERO_LATENCIES = 2.0  # time for which a neighbour relies on ``yields_to``, in latencies
@@ -35,14 +36,14 @@ class Fleet:
     rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # allowed decay rate of h between two vehicles
     margin_m: Annotated[float, span(0.0, 5.0)] = 0.08  # margin for velocity errors of both vehicles
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # number of covered standard deviations of positions
-    speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # largest speed of another vehicle
-    # largest acceleration of another vehicle, and of its velocity command
+    speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # maximum speed of another vehicle
+    # maximum acceleration of another vehicle, and of the velocity command of this other vehicle
     acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 3.0
-    # largest horizontal acceleration of the commanded velocity; a Crazyflie can follow 2.1 m/s^2
+    # maximum horizontal acceleration of the commanded velocity; a Crazyflie can follow 2.1 m/s^2
     slew_xy_max_m_s2: Annotated[float, span(0.05, 20.0)] = 2.0
     reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which members add a constraint
     age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # message age above which a vehicle is silent
-    latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # largest latency of a message
+    latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # maximum latency of a message
     silent_flight_s: Annotated[float, span(0.1, 60.0)] = 6.0  # time after which a silent vehicle has landed
     # maximum wait for the right of way before an abort
     wait_max_s: Annotated[float, span(1.0, 3600.0)] = 30.0
@@ -67,12 +68,12 @@ class Fleet:
 
     @property
     def growth_m_s(self) -> float:
-        """Growth rate of the ellipsoid around a neighbour whose message has the largest latency, m/s."""
+        """Growth rate of the ellipsoid around a neighbour whose message has the maximum latency, m/s."""
         return self.acceleration_max_m_s2 * self.latency_max_s
 
     @property
     def slew_side_max_m_s2(self) -> float:
-        """Largest acceleration of the command on each horizontal axis, m/s^2; infinite without neighbours."""
+        """Maximum acceleration of the command on each horizontal axis, m/s^2; infinite without neighbours."""
         return self.slew_xy_max_m_s2 / math.sqrt(2.0) if self.others else math.inf
 
     def check(self, lag_s: float, period_s: float, clearance_m: float) -> None:

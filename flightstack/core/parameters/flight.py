@@ -40,10 +40,10 @@ class Takeoff:
     height_m: Annotated[float, span(0.2, 10.0)] = 0.5  # height of the take-off above the ground
     # start position relative to the landing spot, ENU; None: start from the hover position
     start_offset_m: Vec3 | None = None
-    # largest height difference to the start at which the vehicle moves horizontally
+    # maximum height difference to the start at which the vehicle moves horizontally
     level_first_m: Annotated[float, span(0.02, 2.0)] = 0.1
-    arrival_radius_m: Annotated[float, span(0.02, 0.5)] = 0.05  # largest distance from the start on arrival
-    arrival_speed_m_s: Annotated[float, span(0.01, 0.5)] = 0.05  # largest speed on arrival
+    arrival_radius_m: Annotated[float, span(0.02, 0.5)] = 0.05  # maximum distance from the start on arrival
+    arrival_speed_m_s: Annotated[float, span(0.01, 0.5)] = 0.05  # maximum speed on arrival
     timeout_s: Annotated[float, span(5.0, 300.0)] = 60.0  # time limit of take-off and flight to the start
 
 
@@ -74,13 +74,13 @@ class Touchdown:
 class Contact:
     """Criteria for the contact of the vehicle with the pad."""
 
-    # largest height of the feet at contact; it covers the noise of two positions and the tilt of the pad
+    # maximum height of the feet at contact; this height covers two positions' noise and the pad's tilt
     gap_m: Annotated[float, span(0.001, 0.5)] = 0.01
-    # tolerance beyond the pad's edge; it covers the errors of two positions
+    # tolerance beyond the pad's edge, for the errors of two positions
     beyond_m: Annotated[float, span(0.0, 0.5)] = 0.0
-    # height below which a sliding vehicle counts as in contact, before the other criteria apply
+    # height below which a vehicle that slides off counts as in contact, before the other criteria apply
     sliding_gap_m: Annotated[float, span(0.0, 0.1)] = 0.0
-    # predicted distance from the centre that counts as sliding
+    # predicted distance from the pad's centre from which the vehicle counts as sliding off
     sliding_radius_m: Annotated[float, span(0.005, 1.0)] = 0.05
     # sink rate below which the pad supports the vehicle
     speed_m_s: Annotated[float, span(0.005, 0.5)] = 0.05
@@ -95,20 +95,20 @@ class Retreat:
 
     # horizon of the drift prediction: response time of the horizontal loop
     drift_time_s: Annotated[float, span(0.05, 5.0)] = 0.3
-    # smallest h for a go-around; below it the descent continues
+    # minimum h for a go-around; at a lower h the descent continues
     h_left_m: Annotated[float, span(0.01, 3.0)] = 0.08
     hold_climb_m_s: Annotated[float, span(0.02, 5.0)] = 0.4  # climb rate of the robust filter's hold
-    # height above the barrier's peak at which the vehicle is clear of the target
+    # height above the boundary's peak from which the vehicle is above every part of the target
     climb_margin_m: Annotated[float, span(0.05, 5.0)] = 0.2
-    # maximum time of the flight away from the target; after it the vehicle lands at its position
+    # maximum time to fly clear of the target; after it the vehicle lands where it is
     clear_time_max_s: Annotated[float, span(5.0, 600.0)] = 30.0
-    # minimum sink rate of the autopilot's landing; it limits the time in which a target can approach
+    # minimum sink rate of the autopilot's landing; this rate limits the time in which a target can approach
     landing_speed_m_s: Annotated[float, span(0.05, 5.0)] = 0.3
     # maximum time of an abort; after it the stack exits
     abort_time_max_s: Annotated[float, span(5.0, 1800.0)] = 60.0
 
 
-_NAME_MAX = 16  # largest length of a MAVLink parameter name, characters
+_NAME_MAX = 16  # maximum length of a MAVLink parameter name, characters
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +129,8 @@ class PositionLoop:
 class Limits:
     """Limits of a command: velocity (paper: v_m), rate of change, and height above which no climb is sent."""
 
-    velocity_max_m_s: Each[Annotated[float, span(0.05, 5.0)]] = (0.2, 0.2, 0.5)  # largest commanded velocity
-    # paper filter: largest rate of change of the command
+    velocity_max_m_s: Each[Annotated[float, span(0.05, 5.0)]] = (0.2, 0.2, 0.5)  # maximum commanded velocity
+    # paper filter: maximum allowed rate of change of the command
     slew_max_m_s2: Each[Annotated[float, span(0.2, 50.0)]] = (4.0, 4.0, 4.0)
     altitude_max_m: Annotated[float, span(0.5, 100.0)] = 3.0  # height (z) above which no climb is allowed
 
@@ -139,33 +139,33 @@ class Limits:
 class Checks:
     """Limits of the received data, and waiting times after a loss."""
 
-    own_age_max_s: Annotated[float, span(0.02, 0.4)] = 0.2  # largest accepted age of a vehicle state
-    target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25  # largest accepted age of a target state
-    # largest difference between position and integrated velocity of the vehicle
+    own_age_max_s: Annotated[float, span(0.02, 0.4)] = 0.2  # maximum accepted age of a vehicle state
+    target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25  # maximum accepted age of a target state
+    # maximum allowed difference between position and integrated velocity of the vehicle
     own_drift_max_m: Annotated[float, span(0.05, 2.0)] = 0.15
     own_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of the position difference
-    # largest lag behind the set-points, at the highest velocity
+    # maximum allowed lag behind the set-points, as a time at the maximum velocity
     follow_lag_max_s: Annotated[float, span(0.1, 5.0)] = 0.45
     follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # decay time of the tracking lag
-    status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # largest accepted age of a heartbeat (1 Hz)
-    target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest accepted speed of a target sample
-    target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # largest accepted jump of the target
-    # largest difference between position and integrated velocity of the target
+    status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # maximum accepted age of a heartbeat (1 Hz)
+    target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5  # maximum accepted speed of a target sample
+    target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # maximum accepted jump of the target
+    # maximum allowed difference between position and integrated velocity of the target
     target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1
     target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of the position difference
-    # largest height of a vehicle on the ground above the landing spot; more for a take-off from a table
+    # maximum height of a vehicle on the ground above the landing spot; more for a take-off from a table
     target_below_max_m: Annotated[float, span(0.02, 100.0)] = 0.15
     target_frame: str = "map"  # frame_id of the target's odometry
     target_child_frame: str = "target"  # child_frame_id of the target's odometry
     hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0  # time in HOLD before the climb
-    climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0  # time in CLIMB before an abort
+    climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0  # maximum time in CLIMB before an abort
     recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # time with good inputs before a start or retry
-    retries_max: Annotated[int, span(0, 20)] = 3  # largest number of go-arounds before an abort
-    swings_max: Annotated[int, span(1, 100)] = 3  # largest number of exits from the cone over the pad
-    over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0  # longest flight over the pad
-    landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0  # longest duration of a landing
-    wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0  # longest wait for inputs before the landing
-    clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # smallest safe horizontal distance to the target
+    retries_max: Annotated[int, span(0, 20)] = 3  # maximum number of go-arounds before an abort
+    swings_max: Annotated[int, span(1, 100)] = 3  # maximum number of exits from the cone over the pad
+    over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0  # maximum time over the pad
+    landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0  # maximum duration of a landing
+    wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0  # maximum wait for inputs before the landing
+    clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # minimum safe horizontal distance to the target
 
 
 @dataclass(frozen=True, slots=True)

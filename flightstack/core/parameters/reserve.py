@@ -1,18 +1,18 @@
 """Thrust reserve of the vehicle, computed from the battery voltage, and the use of this reserve.
 
-The reserve is the largest thrust divided by the weight. Thrust is proportional to (throttle x voltage)^p, so
+The reserve is the maximum thrust divided by the weight. Thrust is proportional to (throttle x voltage)^p, so
 the throttle t in hover rises when the voltage falls. At constant voltage the reserve is
 
     r = (throttle_max / t)^p,    t = hover_throttle hover_voltage_v / voltage
 
-But the current is proportional to the thrust to the power 1.5 and lowers the voltage, by sag_v from rest to
-hover. To first order the fraction 1 / (1 + 1.5 p sag_v / voltage) of r - 1 remains.
+But the current is proportional to the thrust to the power 1.5. The current lowers the voltage, by sag_v from
+rest to hover. To first order the fraction 1 / (1 + 1.5 p sag_v / voltage) of r - 1 remains.
 
-If the firmware compensates the battery voltage, a fixed motor voltage limits its thrust command. The largest
+If the firmware compensates the battery voltage, a fixed motor voltage limits the thrust command. The maximum
 throttle is then the lower one of throttle_max and motor_voltage_max_v / voltage.
 
 Recorded Crazyflies 2.1 with markers hover at 0.78 of full PWM at 3.7 V and at 0.90 at 3.1 V, with p = 1.5;
-their motors differ by 9 %, so the first motor saturates at a mean of about 0.95.
+the throttles of their motors span 9 %, so the motor with the highest saturates at a mean of about 0.95.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class Reserve:
 
     hover_throttle: Annotated[float, span(0.05, 1.0)]  # mean throttle of the motors in hover
     hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # voltage in hover at `hover_throttle`
-    lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # lowest voltage in flight that is certified
+    lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # minimum voltage in flight that is certified
     sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # voltage drop from rest to hover
     start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # margin above lowest_voltage_v before a landing
-    throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # highest mean throttle; above it a motor saturates
-    # mean motor voltage at the highest thrust command, if the firmware compensates the battery
+    throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # maximum mean throttle; above it a motor saturates
+    # mean motor voltage at the maximum thrust command, if the firmware compensates the battery
     motor_voltage_max_v: Annotated[float, span(0.1, 100.0)] | None = None
     thrust_exponent: Annotated[float, span(0.5, 3.0)] = 1.5  # exponent p of the thrust
     share: Annotated[float, span(0.1, 1.0)] = 0.5  # part of the reserve for commands; the rest is for wind

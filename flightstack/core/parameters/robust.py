@@ -1,6 +1,6 @@
 """Assumptions of the robust filter about vehicle, target and links: numbers with units.
 
-docs/how_it_works/robust_filter.md derives the margin from them; `identify` measures those of the vehicle.
+docs/how_it_works/robust_filter.md derives the margin from these numbers; `identify` measures the vehicle's.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class VelocityLoop:
     damping: Annotated[float, span(0.1, 2.0)] = 0.68  # damping ratio of the model
     gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # fraction of the tracking error added to the set-point
     gain_z: Annotated[float, span(0.0, 2.0)] = 0.5  # fraction of the vertical error that is added
-    # largest difference of horizontal set-point and velocity: it bounds the tilt
+    # maximum difference between horizontal set-point and velocity; this limit bounds the tilt
     error_max_m_s: Annotated[float, span(0.05, 10.0)] = 0.6
     slope_time_s: Annotated[float, span(0.01, 1.0)] = 0.05  # time constant of the smoothed acceleration
     disturbance_time_s: Annotated[float, span(0.1, 10.0)] = 0.6  # time constant of the disturbance estimate
-    disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # largest disturbance; 0.25 in wind of 2 m/s
+    disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # maximum disturbance; 0.25 in wind of 2 m/s
 
     def late_ticks(self, period_s: float) -> int:
         """Return the number of ticks from a horizontal set-point to its first effect."""
@@ -42,8 +42,8 @@ class VelocityLoop:
     def rate_max_1_s(self, period_s: float) -> float:
         """Return the natural frequency below which the model, stepped with this period, is stable.
 
-        The matrix of one step (velocity_tracking.py) has the trace 2 - (wT)^2 - 2 z wT and the determinant
-        1 - 2 z wT (w: natural frequency, z: damping, T: period). Jury's criterion: (wT)^2 + 4 z wT < 4.
+        The matrix of one step (velocity_tracking.py) has the trace 2 - (wT)^2 - 2 zeta wT and the determinant
+        1 - 2 zeta wT (w: natural frequency, zeta: damping, T: period). Jury: (wT)^2 + 4 zeta wT < 4.
         """
         return 2.0 * (math.hypot(self.damping, 1.0) - self.damping) / period_s
 
@@ -59,7 +59,7 @@ class VelocityFeedback:
     error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # correction rate of a velocity error
     tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # response rate of the tilt to its command
     observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # rate of the disturbance estimate
-    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # largest commanded acceleration
+    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # maximum commanded acceleration
     # distance from the landing spot beyond which the far rates apply (slower tilt saves thrust); 0: never
     far_m: Annotated[float, span(0.0, 100.0)] = 0.0
     far_error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 4.0  # error_rate_1_s beyond far_m
@@ -83,7 +83,7 @@ class OwnStateLink:
     velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.0
     # correlation time T of the velocity error, exp(-t/T); without velocity feedback: estimation time
     velocity_error_time_s: Annotated[float, span(0.05, 20.0)] = 0.5
-    velocity_error_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.2  # largest estimated velocity error
+    velocity_error_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.2  # limit of the estimated velocity error
 
     @property
     def learns(self) -> bool:
@@ -101,7 +101,7 @@ class TargetLink:
     # density of the jerk; with 0.6 the acceleration changes by about 0.5 m/s^2 in 1 s
     jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6
     jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # vertical jerk density; 0.6 on a ship
-    # largest factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
+    # maximum factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
     acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # initial standard deviation, x and y
     # time constant with which the estimated acceleration on x and y decays
@@ -114,8 +114,8 @@ class TargetLink:
 class Envelope:
     """Range of conditions that the certificate covers, with ``touchdown.target_speed_max_m_s``."""
 
-    target_climb_max_m_s: Annotated[float, span(0.0, 2.0)] = 0.0  # largest vertical speed of the pad
-    target_acceleration_max_m_s2: Annotated[float, span(0.0, 10.0)] = 0.5  # largest acceleration of a target
+    target_climb_max_m_s: Annotated[float, span(0.0, 2.0)] = 0.0  # maximum vertical speed of the pad
+    target_acceleration_max_m_s2: Annotated[float, span(0.0, 10.0)] = 0.5  # maximum acceleration of a target
     target_rate_hz: Annotated[float, span(1.0, 500.0)] = 50.0  # rate of the target's odometry
     lag_spread: Annotated[float, span(0.0, 0.9)] = 0.3  # relative tolerance of the vehicle's lag, up and down
 
@@ -124,25 +124,25 @@ class Envelope:
 class Robust:
     """Parameters of the robust filter."""
 
-    rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest decay rate of h; the velocity loop is faster
-    # largest difference by which the vertical velocity is below its command
+    rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # maximum decay rate of h; the velocity loop is faster
+    # upper limit of the error by which the vertical velocity is below its command
     tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # number of covered standard deviations
     fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # radius within which the margin fades
-    # largest acceleration of the commanded velocity along east, north and up
+    # maximum acceleration of the commanded velocity along east, north and up
     acceleration_max_m_s2: Each[Annotated[float, span(0.2, 20.0)]] = (2.0, 2.0, 2.5)
     gain_1_s: Annotated[float, span(0.1, 5.0)] = 1.2  # gain of the position loop on the approach
     gain_over_pad_1_s: Annotated[float, span(0.1, 5.0)] = 2.0  # horizontal gain over the pad
     gain_descent_1_s: Annotated[float, span(0.0, 5.0)] = 0.0  # gain in the final descent; 0: as over the pad
-    descent_min_m_s: Annotated[float, span(0.01, 1.0)] = 0.1  # slowest descent above the waiting height
-    descent_max_m_s: Annotated[float, span(0.05, 10.0)] = 1.0  # fastest descent, relative to the pad
+    descent_min_m_s: Annotated[float, span(0.01, 1.0)] = 0.1  # minimum descent speed above the waiting height
+    descent_max_m_s: Annotated[float, span(0.05, 10.0)] = 1.0  # maximum descent speed, relative to the pad
     wait_height_m: Annotated[float, span(0.03, 3.0)] = 0.1  # height of the wait before the final descent
     commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # height below which the final descent starts
-    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # largest distance for the final descent
-    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # largest relative speed for the final descent
+    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # maximum distance for the final descent
+    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # maximum relative speed for the final descent
     corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # radius of the corridor; outside: go-around
     descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # final descent: speed relative to the pad
-    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # final descent: largest set-point lead
+    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # final descent: maximum set-point lead
     touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # height below which a stop means contact
 
     @property

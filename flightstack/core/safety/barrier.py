@@ -5,8 +5,8 @@
 ``e`` is the vehicle's position minus the landing spot, ``d`` its horizontal length. Safe states have h >= 0.
 
 At the apex, d = 0, the gradient has no direction. The slope is multiplied by the smoothing factor ``d /
-sqrt(d^2 + smoothing^2)``, which only shortens the gradient. For d below a few ``smoothing`` the filter
-therefore uses a smaller slope than b(d) has; h itself is never smoothed. See docs/how_it_works/method.md.
+sqrt(d^2 + smoothing^2)``, which only shortens the gradient. Therefore, for d below a few ``smoothing``, the
+filter uses a smaller slope than that of b(d); h itself is never smoothed. See docs/how_it_works/method.md.
 
 The geometry gives the shape (eq. 7): the boundary peaks at ``d* = 1/alpha``, ``e* = beta/exp(1)`` high.
 
@@ -60,7 +60,7 @@ def problem_of(boundary: Any, e_m: Vec3) -> str:
 class Peak:
     """Highest ring of the boundary, which a configuration can contain instead of alpha and beta (eq. 7)."""
 
-    peak_height_m: Annotated[float, span(0.05, 7.0)]  # beta is e times this
+    peak_height_m: Annotated[float, span(0.05, 7.0)]  # height of the ring; beta is e times this height
     peak_distance_m: Annotated[float, span(0.05, 20.0)] | None = None  # radius of the ring
     # angle at the landing spot between the vertical and the ring, instead of the radius
     cone_half_angle_rad: Annotated[float, span(0.05, 1.5)] | None = None
@@ -94,7 +94,7 @@ class Barrier:
     # inverse of the peak's horizontal distance from the landing spot
     alpha_1_m: Annotated[float, span(0.05, 20.0)]
     beta_m: Annotated[float, span(0.05, 20.0)]  # Euler's number times the height of the peak
-    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper filter: largest decay rate of h
+    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper filter: maximum decay rate of h
     # radius around the landing spot within which the gradient fades to vertical
     apex_smoothing_m: Annotated[float, span(0.001, 0.02)] = 0.005
 

@@ -1,7 +1,7 @@
 """Last check before a set-point is sent; only this check makes an ``ApprovedSetpoint``.
 
-The default is to deny. The bridge sends only velocities of this type, and only ``Gate`` can build one. The
-gate builds a new one in each tick, so that no stored set-point is sent twice.
+The default is to deny. The bridge sends only velocities of this type, and only ``Gate`` can build objects of
+this type. The gate builds a new object in each tick, so that no stored set-point is sent twice.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class GateVerdict(IntEnum):
     NOT_FINITE = 4
     OUTSIDE_BOX = 5  # a velocity limit is exceeded
     BARRIER = 6  # h of the next tick would be lower than the filter guarantees
-    TOO_HIGH = 7  # the vehicle is above the largest altitude, and the command is a climb
+    TOO_HIGH = 7  # the vehicle is above the maximum altitude, and the command is a climb
 
 
 class ApprovedSetpoint:
@@ -121,8 +121,8 @@ class Gate:
     def keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
         """Whether h of the next tick, predicted with constant velocities, satisfies the bound of eq. 11.
 
-        The bound is linear; a valid filter result can violate it at most by the boundary's curvature and the
-        slope that the gradient neglects at the apex (docs/how_it_works/robust_filter.md).
+        The bound is linear. A valid filter result can violate this bound only by two effects: the boundary's
+        curvature, and the slope that the gradient neglects at the apex (docs/how_it_works/robust_filter.md).
         """
         status, hopeless = check.status, check.status is FilterStatus.INFEASIBLE
         solved = status is FilterStatus.SOLVED or status is FilterStatus.CLOSED_FORM

@@ -171,5 +171,5 @@ def calls(rows: int, solver: int, numbers: int) -> tuple[tuple[int, ...], ...]:
 
 
 def _inside(one: Any) -> int:
-    """Return the address of the C++ object in a pybind11 object, which follows Python's object header."""
+    """Return the address of the C++ object of a pybind11 object, which stores it after the header."""
     return int(ctypes.c_void_p.from_address(id(one) + object.__basicsize__).value or 0)

@@ -3,12 +3,13 @@
     min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= -omega h - dh/dt     (u': nominal velocity)
 
 The program has one constraint for the barrier and three for the box; the solver is set up once and updated
-each tick. It starts from the exact projection of this tick (``projection.py``), which its optimality test
-usually confirms immediately; otherwise it iterates. Therefore a result depends only on the data of this tick,
-and the time is bounded. (From zero the solver needs hundreds of iterations if the barrier's gradient is
-nearly normal to a side of the box and both are active.) A result is used only if it has the status solved and
-satisfies box and barrier; otherwise the exact projection is used. If no point of the box satisfies the
-barrier, the command is the corner of the box that raises h fastest, with status INFEASIBLE.
+each tick. The solver starts from the exact projection of this tick (``projection.py``). The solver's
+optimality test usually confirms this start immediately; otherwise the solver iterates. Therefore a result
+depends only on the data of this tick, and the time is bounded. (From zero the solver needs hundreds of
+iterations if the barrier's gradient is nearly normal to a side of the box and both constraints are active.) A
+result is used only if it has the status solved and satisfies box and barrier; otherwise the exact projection
+is used. If no point of the box satisfies the barrier, the command is the corner of the box that raises h
+fastest, with status INFEASIBLE.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from flightstack.core.safety.osqp import Osqp
 from flightstack.core.safety.projection import EMPTY, projected
 from flightstack.core.types import FilterStatus, Vec3
 
-RESIDUAL_MAX_M_S = 1e-6  # largest violation of box or barrier by an accepted result, m/s
+RESIDUAL_MAX_M_S = 1e-6  # maximum allowed violation of box or barrier by a result, m/s
 
 
 class FilterResult(NamedTuple):

@@ -58,14 +58,14 @@ class Filter:
         State: class of ``state``, a dataclass whose fields have defaults and are numbers, texts, tuples or
         dataclasses; None: ``state`` is None.
         certificate: ``MODULE:NAME`` of the function that returns the checks of a configuration
-        (``FlightConfig -> list[Check]``, flightstack/verify). It covers this class only: a subclass does not
-        inherit it, and has no certificate until it names its own.
+        (``FlightConfig -> list[Check]``, flightstack/verify). The certificate covers this class only: a
+        subclass has no certificate until it names one.
         watches_swinging: whether a vehicle that oscillates over the pad must abort (``checks.swings_max``).
         ignores: keys of the configuration that the filter does not read, with the key that it reads instead.
         waits_filtered: whether the barrier also applies in WAIT to a vehicle that starts in the air.
-        rate_1_s: largest decay rate of h, 1/s.
-        acceleration_max_m_s2: largest rate of change of the commanded velocity on each axis, m/s^2.
-        contact_speed_max_m_s: largest allowed speed relative to the pad by a set-point of the touchdown, m/s.
+        rate_1_s: maximum allowed decay rate of h, 1/s.
+        acceleration_max_m_s2: maximum rate of change of the commanded velocity on each axis, m/s^2.
+        contact_speed_max_m_s: maximum speed relative to the pad that a touchdown set-point may cause, m/s.
         stopped_below_m: height above the pad below which a stopped descent counts as contact; 0: never.
         motion: state of the target estimator.
         tracking: state of the set-point corrections.

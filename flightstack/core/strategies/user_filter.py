@@ -36,7 +36,7 @@ class At(NamedTuple):
         h_m: value of the barrier, m; a negative value is unsafe.
         gradient: gradient of the barrier with respect to the vehicle's position.
         dh_dt_m_s: partial time derivative of the barrier due to the target's motion, m/s.
-        rate_1_s: largest decay rate of h, 1/s.
+        rate_1_s: maximum allowed decay rate of h, 1/s.
         lower_m_s: lowest allowed velocity command in this tick, by velocity and slew limits, m/s.
         upper_m_s: highest allowed velocity command in this tick, by the same limits, m/s.
         permitted: function that limits a velocity to the assumptions of the barrier's margin; it raises

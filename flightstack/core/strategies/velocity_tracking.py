@@ -1,13 +1,14 @@
 """Set-point with which a vehicle whose velocity loop lags follows a velocity command.
 
 The velocity loop on board responds to a set-point u like a second-order low-pass M (natural frequency w,
-damping z); the paper neglects this lag. Wind, drag and a wrong mass disturb the velocity v: v = M(u) + d.
-Two corrections for one axis use this model. a is the loop's acceleration, f = w d / (2 z) the disturbance's:
+damping zeta); the paper neglects this lag. Wind, drag and a wrong mass disturb the velocity v: v = M(u) + d.
+Two corrections for one axis use this model, with the acceleration a of the loop and f = w d / (2 zeta) of
+the disturbance:
 
-    v' = a + f,      a' = w^2 (u - v) - 2 z w a
+    v' = a + f,      a' = w^2 (u - v) - 2 zeta w a
 
 The lag compensation ("lead") adds corrections to the command r (internal model control, with a lead instead
-of the inverse model). Its feedback is only k (r - v), k = gain_xy, and a slow d: it tolerates a wrong model:
+of the inverse model). The feedback, only k (r - v), k = gain_xy, and a slow d, tolerates a wrong model:
 
     u = r + lag * r' + k (r - v) - d,      d = low-pass of (v - M(u))
 
@@ -15,7 +16,7 @@ The velocity feedback ("feedback") uses the whole state; an observer estimates t
 correction rejects gusts sooner and does not oscillate, but needs the model of the vehicle's loop. The
 acceleration a* corrects the velocity at the rate l, and the loop reaches a* at the rate m:
 
-    a* = r' + l (r - v) - f,      a' = m (a* - a),      u = v + (2 z w a + m (a* - a)) / w^2
+    a* = r' + l (r - v) - f,      a' = m (a* - a),      u = v + (2 zeta w a + m (a* - a)) / w^2
 
 The disturbance is limited, because no model is perfect.
 
@@ -108,7 +109,7 @@ class VelocityTracking:
 
     memory: TrackingMemory
     late: LateMemory
-    by_feedback: bool  # whether x and y use velocity feedback instead of the lag compensation; z never does
+    by_feedback: bool  # whether x and y use velocity feedback instead of the lag compensation; never for z
     loop: VelocityLoop
     vertical: VelocityLoop  # values of the vertical loop, under the names of the horizontal ones
     near: VelocityFeedback  # gains of the feedback near the pad

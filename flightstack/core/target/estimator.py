@@ -25,9 +25,9 @@ from flightstack.core.types import ZERO, Vec3
 RESTART_S = 1.0  # gap between samples after which the filter restarts, s
 
 TURN_TIME_S = 0.3  # time constant of the yaw rate's low-pass, s: the difference of two measured yaws is noisy
-TURN_RATE_MAX_RAD_S = 3.0  # largest yaw rate, rad/s; a TurtleBot3 reaches 2.84 (ROBOTIS, specifications)
+TURN_RATE_MAX_RAD_S = 3.0  # limit of the yaw rate, rad/s; a TurtleBot3 reaches 2.84 (ROBOTIS, specifications)
 INNOVATION_TIME_S = 0.15  # time constant of the mean normalised innovation squared, s: three samples at 20 Hz
-TURN_MAX_RAD = 0.5  # largest turn in a step, rad; up to it the series in ``_moved`` are exact to 1e-5
+TURN_MAX_RAD = 0.5  # upper limit of a turn, rad; below it the series in ``_moved`` are exact to 1e-5
 
 
 class TargetMotion(NamedTuple):
@@ -145,8 +145,8 @@ class TargetEstimator:
         """Return position, velocity and acceleration after a time: x and y turn, their acceleration decays.
 
         With the turn R(s) in the time s, v(s) = R(s) (v + a * to_velocity(s)); the acceleration a turns, too.
-        Its effect on the position turns by two thirds of the angle, the weighted mean. Sines and cosines are
-        series, because the means sin x / x and (1 - cos x) / x over the turn x are also needed at x = 0.
+        The effect of a on the position turns by two thirds of the angle, the weighted mean. Sines and cosines
+        are series, because the means sin x / x and (1 - cos x) / x over the turn x are also needed at x = 0.
         """
         memory, (t, p, v, left), (_, p_z, v_z, left_z) = self.memory, fading, lasting
         (x, y, z), (vx, vy, vz) = memory.position_enu_m, memory.velocity_enu_m_s

@@ -3,17 +3,17 @@
 docs/how_it_works/own_state.md describes the errors. The vehicle's velocity loop controls the reported
 velocity. Each horizontal axis has the position p, the velocity v, the acceleration a of the loop, the error e
 of the reported velocity, and the acceleration f of gusts and turning moments. With velocity feedback, which
-needs the same model (natural frequency w, damping z; T, T_f: correlation times), the equations are:
+needs the same model (natural frequency w, damping zeta; T, T_f: correlation times), the equations are:
 
-    p' = v,   v' = a + f,   a' = w^2 (u - v - e) - 2 z w a,   e' = -e / T + noise,   f' = -f / T_f + noise
+    p' = v,   v' = a + f,   a' = w^2 (u - v - e) - 2 zeta w a,   e' = -e/T + noise,   f' = -f/T_f + noise
 
-p and v + e are measured. A steady Kalman filter estimates all five for the time of the measurement, and the
-same model predicts them over the delay with the set-points u that have no effect yet. Without velocity
-feedback the real loop can be faster than the declared one; the filter would estimate that as an error e.
-In this case, and always for z, where thrust saturation makes the model wrong, only the position (as q) and e
-are estimated. p and v are then the reported values:
+p and v + e are measured. A steady Kalman filter estimates all five states for the time of the measurement.
+The same model predicts the states over the delay with the set-points u that have no effect yet. Without
+velocity feedback the real loop can be faster than the declared one; the filter would estimate the difference
+as an error e. In this case only the position (as q) and e are estimated, and p and v are the reported values.
+The same holds always for z, where thrust saturation makes the model wrong:
 
-    q' = v - e + 2 w (p - q),      e' = -w^2 (p - q),      w = 1 / T
+    q' = v - e + 2 r (p - q),      e' = -r^2 (p - q),      r = 1 / T
 """
 
 from __future__ import annotations
@@ -94,16 +94,16 @@ class OwnEstimator:
 
     memory: OwnMemory
     gains: Gains  # gains of the Kalman filter
-    # model of an axis: period of a tick, s; w^2, 1/s^2; 2 z w, 1/s; fractions of e and f left after a tick
+    # model of an axis: period of a tick, s; w^2, 1/s^2; 2 zeta w, 1/s; fractions of e and f left after a tick
     model: Model
     period_s: float  # period of a tick, s
     by_loop: bool  # whether the model of the velocity loop is used
     delay_s: float  # delay of the reported state, s
     push_1_s: float  # ratio of the acceleration f to the steady velocity change that it causes, 1/s
-    rate_1_s: float  # bandwidth w with which e is estimated without the model of the loop, 1/s
-    most_m_s: float  # largest estimated error of a velocity, m/s
+    rate_1_s: float  # bandwidth r with which e is estimated without the model of the loop, 1/s
+    most_m_s: float  # upper limit of the estimated velocity error, m/s
     ahead: int  # number of ticks from the measurement time of the newest sample to now
-    gap_max: int  # largest number of predicted ticks between two samples
+    gap_max: int  # maximum number of predicted ticks between two samples
 
     def __init__(self, link: OwnStateLink, loop: VelocityLoop, period_s: float, *, by_loop: bool) -> None:
         self.memory, self.by_loop = OwnMemory(), by_loop

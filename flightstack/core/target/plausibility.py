@@ -6,10 +6,10 @@ A link that delivers recent time stamps can still deliver wrong data. Three chec
 sensor:
 
 * a state that repeats to the last bit while it reports motion, or for ``STILL_MAX_S`` while the vehicle
-  follows set-points, is no new measurement, and its age grows. Only a vehicle at rest repeats its state;
+  follows set-points, is not a new measurement, so its age grows. Only a vehicle at rest repeats its state;
 * the integrated velocity equals the change of position; their difference, summed with decay, is only noise;
-* the vehicle follows its set-points with a lag: commanded velocity minus velocity, summed with decay, is the
-  distance by which the vehicle lags, at most its lag at full speed (``checks`` has decay times and bounds).
+* the vehicle follows its set-points with a lag. Commanded velocity minus velocity, summed with decay, is the
+  distance by which the vehicle lags, at most that at full speed (``checks`` has decay times and limits).
 
 No check detects errors of position and velocity that agree, such as a constant offset of the position.
 """
@@ -24,11 +24,11 @@ from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import ZERO, OwnState, TargetSample, Vec3
 
 SMOOTHING_S = 0.2  # time constant of the drift's low-pass, s; it reduces 2 cm of noise at 20 Hz to 1 cm
-TRUSTED_AGAIN = 0.5  # fraction of the largest allowed drift below which a state is trusted again
+TRUSTED_AGAIN = 0.5  # fraction of the maximum allowed drift below which a state is trusted again
 # Speed below which a vehicle with equal positions can be at rest, m/s: firmware truncates positions to
 # millimetres and reports the bias of its accelerometer as a velocity, 9 mm/s on a Crazyflie.
 STANDING_M_S = 0.05
-STILL_MAX_S = 0.5  # longest time for which a hovering vehicle reports equal positions, s
+STILL_MAX_S = 0.5  # maximum time for which a hovering vehicle may report equal positions, s
 
 
 def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3, standing_m_s: float = STANDING_M_S) -> bool:
@@ -40,7 +40,7 @@ class Plausibility:
     """Checks of vehicle state and set-points; ``memory`` is their complete state."""
 
     memory: PlausibilityMemory
-    # bound of ``tracking_lag_m``, m: ``checks.follow_lag_max_s`` at the highest horizontal velocity
+    # bound of ``tracking_lag_m``, m: ``checks.follow_lag_max_s`` at the maximum horizontal velocity
     tracking_lag_max_m: float
     period_s: float
     kept: float  # fraction of the tracking lag that remains after a tick

@@ -13,9 +13,9 @@ from flightstack.core.memory import ReserveMemory
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve, left, level_m_s2, up_m_s2
 from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
 
-# smallest ratio of averaged lift to weight in the estimate; a vehicle with less lift falls
+# lower limit of the ratio of averaged lift to weight in the estimate; a vehicle with less lift falls
 LEAST_LIFT = 0.1
-AGE_MAX_S = 3.0  # longest age of power data, s; the voltage arrives once a second, two messages can be lost
+AGE_MAX_S = 3.0  # maximum age of power data, s; the voltage arrives at 1 Hz, and two messages can be lost
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class ReserveEstimate:
     most_m_s2: Vec3  # limit of the commanded acceleration at full thrust reserve, m/s^2
     share: float  # weight of one tick in the moving average
     lasting_m_s: float  # gravity multiplied by the averaging time, m/s
-    least: float  # smallest thrust reserve with which a landing continues
+    least: float  # minimum thrust reserve with which a landing continues
     reserve: float  # ratio of maximum thrust to weight; NaN if unknown
     charge: Charge  # state of the battery
     acceleration_max_m_s2: Vec3  # limit of the commanded acceleration, ENU, m/s^2; z limits only a climb

@@ -44,8 +44,8 @@ class RobustFilter(Filter):
 
     motion: MotionMemory
     brakes_m_s2: float  # assumed acceleration for braking on x and y, m/s^2
-    slope: float  # steepest slope of the barrier outside the pad
-    full: float  # ratio of the margin at the pad's edge to the full margin; ``margin_m`` divides by it
+    slope: float  # steepest slope of the boundary outside the pad
+    full: float  # ratio of the margin at the pad's edge to the full margin; ``margin_m`` divides by this
     estimator: TargetEstimator
     own_estimator: OwnEstimator
     _tracking: VelocityTracking
@@ -91,7 +91,7 @@ class RobustFilter(Filter):
         )  # fmt: skip
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
-        """Return the current target estimate; the shortest delay is a parameter: it cannot be measured.
+        """Return the current target estimate; the minimum delay is a parameter, because it is not measurable.
 
         The prediction ends at the age limit, after which the target counts as lost.
         """
@@ -173,9 +173,9 @@ class RobustFilter(Filter):
         """Limit a chosen velocity, so that it has the properties of ``own`` that the certificate assumes.
 
         The program satisfies eq. 11 by the vertical velocity, and expects a horizontal velocity as from the
-        position loop. Therefore the velocity relative to the target is at most gain times distance, h falls
-        by horizontal motion no faster than its rate allows, and the vehicle sinks no faster than ``own``,
-        which includes the height of the boundary ahead.
+        position loop. Three limits follow. The velocity relative to the target is at most gain times
+        distance. Horizontal motion reduces h no faster than the allowed rate. The vehicle sinks no faster
+        than with ``own``, which accounts for the height of the boundary ahead.
         """
         if nominal == own:
             return own
