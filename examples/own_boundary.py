@@ -45,7 +45,7 @@ class Cone:
         return self.h(e_m), (gx, gy, 1.0), -(gx * vx + gy * vy + vz)
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Return how far h may fall below its linear prediction in a horizontal motion by s = ``moved_m``, m.
+        """Return how far h may fall below its linear prediction in a horizontal motion of s = ``moved_m``, m.
 
         With d, the distance from the axis, this is at most slope * s^2 / (2 d) if s < 2 d, else
         slope * 2 (s - d). On the axis, where the gradient points up, it is slope * s.
@@ -81,7 +81,7 @@ class ConeFilter(fs.Filter):
 
 
 def certificate(config: FlightConfig) -> list[Check]:
-    """Return the checks that must be proven before a flight; `flightstack check` prints them."""
+    """Return the claims that must be proven before a flight; `flightstack check` prints them."""
     vx, vy, vz = config.limits.velocity_max_m_s
     speed_m_s, slope = config.touchdown.target_speed_max_m_s, config.barrier.slope_max
     return [

@@ -29,7 +29,7 @@ class Decisions(gymnasium.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarray
     """Repeat each action for ``TICKS`` ticks."""
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Return the sum of the rewards, and the last observation."""
+        """Return the last observation, the sum of the rewards, and flags and info of the last tick."""
         total, over = 0.0, False
         for _ in range(TICKS):
             if not over:

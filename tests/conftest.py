@@ -23,7 +23,7 @@ from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 STREAMS = int(os.environ.get("FLIGHTSTACK_TEST_STREAMS", "3"))
 STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # "stream 0" flies the real PX4
 
-# numpy is not loaded yet; threads of its matrices would only compete with the other workers
+# set before numpy is loaded: threads of its matrix functions would only compete with the other workers
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # In background jobs of a shell, SIGINT is ignored; the processes of the tests would inherit this.
@@ -95,14 +95,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Use one worker per core; ``-n auto`` adds the streams of flights, because they mostly wait."""
+    """Use one worker per core; ``-n auto`` adds the streams of flights, because flights mostly wait."""
     more = 0 if config.option.numprocesses == "logical" else STREAMS
     return more + (os.cpu_count() or 1)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[object]:
-    """Keep garbage collections rare and short; with Python's settings they take a seventh of the time."""
+    """Keep garbage collections rare and short; by default collections take a seventh of the time."""
     gc.disable()
     done = yield
     gc.freeze()  # later collections skip all modules and tests that are loaded
@@ -144,7 +144,7 @@ def _deal_out(items: list[pytest.Item]) -> None:
 
 
 def _marked(item: pytest.Item, name: str) -> bool:
-    """Whether a test has this marker; ``keywords`` cannot be used, as it contains parameter values."""
+    """Whether a test has this marker; ``keywords`` also contains parameter values, so it cannot be used."""
     return item.get_closest_marker(name) is not None
 
 

@@ -1,6 +1,7 @@
 """Imitates ArduCopter, or PX4's parameter protocol, with any release and parameters, for companion tests.
 
-In mode GUIDED the vehicle is a point that follows velocities in NED. It shares no code with the simulator.
+In mode GUIDED the vehicle is a point that follows velocities in NED. The imitation shares no code with the
+simulator.
 """
 
 import math
@@ -100,7 +101,7 @@ class FakeAutopilot:
             answer = (0, self._version, 0, 0, 0, zeros, zeros, zeros, 0, 0, 0)
             return [dialect.MAVLink_autopilot_version_message(*answer)] if known else []
         if self._px4:
-            return []  # the imitation of PX4 accepts no other command, and it does not fly
+            return []  # the imitation of PX4 accepts no other command, and does not fly
         if number == dialect.MAV_CMD_REQUEST_MESSAGE:
             return self._telemetry(round(one))
         done = True
@@ -129,7 +130,7 @@ class FakeAutopilot:
 
 
 class Served:
-    """Serves an autopilot (``step``, ``handle``) on a socket in a thread, until it is closed."""
+    """Serves an autopilot (``step``, ``handle``) on a socket in a thread until ``close``."""
 
     def __init__(self, *given, **options):
         super().__init__(*given, **options)

@@ -7,8 +7,8 @@ Rigid body and four rotors with vertical shafts, angular momentum balance of the
 
 with s_i = +1 for a rotor that turns counter-clockwise seen from above. The drag of the air on such a rotor
 acts clockwise, on the rotor and through the motor on the body. Speeds follow their commands with the
-first-order or the slow lag. Parameters and geometry are those of the L250
-identification (drone-models 0.1.0). The integration error is far below the compared differences.
+first-order or the slow lag. Parameters and geometry are from the L250 identification (drone-models
+0.1.0). The integration error is far below the compared differences.
 """
 
 from dataclasses import dataclass

@@ -24,7 +24,7 @@ STREAM_LOSS_S = 0.5  # time without set-points after which the vehicle lands by 
 
 @dataclass
 class World:
-    """Simulated world; ``fault``: function ``(world, inputs) -> inputs``, which is applied if
+    """Simulated world. ``fault``: function ``(world, inputs) -> inputs``; it is applied if
     ``fault_from_s <= t < fault_to_s``."""
 
     config: FlightConfig

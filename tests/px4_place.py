@@ -14,9 +14,9 @@ ROOT = Path(__file__).parents[1]
 
 
 def px4_place() -> Path | None:
-    """Return the path of PX4's program or its folder; None: no place is named, and none is found.
+    """Return the path of PX4's program or of the program's folder; None: no path is named, and none is found.
 
-    A named place without PX4 causes an error when it is used, so that no test is skipped by mistake.
+    The use of a named path without PX4 causes an error, so that no test is skipped by mistake.
     """
     named = os.environ.get(PX4_PLACE)
     if named:
@@ -26,7 +26,7 @@ def px4_place() -> Path | None:
 
 
 def px4_or_skip() -> Path:
-    """Return the program; skip the test if there is none."""
+    """Return the path of PX4; skip the test if there is no PX4."""
     place = px4_place()
     if place is None:
         pytest.skip(f"no PX4 here: {PX4_PLACE} names none, and there is no folder shared/px4 beside this one")

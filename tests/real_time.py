@@ -1,8 +1,8 @@
 """Repeats a test in real time that failed while the machine paused.
 
 A virtual machine stops for tenths of a second if its host gives the processors to other machines. Then states
-become too old, and the stack aborts, as it should. A thread on each processor measures how late it wakes. A
-failure without such a pause is not repeated. Other tests have a lower priority.
+become too old, and the stack aborts, as required. A thread on each processor measures the delay of its own
+wake-ups. A failure without such a pause is not repeated. Other tests have a lower priority.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from flightstack.common.processes import hand_on_niceness
 REPEATS = 4
 PAUSE_S = 0.1  # a longer delay is a pause, s: half of the age limit of a vehicle state (checks.own_age_max_s)
 CALM_S = 2.0  # time between two attempts of a test, s
-GIVES_WAY = 15  # niceness of a worker and its children from the first test on that is not in real time
+GIVES_WAY = 15  # niceness of a worker and its children from the first test that is not in real time
 _SLEEP_S = 0.01
 
 

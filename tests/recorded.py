@@ -13,14 +13,14 @@ VARIABLE = "FLIGHTSTACK_FLIGHTS"
 
 
 def folder() -> Path | None:
-    """Return the folder of all recorded flights, from a variable or near the checkout; None: not found."""
+    """Return the folder of all recorded flights, from a variable or near the checkout; None: no folder."""
     named = os.environ.get(VARIABLE)
     places = [Path(named)] if named else [above / "shared" / "flights" for above in ROOT.parents[:3]]
     return next((place for place in places if any(place.glob("*.parquet"))), None)
 
 
 def flights(*names: str) -> list[Path]:
-    """Return the paths of the named flights, or of all; skip the test if they are not found."""
+    """Return the paths of the named flights, or of all; skip the test if the flights' folder is not found."""
     found = folder()
     if found is None:
         pytest.skip(f"no recorded flights here; {VARIABLE} names their folder")

@@ -140,7 +140,7 @@ class Line:
         self._credit = 0.0
 
     def put_frames(self, datagram: bytes) -> None:
-        """Write whole frames as an autopilot does: less important ones only into a nearly empty buffer."""
+        """Write whole frames as an autopilot does: less important frames only into a nearly empty buffer."""
         while datagram:
             end = 12 + datagram[1]
             frame, datagram = datagram[:end], datagram[end:]

@@ -17,5 +17,5 @@ _ZEROS = ControllerStepRow(*map(_zero, fields_of(CONTROLLER_STEP)))
 
 
 def step_row(**given) -> ControllerStepRow:
-    """Return a step with these fields; all others are zero."""
+    """Return a step with these fields; all other fields are zero."""
     return _ZEROS._replace(**given)

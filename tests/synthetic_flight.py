@@ -1,6 +1,6 @@
 """Makes the log rows of a synthetic landing: a point mass with lag, a turning pad, the exact projection.
 
-Tests change the rows and write them as a real log. This module has no judgement of the flight.
+Tests change the rows and write them as a real log. This module does not judge the flight.
 """
 
 import functools
@@ -181,7 +181,7 @@ def landing() -> Rows:
 
 
 def write_log(path: Path, rows: Rows, *, complete: bool = True, namespace: str = "cf1") -> Path:
-    """Write the rows as a real log; ``complete=False`` truncates it, like a killed recorder."""
+    """Write the rows as a real log; ``complete=False`` truncates the log, like a killed recorder."""
     log = McapFile(path)
     log.metadata("run", rows.run)
     log.metadata("made", {"version": "0.1.0", "python": "3.11"})

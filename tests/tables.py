@@ -29,8 +29,8 @@ _ATTRIBUTES = ("id", "msgname", "crc_extra", "fieldnames", "fieldtypes", "ordere
 
 
 def messages_table() -> str:
-    """Return the table of messages as text; those of pymavlink are generated again, all others unchanged."""
-    table = {row["id"]: row for row in wide_rows()}  # the bridge also adds these to ardupilotmega.mavlink_map
+    """Return the table of messages as text; only the messages of pymavlink are generated again."""
+    table = {row["id"]: row for row in wide_rows()}  # the bridge adds these messages to ardupilotmega, too
     made = {id_: row for id_, row in table.items() if id_ not in everything.mavlink_map}
     for id_ in everything.mavlink_map.keys() - (ardupilotmega.mavlink_map.keys() - table.keys()):
         cls = everything.mavlink_map[id_]

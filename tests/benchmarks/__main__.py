@@ -1,6 +1,6 @@
 """Runs benchmarks and prints their results; ``make bench`` runs the short ones.
 
-``python -m tests.benchmarks NAME [ARGUMENTS]`` runs a single one.
+``python -m tests.benchmarks NAME [ARGUMENTS]`` runs a single benchmark.
 """
 
 from __future__ import annotations

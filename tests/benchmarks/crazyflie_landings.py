@@ -1,7 +1,7 @@
 """Landings on driving pads with the shipped Crazyflie configuration, through bridge and cflib, in real time.
 
-A model of firmware 2026.08 flies the simulated vehicle, with poses of ``bridge crazyflie --mocap``;
-``onboard --config crazyflie`` lands it on a robot that drives at up to 0.3 m/s, also before the take-off.
+A model of firmware 2026.08 flies the simulated vehicle, with poses of ``bridge crazyflie --mocap``.
+``onboard --config crazyflie`` lands the vehicle on a robot that drives at up to 0.3 m/s from time zero on.
 ``python -m tests.benchmarks crazyflie_landings [SEED ...] [--in-a-row N]``
 """
 
@@ -34,7 +34,7 @@ from tests.processes.ports import free_endpoint
 
 FLIGHT_MAX_S = 120.0
 REST_S = 2.5  # time from motors off on a surface to the verdict, s
-DOWN_MAX_S = 30.0  # longest time from the end of the onboard process to motors off, s
+DOWN_MAX_S = 30.0  # time-out from the end of the onboard process to motors off, s
 SPEED_MAX_M_S = 0.3
 PATHS = (PathKind.STRAIGHT, PathKind.CIRCLE, PathKind.STOP_AND_GO, PathKind.REVERSING)
 
@@ -43,7 +43,7 @@ PATHS = (PathKind.STRAIGHT, PathKind.CIRCLE, PathKind.STOP_AND_GO, PathKind.REVE
 class Landing:
     """Result of one flight, computed from true states."""
 
-    error_m: float  # horizontal distance from the pad's centre at rest on the pad; NaN if not on it
+    error_m: float  # horizontal distance from the pad's centre at rest on the pad; NaN: not on the pad
     place: str  # where the vehicle ended: "pad", "floor" or "air"
     motors_off: bool
     locked: bool

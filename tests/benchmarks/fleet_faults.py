@@ -2,7 +2,8 @@
 
 ``python -m tests.benchmarks fleet_faults [--runs N] [--first SEED] [--only KIND ...]``
 
-It prints a table row for each kind of fault. The failed member and its neighbours are counted separately.
+The benchmark prints a table row for each kind of fault. The failed member and its neighbours are counted
+separately.
 """
 
 import argparse
@@ -44,7 +45,7 @@ def failing(whole: Scenario, kind: str, seed: int) -> tuple[Scenario, Exchange |
 
 
 def line(kind: str, found: list[tuple[FleetVerdict, int]]) -> str:
-    """Return the table row of a kind of fault; ``found``: verdict and failed member's number of each team."""
+    """Return the table row of a kind of fault; ``found``: for each team, verdict and failed member."""
     ends = [(n == who, each) for verdict, who in found for n, each in enumerate(verdict.members.values(), 1)]
     own, others = ([each for failed, each in ends if failed is wanted] for wanted in (True, False))
     own_ends, ended = Counter(each.outcome for each in own), Counter(each.outcome for each in others)

@@ -3,9 +3,9 @@
 ``python -m tests.benchmarks proven [KEY ...] [--scenario NAME[+VARIANT] ...] [--filter NAME ...]``
 
 KEY: beginning of a parameter's name, e.g. ``velocity_loop.`` or ``robust.gain_1_s``. A configuration is
-rejected, not proven, or proven. A proven one that crashes or violates the barrier is a failure. Exit status 1
-after a failure. The scenario's environment does not change. A variant (``deck+feedback``) adds an optional
-part of the configuration, so that the parameters of this part are tested, too.
+rejected, not proven, or proven. A proven configuration that crashes or violates the barrier is a failure; it
+causes exit status 1. The scenario's environment does not change. A variant (``deck+feedback``) adds an
+optional part of the configuration, so that the parameters of this part are tested, too.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def base(name: str, kind: str) -> Scenario:
         return scenario
     table = to_table(scenario)
     if variant == "feedback":
-        # the default rates of the feedback; if these are too high, the highest that the certificate allows
+        # the default rates of the feedback, or lower rates if the certificate does not allow the defaults
         rate_1_s = scenario.onboard.velocity_loop.rate_xy_1_s
         rates = {"error_rate_1_s": min(5.0, rate_1_s), "tilt_rate_1_s": min(13.0, BANDWIDTH * rate_1_s)}
         rates |= {f"far_{key}": value for key, value in rates.items()} | {"far_m": 1.0, "horizontal": True}
@@ -92,7 +92,7 @@ Case = tuple[str, str, tuple[str, ...], Any]  # scenario, filter, path of the pa
 def changed(name: str, kind: str, path: tuple[str, ...], value: Any) -> Scenario:
     """Return the scenario with one parameter changed.
 
-    Raises ConfigError: the configuration rejects it.
+    Raises ConfigError: the configuration rejects this value.
     """
     table = to_table(base(name, kind))
     table["duration_max_s"] = DURATION_MAX_S
@@ -143,7 +143,7 @@ def fly(case: Case, first_seed: int, runs: int, stop: int = 3) -> Result:
 
 
 def cases(keys: list[str], names: list[str], kinds: list[str], count: int) -> Iterator[Case]:
-    """Yield every requested change; in a vector, first all components change, then only the last one."""
+    """Yield every requested change; in a vector, first all components change, then only the last."""
     for parameter in parameters():
         if keys and not any(".".join(parameter.path).startswith(key) for key in keys):
             continue

@@ -27,8 +27,8 @@ from tests.px4_place import PX4_PLACE, px4_place
 SCENARIO = "large"
 PHASE_MAX_S = 90.0  # time-out until the phase of the fault begins, s
 DOWN_MAX_S = 180.0  # time-out from the fault to motors off, s
-REST_M_S = 0.1  # largest vertical speed that PX4 estimates for a vehicle on the ground, m/s
-FLOOR_M = 0.25  # largest estimated height on the floor, m: 0.12 m plus drift; on the robot 0.62 m
+REST_M_S = 0.1  # estimated vertical speed up to which a vehicle counts as on the ground, m/s
+FLOOR_M = 0.25  # maximum estimated height on the floor, m: 0.12 m plus drift; on the robot it is 0.62 m
 LOOK_S = 0.02
 
 
@@ -105,7 +105,7 @@ def fly(place: Path, phase: str, act: Act, folder: Path) -> str:
         stack.callback(recorder.end, 30.0)
         recorder.wait_ready()
         room = stack.enter_context(on_px4(folder, place, SCENARIO, 1, recorder=socket))
-        # PX4's rule: its local port is 14,580 plus its instance, which is its system id minus 1
+        # PX4's local port is 14,580 plus the instance number, which is the system id minus 1
         radio = stack.enter_context(
             Radio(f"udpout:127.0.0.1:{14_579 + room.system_id}", int(room.url.rpartition(":")[2]))
         )

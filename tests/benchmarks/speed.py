@@ -137,7 +137,7 @@ for worlds in (1, 64, 1024):
 def environment() -> None:
     """Print steps per second of the Gymnasium environment, of Pendulum-v1 and, if requested, of crazyflow.
 
-    Argument: path of a Python interpreter with crazyflow installed; its steps are 0.01 s long, too.
+    Argument: path of a Python interpreter with crazyflow installed; steps of crazyflow are 0.01 s long, too.
     """
     import gymnasium
 
@@ -201,7 +201,7 @@ def flown_s(scenario: Scenario, seed: int) -> float:
 
 
 def campaign_speed(scenario_name: str = "lab") -> None:
-    """Print the speed of campaign flights; arguments: a scenario, and a filter that replaces its filter."""
+    """Print the speed of campaign flights; arguments: scenario, and filter instead of the scenario's."""
     if len(sys.argv) > 1:
         scenario_name = sys.argv[1]
     scenario = load(scenario_name)

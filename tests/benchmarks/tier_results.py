@@ -61,7 +61,7 @@ def known(folder: Path) -> list[Row]:
 
 
 def asked_row(tier: str, out: Path) -> str:
-    """Return the table row with a tier's limits, and with the limits that its campaign does not meet."""
+    """Return the table row with a tier's limits and the limits that the campaign does not meet."""
     limits = LIMITS[Tier(tier)]
     robust, paper = (known(out / f"{tier}_{kind}") for kind in FILTERS)
     found = misses(Tier(tier), robust, paper or None)
@@ -87,7 +87,7 @@ def team_row(name: str, s: dict) -> str:
 
 
 def filled(page: str, name: str, lines: list[str]) -> str:
-    """Return the page with these rows in one of its tables; each replaces the row with the same first cell.
+    """Return the page with these rows in one of its tables; a row replaces the row with the same first cell.
 
     Raises ValueError: the page has no such table, or the table has no such row.
     """

@@ -24,12 +24,13 @@ class Tier(Enum):
 class Limits:
     """Limits of a campaign; crashes and undeclared misses are never allowed."""
 
-    landed_min: float  # smallest fraction of flights that land
-    violations_max: float  # largest fraction of flights that violate the barrier
-    error_m: tuple[float, float]  # largest median and 95th percentile of the touchdown error, m
-    vertical_m_s: float  # largest 95th percentile of the vertical touchdown speed relative to the pad
-    horizontal_m_s: float  # largest 95th percentile of the horizontal touchdown speed relative to the pad
-    slower_max: float | None  # largest median landing time over that of the paper's filter; None: no limit
+    landed_min: float  # lower limit of the fraction of flights that land
+    violations_max: float  # upper limit of the fraction of flights that violate the barrier
+    error_m: tuple[float, float]  # maximum allowed median and 95th percentile of the touchdown error, m
+    # maximum allowed 95th percentiles of the touchdown speed relative to the pad, m/s
+    vertical_m_s: float
+    horizontal_m_s: float
+    slower_max: float | None  # maximum median landing time over that of the paper's filter; None: no limit
 
 
 LIMITS: dict[Tier, Limits] = {

@@ -105,7 +105,7 @@ class Bench:
         for raw in self.firmware.step(self.now_s):
             self._log(raw)
         if not (self.firmware._blocks or self.deaf or self.now_s - self._asked_s < 1.0):
-            self._ask_logs()  # the bridge's link also repeats a request that got no data
+            self._ask_logs()  # as the bridge's link does, repeat a request that got no data
         beat = mav.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
         if not self.client_gone and round(self.now_s / STEP_S) % 50 == 0:
             self.node.handle(beat, CLIENT, self.now_s)

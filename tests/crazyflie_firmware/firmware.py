@@ -30,7 +30,7 @@ class Block:
 class Firmware:
     """Model of the firmware of one Crazyflie: receives CRTP packets and returns the answers.
 
-    ``protocol``: version of CRTP; below 12, it is CrazySim's firmware of 2024, without supervisor port;
+    ``protocol``: version of CRTP; below 12 the model is CrazySim's firmware of 2024, without supervisor port;
     ``tables``: numbers of log variables and of parameters; the real firmware has 567 and 334.
     """
 
@@ -68,10 +68,10 @@ class Firmware:
         self._setpoint_s = -1e9
         self._priority = 0
         self._heard_s = self._supervised_s = self._now_s
-        self._boot_s = self._now_s  # time of the start, from which log data count their time, s
+        self._boot_s = self._now_s  # time of the start, s; log data have times since this start
 
     def restart(self) -> None:
-        """Restart now, also in the air: the firmware sends nothing for some seconds, then it arms itself."""
+        """Restart now, also in the air: for some seconds the firmware sends nothing, then it arms itself."""
         self._start()
         self._started_s = self._now_s + START_S
         self._supervised_s = self._started_s

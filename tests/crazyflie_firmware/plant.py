@@ -1,4 +1,4 @@
-"""Point-mass vehicle for the firmware model: it follows velocities, falls without motors, and lands."""
+"""Point-mass vehicle for the firmware model, which follows velocities, falls without motors, and lands."""
 
 import math
 from collections.abc import Callable
@@ -41,7 +41,7 @@ class Point:
 
     @property
     def estimate(self) -> tuple[list[float], list[float]]:
-        """Return the estimated position and velocity, which equal the true ones."""
+        """Return the estimated position and velocity, which equal the true values."""
         return self.position, self.velocity
 
     @property

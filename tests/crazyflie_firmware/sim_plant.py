@@ -1,7 +1,7 @@
 """Connects the simulated vehicle (MuJoCo, rotors, battery, attitude and velocity loop) to the firmware model.
 
-Every scenario is flown with the firmware's filter (``sim.firmware.estimator``) and its PID velocity loop. The
-filter uses in flight only body z of the accelerometer, with the drag along x and y from ``kalman.dragB_*``.
+Every scenario is flown with the firmware's filter (``sim.firmware.estimator``) and PID velocity loop. In
+flight the filter uses only body z of the accelerometer, and the drag along x and y from ``kalman.dragB_*``.
 """
 
 import math
@@ -18,7 +18,7 @@ from sim.scenarios.tables import VelocityLoop
 from sim.vehicle.vehicle import VehicleSim, warm_up
 from tests.crazyflie_firmware.plant import variance_m2
 
-MS_MAX = 50  # longest step, ms; simulated time stops for the rest of a longer pause
+MS_MAX = 50  # maximum step, ms; during the rest of a longer pause simulated time stops
 
 
 def take_pose(vehicle, position, quaternion):
@@ -29,9 +29,9 @@ def take_pose(vehicle, position, quaternion):
 
 
 class SimPlant:
-    """A ``VehicleSim`` with the interface of ``plant.Point``; its pad follows the true pose of the robot.
+    """A ``VehicleSim`` with the interface of ``plant.Point``; the pad follows the true pose of the robot.
 
-    Only new set-points reach the vehicle, because its simulated firmware has its own set-point watchdog.
+    Only new set-points reach the vehicle, because the simulated firmware has a set-point watchdog of its own.
 
     ``session``: Zenoh session that receives the robot's pose in ``namespace``; None: the pad does not move;
     ``by_poses``: the vehicle receives external poses instead of the scenario's motion capture.

@@ -19,7 +19,7 @@ MOMENTS_S = {"crossing": 1.5, "approach to land": 3.6, "touchdown": 4.3}
 
 
 class Way(StrEnum):
-    """Faults that one of the three members can have; in the grid it is the second."""
+    """Faults that one of the three members can have; in the grid the second member fails."""
 
     KILLED = "process killed"
     SILENT = "radio silent"

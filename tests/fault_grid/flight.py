@@ -34,7 +34,7 @@ from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario
 
 REST_S = 2.5  # simulated time after motors off, s; the verdict needs 2 s
-WATCH_MAX_S = 30.0  # longest flight after the disturbance, s
+WATCH_MAX_S = 30.0  # maximum time of the flight after the disturbance, s
 CLIMB_M = 0.2  # height above the ground at which the vehicle counts as climbing
 
 TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
@@ -67,9 +67,9 @@ class Flown:
 
 
 class _Target(DirectTarget):
-    """Robot that serialises its samples as for Zenoh, and that is simulated only up to the current tick.
+    """Robot that serialises its samples as for Zenoh.
 
-    So a fault starts at once; no later tick is simulated in advance.
+    The robot is simulated only up to the current tick, so that a fault starts at once.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
@@ -189,7 +189,7 @@ class Flight(Companion):
         return self.asked
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """Return the companion's end once it has finished or reached its time limit (a kill), else None."""
+        """Return the end of the companion after its last tick or at its time limit (a kill), else None."""
         return Ended(out.phase, memory.reason, 1) if out.finished or now_s >= self._duration_s else None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
@@ -204,7 +204,7 @@ class Flight(Companion):
             self._noticed_s = tick.now_s
 
     def _watched(self) -> bool:
-        """Whether the simulation may end, because the vehicle rests or the longest time is over."""
+        """Whether the simulation may end, because the vehicle rests or the maximum time is over."""
         if not self._disturbed:
             return self._over
         down_s = self.vehicle.time_s - self.node.log.down_s
@@ -212,7 +212,7 @@ class Flight(Companion):
         return rests or self.vehicle.time_s - self._disturbed_s > WATCH_MAX_S
 
     def _answer_only(self) -> None:
-        """Simulate a tick after the companion's end: only the requests of the clock are answered."""
+        """Simulate a tick after the companion's end, when only the requests of the clock are answered."""
         endpoint = self._link.endpoint
         for received in endpoint.receive():
             if _is_request(received):

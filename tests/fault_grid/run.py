@@ -79,7 +79,7 @@ def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
                 return [payload.replace(b"target\0", b"nearby\0") for payload in payloads]
             case Way.SLOW:
                 return [payload for payload in payloads if next(number) % 10 == 0]
-            case Way.DELAYED:  # delay all by 0.2 s, a random tenth by 0.23 s, so that later ones arrive first
+            case Way.DELAYED:  # delay all by 0.2 s; a delay of 0.23 s for a random tenth changes the order
                 held += [(now_s + 0.2 + (0.03 if rng.random() < 0.1 else 0.0), each) for each in payloads]
                 due = [payload for at_s, payload in held if at_s <= now_s]
                 held = [one for one in held if one[0] > now_s]
@@ -96,7 +96,7 @@ def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
 
 SCENARIO = "grid"
 SEED = 1
-UPRIGHT = 0.9  # smallest cosine of the tilt of an upright vehicle
+UPRIGHT = 0.9  # lower limit of the tilt's cosine for an upright vehicle
 
 
 @dataclass(frozen=True)

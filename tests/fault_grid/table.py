@@ -2,7 +2,7 @@
 
 A companion that has only its links must not let the vehicle fall, must not continue silently on data that it
 can detect as stale or wrong, and must start to bring the vehicle to safety within 2 s unless it is on the
-pad. Several ends are allowed only where chance decides between safe ones; the reason then has "chance".
+pad. Several ends are allowed only where chance decides between safe ends; the reason then has "chance".
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ H_MIN_M = -0.005  # lowest allowed value of the barrier h outside the pad while 
 class Need:
     ends: frozenset[End]  # allowed ends of the flight
     why: str
-    # longest time from the fault to the abort or to motors off, s; None: the flight may continue, because the
+    # maximum time from the fault to the abort or to motors off, s; None: the flight may continue, because the
     # fault does no harm
     within_s: float | None = WITHIN_S
     h_min_m: float = H_MIN_M  # lowest allowed h outside the pad while the companion flies

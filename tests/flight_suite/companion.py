@@ -23,7 +23,7 @@ RADIO_POLL_S = 0.05
 
 
 class Radio:
-    """Context manager of a relay between companion and vehicle that can drop all datagrams.
+    """Context manager of a relay between companion and vehicle; the relay can drop all datagrams.
 
     ``url``: ``udpout:HOST:PORT`` of the vehicle; ``local_port``: UDP port on loopback to which the vehicle
     sends; 0: the vehicle replies to the sender.

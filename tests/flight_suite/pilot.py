@@ -23,7 +23,7 @@ WALL_FACTOR = 5.0  # ratio of wall time to time-out; a simulated vehicle's clock
 HEARTBEAT_AGE_MAX_S = 3.5
 CONNECT_MAX_S = 60.0  # time-out from the start to a valid position estimate, s
 DOWN_MAX_S = 30.0  # time-out from the end of a step to motors off, s
-KILL_AFTER_S = 20.0  # time of a landing after which the motors are stopped below LOW_M, s
+KILL_AFTER_S = 20.0  # duration of a landing after which the motors are stopped below LOW_M, s
 LOW_M = 0.1
 CLIMB_M_S = 0.5
 
@@ -73,7 +73,7 @@ class Pilot:
 
     @property
     def vehicle_s(self) -> float:
-        """Time on the vehicle's clock, s, to which the limits refer."""
+        """Time on the vehicle's clock, s; the time limits use this clock."""
         return self.own.source_time_s
 
     @property

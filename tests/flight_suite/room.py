@@ -30,8 +30,8 @@ class Lost(Enum):
 @dataclass(frozen=True)
 class Limits:
     settle_s: float  # wait at zero velocity before the drift is measured
-    still_m_s: float  # largest speed with a zero velocity set-point
-    drift_m: float  # largest allowed displacement in 5 s with a zero velocity set-point
+    still_m_s: float  # maximum allowed speed with a zero velocity set-point
+    drift_m: float  # maximum allowed displacement in 5 s with a zero velocity set-point
     step_m_s: float  # speed of the velocity step to the north and back
     step_s: float  # duration of each direction of the step
     moved_share: tuple[float, float]  # range of the step's distance, as a fraction of speed times duration
@@ -46,9 +46,9 @@ _OWN = Limits(
     lost=Lost.LANDS, lost_s=2.0,  # COM_OF_LOSS_T = 0.5 s plus the period of the heartbeat, 1 s
 )  # fmt: skip
 
-# PX4 holds velocity, not position: a change of force of 1 N on 1 kg moves it by 1 / MPC_XY_VEL_I_ACC = 2.5 m,
-# half of that within 3 s. A model of its velocity loop flew 1000 times in wind of 0.5 m/s with gusts of 0.2
-# m/s, which push PX4's 1 kg quadrotor by 1 N per m/s (SIH_KDV): 999 flights drift by less than 0.8 m, are
+# PX4 holds velocity, not position: a force change of 1 N on 1 kg moves PX4 by 1 / MPC_XY_VEL_I_ACC = 2.5 m,
+# half of that within 3 s. A model of PX4's velocity loop flew 1000 times in wind of 0.5 m/s with gusts of 0.2
+# m/s, which push the 1 kg quadrotor by 1 N per m/s (SIH_KDV): 999 flights drift by less than 0.8 m, are
 # slower than 0.23 m/s at zero velocity, and move 0.36 to 0.73 of the step.
 _PX4 = Limits(
     settle_s=5.0, still_m_s=0.3, drift_m=1.0,

@@ -1,7 +1,7 @@
 """Golden logs: ``python -m tests.golden`` checks them, ``... update [NAME...]`` flies them again.
 
-Update after a change of the controller that is meant to change decisions. The update prints the decisions
-that differ on the old inputs, then flies again.
+Update the logs after a change of the controller that is meant to change decisions. The update prints the
+decisions that differ on the old inputs, then flies again.
 """
 
 import sys
@@ -43,7 +43,7 @@ def report(name: str) -> bool:
 
 
 def update(name: str) -> None:
-    """Fly a golden log again; replace the old one if the new one replays equally, is complete and small."""
+    """Fly a golden log again; a new log that replays equally, is complete and small replaces the old one."""
     flight = FLIGHTS[name]
     with tempfile.TemporaryDirectory(dir=path_of(name).parent) as folder:
         fresh = Path(folder) / "fresh.mcap"

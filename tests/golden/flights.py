@@ -1,4 +1,4 @@
-"""Flights of the golden logs: purpose, how to fly them again, and stored topics."""
+"""Flights of the golden logs: their purpose, the function that flies them again, and the stored topics."""
 
 import subprocess
 import sys

@@ -1,7 +1,7 @@
 """Golden landings: stored results of landings in one process; the test shows any change of the simulator.
 
-``python -m tests.golden.landings [NAME ...]`` flies these or all again and writes ``landings.json``. Do so
-after a change of the simulated vehicle, autopilot, robot, links or faults that is meant to change flights.
+``python -m tests.golden.landings [NAME ...]`` flies the named landings, or all, and writes ``landings.json``.
+Use it after a change of simulated vehicle, autopilot, robot, links or faults that is meant to change flights.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "late states": ("lab", {"vehicle.own": {"delay_s": 0.05, "delay_shared": True, "tilt_rad": 0.03},
                             "odometry.error": {"delay_s": 0.05, "delay_shared": True}}),
 }  # fmt: skip
-# columns of the true states; a result contains the mean absolute value of each
+# columns of the true states; a result contains the mean absolute value of each column
 COLUMNS = (
     "position_enu_m", "velocity_enu_m_s", "orientation", "angular_velocity_flu_rad_s", "rotor_rpm",
     "pad_position_enu_m", "pad_velocity_enu_m_s", "pad_yaw_rad", "h_m", "contacts", "battery_v",

@@ -1,4 +1,4 @@
-"""Provides lockstep flights that several tests only read; the first worker that needs one flies it."""
+"""Provides lockstep flights that several tests read; the first worker that needs a flight flies it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Flights = Callable[..., Flown]
 
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory) -> Flights:
-    """Return a function ``flown(scenario, seed, *options)``, which flies only if no worker has flown this."""
+    """Return a function ``flown(scenario, seed, *options)``; it flies only what no worker has flown yet."""
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         base = base.parent  # folder that is common to all workers of this session

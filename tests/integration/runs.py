@@ -63,7 +63,7 @@ def flightstack(*arguments, cwd=None, apart=False) -> Result:
 
 
 def called(*arguments, cwd=None) -> Result:
-    """Run a subcommand in this process: one that starts no process, or whose arguments are rejected."""
+    """Run a subcommand in this process; it starts no process, or its arguments are rejected."""
     with contextlib.chdir(cwd or Path.cwd()):
         done = CliRunner().invoke(main, [str(one) for one in arguments])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
@@ -136,7 +136,7 @@ class Background:
         while more and time.monotonic() < until_s:
             each()
             self._reader.join(0.02)
-            more = self._reader.is_alive()  # read before the lines: otherwise the last lines could be missed
+            more = self._reader.is_alive()  # ask first; otherwise the last lines could be missed
             while self._looked < len(self.lines):
                 self._looked += 1
                 if all(word in self.lines[self._looked - 1] for word in words):
@@ -173,7 +173,7 @@ class Background:
         return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
     def children(self) -> dict[str, int]:
-        """Return the ids of the child processes by process name (subcommand and vehicle)."""
+        """Return the ids of the child processes by name (subcommand and vehicle)."""
         return {Path(f"/proc/{pid}/comm").read_text().strip(): pid for pid in self.pids()}
 
 

@@ -1,4 +1,4 @@
-"""Starts the simulator's processes for tests, communicates with them and ends them; every wait is bounded."""
+"""Starts and ends processes of the simulator, and exchanges messages with them; every wait has a time-out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Waits with time-outs for processes that a test started: for a line, for all lines, for the end."""
+"""Waits, with time-outs, for a line, all lines or the end of a process that a test started."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def gone(pid: int, within_s: float = PATIENCE_S) -> bool:
     def ended() -> bool:
         try:
             state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-        except (FileNotFoundError, ProcessLookupError):  # it may end between the opening and the reading
+        except (FileNotFoundError, ProcessLookupError):  # the process may end while the file is read
             return True
         return state == "Z"
 

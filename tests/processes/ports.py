@@ -6,7 +6,7 @@ import socket
 
 from flightstack.common.processes import Port
 
-_KEPT: list[Port | socket.socket] = []  # reserved until this worker ends; a server may restart
+_KEPT: list[Port | socket.socket] = []  # reserved until this worker ends, because a server may restart
 
 
 def free_port(*, udp: bool = False) -> int:

@@ -1,4 +1,4 @@
-"""Starts processes of tests as forks of a process in which all modules are loaded, which saves time.
+"""Starts processes of tests as forks of a process in which all modules are loaded; this saves time.
 
 ``Flying``, the commands of the docs and ``subprocess`` start new programs, as users do.
 """
@@ -30,8 +30,8 @@ class Started:
         run: function that the process runs.
         given: arguments of the function.
         cwd: working folder.
-        text: whether its output is read as text.
-        errors: file for its standard error; None: a pipe.
+        text: whether the output is read as text.
+        errors: file for the standard error; None: a pipe.
     """
 
     stdin = None

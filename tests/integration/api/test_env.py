@@ -37,7 +37,7 @@ def test_the_built_in_policy_flies_as_land_does_bit_by_bit(name):
 
 @pytest.mark.parametrize("name", [None, "paper", "robust"])
 def test_an_agent_sees_and_flies_the_same_without_compiled_ticks(name, monkeypatch):
-    """States and rewards are equal with compiled ticks, also if Python repeats a tick after the action."""
+    """States and rewards are equal with and without compiled ticks, also if Python repeats a tick."""
 
     def seen():
         env, rng = fs.make_env("storm", filter=name), np.random.default_rng(4)

@@ -1,4 +1,4 @@
-"""Tests users' filters: one method is enough, they fly and replay, and their result must be a velocity."""
+"""Tests users' filters: one method is enough, flights replay, and a filter's result must be a velocity."""
 
 import re
 from copy import deepcopy
@@ -72,7 +72,7 @@ def test_at_has_barrier_limits_and_states():
         assert (safe >= at.lower_m_s).all()
         assert (safe <= at.upper_m_s).all()
         assert at.gradient.shape == at.velocity_enu_m_s.shape == at.target_velocity_enu_m_s.shape == (3,)
-    paper = fs.land("lab", 3, filter="paper")  # apart from rounding, both fly the same
+    paper = fs.land("lab", 3, filter="paper")  # apart from rounding, both filters fly the same
     both = slice(0, 200)
     assert np.allclose(landing.log.h_m[both], paper.log.h_m[both], atol=1e-4, equal_nan=True)
 
@@ -160,7 +160,7 @@ def test_a_wrong_class_or_state_is_one_clear_line(tmp_path):
         def filter(self, nominal, at):
             return nominal
 
-    assert fs.land("lab", filter=Untyped).verdict is not None  # no log, so its source text is not needed
+    assert fs.land("lab", filter=Untyped).verdict is not None  # without a log, no source text is needed
 
 
 @pytest.mark.parametrize("verb", ["onboard", "fly"])

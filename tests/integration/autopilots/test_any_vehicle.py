@@ -1,4 +1,4 @@
-"""Tests for any vehicle: the simulated one, or another one by ``--vehicle URL --target KEY``, or ``--px4``.
+"""Tests for any vehicle: the simulated vehicle, a vehicle by ``--vehicle URL --target KEY``, or ``--px4``.
 
 Each step limits height, distance and time; a vehicle outside the limits is landed. A given vehicle is armed
 only with ``--arm-ok``; see docs/how_to/hardware.md.
@@ -19,11 +19,11 @@ from tests.flight_suite.room import Fence, Lost, given, on_px4, simulated
 from tests.integration.runs import flightstack
 
 pytestmark = pytest.mark.vehicle
-STANDING_M_S = 0.15  # largest estimated speed with which a vehicle counts as standing, m/s
+STANDING_M_S = 0.15  # estimated speed up to which a vehicle counts as standing, m/s
 STOPPED_S = 2.0  # time-out from the emergency stop to motors off, s
 AWAY_M_S = 0.3  # speed at which the pilot flies away from the start, m/s
 FLIGHT_MAX_S = 90.0
-LANDED_MAX_S = 40.0  # time-out from the loss of the companion to motors off by the vehicle itself, s
+LANDED_MAX_S = 40.0  # time-out from the loss of the companion until the vehicle has stopped the motors, s
 
 
 @pytest.fixture

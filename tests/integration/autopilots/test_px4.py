@@ -1,8 +1,8 @@
 """Tests the real PX4 program, if it is found, as a child process, and its flights to a driving robot.
 
-One PX4 flies all of them, because its start takes as long as a flight; after a landing the vehicle takes off
-from the robot's pad. The position comes from motion capture, because with satellites PX4 does not arm on a
-driving robot ("GPS Horizontal Pos Drift too high").
+One PX4 flies all flights, because a start of PX4 takes as long as a flight; after a landing the vehicle takes
+off from the robot's pad. The position comes from motion capture, because with satellites PX4 does not arm on
+a driving robot ("GPS Horizontal Pos Drift too high").
 """
 
 import contextlib
@@ -88,16 +88,16 @@ def test_places_without_a_px4_are_refused_with_what_is_missing(tmp_path):
 
 
 FLIGHTS = 2
-SPEED = 4.0  # largest ratio of simulated to real time
+SPEED = 4.0  # maximum ratio of simulated to real time
 FLIGHT_MAX_S = 120.0  # time-out of a flight, s of wall time, also on slow machines
 LOST_S = 10.0  # time-out of PX4's fail-safe, s of wall time; COM_OF_LOSS_T = 1.0 s simulated, heartbeat 1 Hz
 LANDED_MAX_S = 60.0
 RECORDED_MAX_S = 60.0
 ROBOT_M_S = 0.2
-DRIVEN_M = 2.0  # smallest distance that the robot must drive during the flights, m
+DRIVEN_M = 2.0  # distance that the robot must drive at least during the flights, m
 TAKEOFF_M = 1.2
 KILLED_M = 0.2  # height of the kill in the climb, m: PX4 climbs about 0.8 m more until its fail-safe acts
-ERROR_M = 0.25  # largest touchdown error, m; the pad has a radius of 0.5 m
+ERROR_M = 0.25  # maximum allowed touchdown error, m; the pad has a radius of 0.5 m
 STANDS_M = 0.12  # height of the reference point above the pad while the vehicle stands on it, m
 NEAR_M = 0.05
 TWITCH_S = 0.1  # duration below which a run of the motors is no flight, s; 12 ms was observed once

@@ -48,7 +48,7 @@ def test_outputs_lift_it_by_motion_capture_in_the_coordinates_of_the_room():
 
 
 def first_steps(port, count=500):
-    """Return the HIL_SENSOR values of the first steps; the motors start after one second."""
+    """Return the HIL_SENSOR values of the first steps, in which the motors start after one second."""
     fake = FakePx4(port)
     fake.hello()
     found = []

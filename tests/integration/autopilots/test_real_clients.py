@@ -27,9 +27,9 @@ STEP_MAX_S = 60.0  # time-out of one step on a busy machine, s
 EXAMPLE_MAX_S = 180.0
 OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000  # codes of px4_custom_mode.h
 LEG_M, SPEED_M_S = 0.5, 0.3
-WEST, NORTH = (lambda m: -m.y), (lambda m: m.x)  # the nose points east: west is back, north is left
+WEST, NORTH = (lambda m: -m.y), (lambda m: m.x)  # the nose points east: west is backwards, north is left
 OFFBOARD_LINE = "long DO_SET_MODE 157 6 0"
-# typed line; expected output, or coordinate that must grow by LEG_M; line that is repeated until then
+# typed line; expected output, or coordinate that must grow by LEG_M; line that is typed until this happens
 STEPS = (
     ("param set COM_OF_LOSS_T 2", r"COM_OF_LOSS_T = 2\.0", "param fetch COM_OF_LOSS_T"),
     ("param set MPC_XY_P 55", "AP: MPC_XY_P: 55, allowed 0.1 to 2", None),
@@ -47,7 +47,7 @@ STEPS = (
 
 @contextmanager
 def vehicle(*more: str):
-    """Run ``flightstack vehicle`` on a free loopback port; yield an observer of it.
+    """Run ``flightstack vehicle`` on a free loopback port; yield an observer of the vehicle.
 
     The process must end without error.
     """
@@ -72,7 +72,7 @@ class Observer(Client):
         return [m for m in self.log if m.get_type() == name]
 
     def changes(self, value) -> list:
-        """Return the values of a heartbeat field in order, without those equal to the one before."""
+        """Return the values of a heartbeat field in order, without values equal to the previous value."""
         values = [value(m) for m in self.all("HEARTBEAT")]
         return [v for n, v in enumerate(values) if n == 0 or v != values[n - 1]]
 

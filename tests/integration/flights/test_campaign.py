@@ -1,4 +1,4 @@
-"""Tests campaigns: rows equal single runs, also if workers fail; users' filters; limits of the tiers."""
+"""Tests campaigns: rows equal those of single runs, also if workers fail; users' filters; tier limits."""
 
 import contextlib
 import json
@@ -36,7 +36,7 @@ def untimed(folder):
     return [row.untimed() for row in read_rows(folder / "rows.csv")]
 
 
-shared = pytest.mark.xdist_group("campaign")  # one test worker runs this group, so the campaign is flown once
+shared = pytest.mark.xdist_group("campaign")  # one worker runs this group, so the campaign is flown once
 
 
 @pytest.fixture(scope="module")

@@ -206,7 +206,7 @@ def test_the_simulated_crazyflie_is_identified_from_its_flights(flights):
     assert table["envelope"]["target_rate_hz"] == odometry.rate_hz
     loop = table["velocity_loop"]
     for key, axis in (("lag_xy_s", 0), ("lag_z_s", 2)):
-        # the flights are short, with gusts and over MAVLink; the motor lags of the vehicles differ by 20 %
+        # the tolerance covers short flights with gusts over MAVLink, and motor lags that differ by 20 %
         assert loop[key] == pytest.approx(step_lag_s(axis), rel=0.3)
     whole = {name: {**values} for name, values in to_table(config()).items() if isinstance(values, dict)}
     for section, values in table.items():

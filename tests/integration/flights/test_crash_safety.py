@@ -46,7 +46,7 @@ def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float
     run = Flying(folder, "--scenario", "paper_moving_1", "--seed", seed, *wires)
     try:
         run.until("-> APPROACH")
-        log = folder / "flight.mcap"  # on a busy machine the recorder is behind the flight
+        log = folder / "flight.mcap"  # on a busy machine the recorder lags behind the flight
         wait_for(lambda: log.stat().st_size > PAST_APPROACH_BYTES, "a log that grows")
         children = run.children()
         assert set(children) == {"record", "world", "onboard-cf1"}
@@ -80,7 +80,7 @@ def _look(folder: Path, victim: str, lockstep: bool, killed_s: float) -> Crash:
     assert replayed.code == 0, replayed.out + replayed.err
     topic = OWN_TOPIC[victim]
     last_s = max(m.log_time_ns for m in messages if topic in (None, m.topic)) / NS
-    if lockstep:  # log times are simulated and say nothing about the wall time of the last write
+    if lockstep:  # log times are simulated; the wall time of the last write is unknown
         missing_s = killed_s - written_s if victim == "record" else 0.0
     else:
         missing_s = max(0.0, killed_s - last_s)
@@ -116,7 +116,7 @@ def test_a_disk_that_fills_up_in_flight_ends_the_record_and_not_the_flight(tmp_p
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
     limits = (PAST_APPROACH_BYTES, PAST_APPROACH_BYTES)
     resource.prlimit(run.process.pid, resource.RLIMIT_FSIZE, limits)  # the children inherit the limits
-    assert run.end() == 1  # the vehicle landed, but the log is incomplete
+    assert run.end() == 1  # status 1: the vehicle landed, but the log is incomplete
     said = "\n".join(run.lines)  # any order: a recorder on a busy machine may be seconds late
     assert "-> LANDED" in said
     assert "record ended in flight" in said or "record did not end in order" in said

@@ -1,4 +1,4 @@
-"""Tests that cells of the fault grid meet its requirements and equal docs/reference/fault_grid.md.
+"""Tests that cells of the fault grid meet their requirements and equal docs/reference/fault_grid.md.
 
 One cell is flown for each part and kind of failure, with the moments in turn; ``python -m tests.benchmarks
 fault_grid`` flies all cells.

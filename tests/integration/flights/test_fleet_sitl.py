@@ -44,7 +44,7 @@ def direct():
     return land(load(TEAM), SEED, on_step=keep), commands
 
 
-same_flight = pytest.mark.xdist_group("fleet in lockstep")  # one worker runs the group: one flight
+same_flight = pytest.mark.xdist_group("fleet in lockstep")  # one worker runs the group: the team flies once
 
 
 @same_flight
@@ -114,7 +114,7 @@ def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path):
     fleet = load_fleet(tmp_path / "out" / "flight.mcap")
     verdict = judge_fleet(fleet)
     assert verdict.collisions == verdict.ellipsoid_violations == 0
-    # a vehicle may land beside its pad, if the silent vehicle may be too close to this pad
+    # a vehicle may land beside its pad if the silent vehicle may be too close to this pad
     for name in ("cf1", "cf3"):
         assert verdict.members[name].outcome in (Outcome.LANDED, Outcome.ABORTED), verdict.members[name]
         assert fleet.flights[name].phase_spans()[-1][0] in (Phase.LANDED, Phase.ABORT)

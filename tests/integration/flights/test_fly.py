@@ -1,4 +1,4 @@
-"""Tests ``flightstack fly`` with external vehicle and target, and its messages while it waits for them."""
+"""Tests ``flightstack fly`` with external vehicle and target, and the messages during the wait for both."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ READY_S = 200.0  # time-out until PX4 can arm, s, also on a busy machine
 
 @contextlib.contextmanager
 def second_member(kind, folder, robots, place):
-    """Run the second vehicle: the simulated one, or PX4 as instance 1, whose system id is 2."""
+    """Run the second vehicle: the simulated vehicle, or PX4 as instance 1, whose system id is 2."""
     words = ("--scenario", TEAM, "--seed", SEED, "--member", SECOND, "--connect", robots)
     if kind == "sitl":
         with verb("vehicle", *words, "--url", f"udpin:{place}"):
@@ -48,7 +48,7 @@ def second_member(kind, folder, robots, place):
 
 
 def places(log):
-    """Return the reported time and position of each member, by its number."""
+    """Return the reported times and positions by number of the member."""
     told = {number: [] for number in (1, 2, 3)}
     for message in log.messages({f"/cf{number}/fleet/status" for number in told}):
         word = MemberStatusRow.unpack(message.data)

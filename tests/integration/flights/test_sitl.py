@@ -94,9 +94,9 @@ def test_a_world_that_stands_still_for_some_seconds_only_delays_a_lockstep_fligh
 
 def test_a_killed_world_ends_the_run(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
-    run.until("-> TAKEOFF")  # 10 s before the landing, which lockstep reaches in half a second
+    run.until("-> TAKEOFF")  # 10 s of simulated time before the landing, half a second of wall time
     kill(run.children()["world"])
     began_s = time.monotonic()
     assert run.end() == 1
-    assert time.monotonic() - began_s < WORLD_SILENT_S / 2  # no tick can follow, so no process waits for one
+    assert time.monotonic() - began_s < WORLD_SILENT_S / 2  # no tick can follow, so none is awaited
     assert any("world ended in flight" in line for line in run.lines), run.lines

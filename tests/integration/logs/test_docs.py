@@ -1,4 +1,4 @@
-"""Tests that each command of README and docs runs as documented, and the table of topics against a log."""
+"""Tests that each command of README and docs runs as documented, and that a log has the listed topics."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_make_fly_lands():
     assert (ROOT / report).stat().st_size > 100_000
 
 
-# topics that are recorded only with a certain table of the configuration, or with a fleet
+# topics that are recorded only with a fleet, or if the configuration has a certain table
 WITH_TABLE = {"/cf1/controller/power", "/cf1/controller/neighbours", "/cf1/fleet/status", "/fleet/pairs"}
 DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # line of the page for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")

@@ -23,15 +23,15 @@ def test_a_real_time_flight_replays_bit_by_bit_inputs_from_the_wire_included(tmp
     assert b"alpha_1_m" in config.data
 
 
-# largest differences between the verdict computed from the estimate and the one computed from true states:
-# touchdown error, m; other values, m/s or s. The target is measured to 1 cm or better in these flights, so
+# maximum differences between the verdicts from the estimate and from true states: touchdown error, m; other
+# values, m/s or s. The target is measured to 1 cm or better in these flights, so
 # the limits show the errors of the method.
 ERROR_M, SPEED_M_S = 0.015, 0.05
 FLIGHTS = [("paper_moving_1", 0), ("large", 0), ("lab", 1), ("stop_and_go", 0)]
 
 
 def onboard_only(log, out, to_s=None):
-    """Copy what a real flight logs: topics of the onboard process, up to ``to_s`` after the first message."""
+    """Copy the topics that a real flight logs (of the onboard process), up to ``to_s`` after the start."""
     begin_ns = next(LogFile(log).messages()).log_time_ns
     until_ns = math.inf if to_s is None else begin_ns + to_s * 1e9
     return write_kept(log, out, wire=False, when=lambda m: m.log_time_ns <= until_ns)

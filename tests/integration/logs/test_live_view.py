@@ -1,4 +1,4 @@
-"""Tests which data the live 3-D scene shows and rejects, and that a viewer that hangs delays no process."""
+"""Tests which data the live 3-D scene shows or rejects, and that a hanging viewer delays no process."""
 
 import contextlib
 import itertools

@@ -16,7 +16,7 @@ from tests.synthetic_flight import landing, write_log
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
 
 FIGURES = 12
-FLEET_FIGURES = 30  # 3 of all vehicles together, and 9 of each
+FLEET_FIGURES = 30  # number of figures: 3 of all three vehicles together, and 9 of each vehicle
 SIZE_MAX = 6e6  # maximum size of the page of one to three vehicles, with its plotting library, bytes
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 BROWSER_LIMIT_S = 180
@@ -37,7 +37,7 @@ def browse(tmp_path):
         )
 
     def opened(page, place=""):
-        """Return the page as it is after its scripts have run, and the lines of the browser's console."""
+        """Return the page after all scripts have run, and the lines of the browser's console."""
         result = subprocess.run(
             [
                 browser, "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",

@@ -247,7 +247,7 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        # health is sent less often than steps, so the newest health message may precede the arming
+        # health messages are rarer than steps, so the newest health message may be older than the arming
         seen = list(
             _lines(
                 watching,

@@ -23,7 +23,7 @@ from tests.unit.target.ros2_helpers import pose_stamped
 
 OFFBOARD, HOLD = 0x00060000, 0x03040000
 HOVERS_M = 0.3  # height above the start from which the vehicle hovers, after a take-off to 0.5 m
-ASKS_EVERY_S = 1.5  # period of a pilot's requests, s; heartbeats, which show the result, arrive once a second
+ASKS_EVERY_S = 1.5  # period of a pilot's requests, s; heartbeats, once a second, show the result
 
 
 class Verb(Background):

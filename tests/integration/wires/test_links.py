@@ -123,8 +123,9 @@ SLOW = 57_600  # rate of the slow serial line, baud
 def land_over(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="sitl-1kg"):
     """Fly scenario ``large`` in real time; return exit status, output and relay.
 
-    ``make_near``: creates the relay's end at the onboard process; ``cut_s``: wall time from the approach
-    until the cable is disconnected, and duration of this, s; ``noise_bytes_s``: as in ``Relay``.
+    ``make_near``: creates the relay's end at the onboard process; ``cut_s``: wall time from the
+    approach to the disconnection of the cable, and duration of the disconnection, s; ``noise_bytes_s``: as in
+    ``Relay``.
     """
     with ExitStack() as stack:
         room = stack.enter_context(simulated(folder, "large"))
@@ -159,7 +160,7 @@ def _cut(relay, cut_s):
 
 
 @pytest.mark.xdist_group("real-time")
-# not at the same time as PX4, whose threads delay the kernel workers of the pseudo-terminal
+# runs in the stream of PX4, never beside PX4, whose threads delay the pseudo-terminal's kernel workers
 @pytest.mark.xdist_group("stream 0")
 def test_lands_over_a_slow_and_noisy_serial_line(tmp_path):
     code, text, relay = land_over(tmp_path, lambda folder: PtyEnd(folder, SLOW), SLOW, noise_bytes_s=100.0)

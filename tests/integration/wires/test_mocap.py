@@ -51,7 +51,7 @@ def test_a_crazyflie_that_needs_motion_capture_flies_by_a_topic_of_ros_2():
         assert plant.on_surface
         one.send(one.command(400, 1.0))
         assert one.until(is_a("COMMAND_ACK", command=400)).result == 1
-        settled_s = server.now_s + 1.0  # until then, the supervisor may be in its former state
+        settled_s = server.now_s + 1.0  # until this time the supervisor may be in its former state
         wait_for(lambda: server.now_s > settled_s, "time")
         one.send(one.command(400, 1.0))
         wait_for(lambda: started.said("Arming refused: mocap: no pose for"), "the reason")
@@ -81,7 +81,7 @@ def test_a_vehicle_gets_poses_in_its_own_way(autopilot, kind):
         while came.count(kind) < 100:
             assert vehicle.receive(), "no poses"
             came = [m.get_type() for m in vehicle.log]
-        assert time.monotonic() - start_s > 1.5  # 100 messages at 50 Hz; delayed ones arrive together
+        assert time.monotonic() - start_s > 1.5  # 100 messages at 50 Hz; delayed messages arrive together
         assert ("SET_GPS_GLOBAL_ORIGIN" in came) == (autopilot == 3)
         vehicle.send(mav.MAVLink_timesync_message(0, 4711))
         assert vehicle.until(is_a("TIMESYNC", ts1=4711)).tc1 > 0

@@ -47,7 +47,7 @@ def test_its_time_is_that_of_the_wall() -> None:
         while len(times_ms) < 101:
             assert client.receive(), "no telemetry"
             times_ms = [m.time_boot_ms for m in client.log if m.get_type() == "LOCAL_POSITION_NED"]
-        assert time.monotonic() - start_s > 0.8  # 101 messages take 1 s; delayed ones arrive together
+        assert time.monotonic() - start_s > 0.8  # 101 messages take 1 s; delayed messages arrive together
         assert {b - a for a, b in itertools.pairwise(times_ms)} == {10}
         terminate(child)
 
@@ -71,7 +71,7 @@ def test_after_a_pause_it_goes_on_from_there_and_takes_no_core_from_others() -> 
         child.send_signal(signal.SIGCONT)
         client.until(lambda m: is_a("STATUSTEXT")(m) and re.match(r"Machine paused \d\.\d\d s", m.text))
         after = client.until(is_a("LOCAL_POSITION_NED")).time_boot_ms
-        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # its clock stopped
+        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # its clock has stopped
         assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
         terminate(child)
 

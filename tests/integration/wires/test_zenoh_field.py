@@ -43,7 +43,7 @@ def make_keys(folder):
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """Return a folder with keys of one certificate authority, and with a stranger's key of another one."""
+    """Return a folder with keys of one certificate authority, and a stranger's key of another authority."""
     folder = make_keys(tmp_path_factory.mktemp("zenoh"))
     stranger = make_keys(tmp_path_factory.mktemp("stranger"))
     for end in ("key", "pem"):
@@ -94,7 +94,7 @@ def who_hears(sessions, sender, key):
     found, marked = set(), set()  # clients that received the tested sample, and the robot's sample
 
     def passed():
-        # the robot's permitted sample follows the tested one; once it has arrived, the tested one has, too
+        # the robot's permitted sample is sent after the tested sample, and so arrives after it
         publisher.put(asked)
         mark.put(marks)
         for name, subscriber in heard.items():

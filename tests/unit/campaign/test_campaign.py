@@ -64,7 +64,7 @@ def test_upper_bound_is_clopper_pearsons(events, runs):
 def test_every_row_is_counted_once():
     rows = numbered(GOOD, GOOD, CRASHED, ABORTED, TIMEOUT, error_row(5, "x"))
     counts = count(rows)
-    # the row with outcome error counts as a violation, because one may have occurred
+    # the row with outcome error counts as a violation, because a violation may have occurred
     assert list(counts.items()) == [
         ("runs", 6),
         ("landed", 2),

@@ -1,4 +1,4 @@
-"""Tests that a controller decides the same with and without compiled functions, to the last bit."""
+"""Tests that a controller makes equal decisions with and without compiled functions, to the last bit."""
 
 import math
 import subprocess

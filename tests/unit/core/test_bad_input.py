@@ -18,7 +18,7 @@ def no_samples(_, inputs):
 
 
 def stuck_sample(world, inputs):
-    """Replace the target samples by the first ones, as from a sender that is stuck."""
+    """Replace the target samples by the first samples, like a sender that is stuck."""
     if not hasattr(world, "stuck"):
         world.stuck = inputs.target_samples
     return inputs._replace(target_samples=tuple(s._replace(arrival_s=world.t_s) for s in world.stuck))

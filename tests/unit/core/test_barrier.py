@@ -26,7 +26,7 @@ robusts = st.builds(RobustBarrier, smoothed, margins, radii)
 
 
 def shortened(barrier):
-    """Return the largest reduction of the slope by the smoothing for d >= 0.3 m: slope_max (s/d)^2 / 2."""
+    """Return the largest reduction of the slope by the smoothing at d >= 0.3 m: slope_max (s/d)^2 / 2."""
     inner = getattr(barrier, "barrier", barrier)
     steepest = inner.slope_max + (barrier.margin_m / barrier.fade_radius_m if inner is not barrier else 0.0)
     return steepest * 0.5 * (inner.apex_smoothing_m / 0.3) ** 2

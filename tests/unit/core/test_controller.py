@@ -55,7 +55,7 @@ FLIES = {"armed": True, "mode": Mode.EXTERNAL, "landed": Landed.IN_AIR}
 
 
 def test_a_climb_is_sent_from_the_first_tick_and_stands_on_the_ground_without_complaint():
-    """Until its thrust has ramped up, a vehicle on the ground need not follow its set-points."""
+    """A vehicle on the ground need not follow its set-points until the thrust has ramped up."""
     bench = Bench()
     assert bench.wait().phase is Phase.TAKEOFF
     waits = bench.step()

@@ -125,7 +125,7 @@ def test_no_number_that_is_not_finite_passes(bad, name, axis):
 def test_no_place_or_target_that_is_not_finite_passes_whatever_the_filter_says(bad, axis, status):
     for barrier in (CONE, Plane(), RobustBarrier(CONE, 0.05, 0.06)):
         if isinstance(barrier, Plane) and axis != 2:
-            continue  # the value of this barrier depends only on the height
+            continue  # h of this barrier depends only on the height
         for place, moving in ((bad, 0.0), (0.5, bad), (bad, bad)):
             e, target = [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]
             e[axis], target[axis] = place, moving
@@ -147,7 +147,7 @@ def test_the_box_ends_at_the_float(name, axis, sign):
 
 
 def test_a_corrected_set_point_answers_for_box_and_height_but_not_for_the_barrier():
-    """Velocity and set-point must be within box and height; only the velocity must keep the barrier."""
+    """Velocity and set-point must be within box and height limit; only the velocity must keep the barrier."""
     level = (0.0, 0.0, 0.0)
     sinking = (0.0, 0.0, -0.5)
     assert check(level, setpoint=sinking, barrier_check=plane_check((1.0, 0.0, 0.0)))[0] is APPROVED

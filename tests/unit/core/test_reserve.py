@@ -56,7 +56,7 @@ def test_voltage_and_reserve_are_each_others_inverse_and_rise_together(table, vo
 
 
 def test_a_firmware_that_compensates_the_battery_ends_at_its_own_limit():
-    """A voltage below the compensated one reduces the maximum thrust; a higher one does not increase it."""
+    """A voltage below the compensated voltage reduces the maximum thrust; a higher voltage has no effect."""
     table = replace(RESERVE, motor_voltage_max_v=3.07)
     assert table.at(4.0) == table.at(3.7) == pytest.approx((3.07 / (0.78 * 3.7)) ** 1.5)
     assert table.at(3.2) == RESERVE.at(3.2) < table.at(3.7) < RESERVE.at(3.7)

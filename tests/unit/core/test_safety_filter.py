@@ -104,13 +104,13 @@ def test_exact_cases_of_the_projection():
     assert project((0.0, 0.5, 0.25), (0.0, 0.0, 1.0), 0.25, lower, upper) == (0.0, 0.5, 0.25)
     assert project(STILL, (0.0, 0.0, 1.0), 0.5, lower, upper) == (0.0, 0.0, 0.5)
     assert project(STILL, (1.0, 0.0, 1.0), 1.0, lower, upper) == (0.5, 0.0, 0.5)
-    assert project(STILL, (1.0, 1.0, 1.0), 3.0, lower, upper) == (1.0, 1.0, 1.0)  # one point is allowed
+    assert project(STILL, (1.0, 1.0, 1.0), 3.0, lower, upper) == (1.0, 1.0, 1.0)  # only one point is allowed
     assert project(STILL, (1.0, 1.0, 1.0), math.nextafter(3.0, 4.0), lower, upper) is None
     assert project((-3.0, 0.0, 0.0), (1.0, 0.0, 0.5), 1.25, lower, upper) == (0.75, 0.0, 1.0)
     assert project((-3.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.5, lower, upper) == (-1.0, 0.0, 0.0)
     assert project(STILL, (0.0, 0.0, 0.0), 0.5, lower, upper) is None
     assert project((9.0, 9.0, 9.0), (0.0, 0.0, 0.0), -0.5, lower, upper) == (1.0, 1.0, 1.0)
-    # the gradient is so small that the multiplier has no finite value
+    # with this gradient the multiplier has no finite value
     tiny = 5e-324
     assert project((0.0, 0.0, -9.0), (0.0, 0.0, tiny), tiny, lower, upper) == (0.0, 0.0, 1.0)
     with pytest.raises(ValueError, match=r"unpack"):
@@ -209,7 +209,7 @@ def test_the_multiplier_makes_the_projection_optimal(nominal, g, b, box):
     point, multiplier = projected(nominal, g, b, *box)
     assume(multiplier != EMPTY and math.isfinite(multiplier))
     for n, gi, x, lo, hi in zip(nominal, g, point, *box, strict=True):
-        pull = n + multiplier * gi - x  # multiplier of the component's limits; zero unless one is active
+        pull = n + multiplier * gi - x  # multiplier of this component's limits; zero unless a limit is active
         assert pull == pytest.approx(0.0, abs=1e-9) or (x == lo and pull < 0.0) or (x == hi and pull > 0.0)
 
 

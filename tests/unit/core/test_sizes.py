@@ -56,7 +56,7 @@ def cleared(settings):
     return found.request is Request.LAND
 
 
-# fields: section, key, another value, function that tests the behaviour, its results with default and other
+# fields: section, key, another value, function that tests the behaviour, results with default and other value
 CHANGES = [
     ("touchdown", "descent_m_s", 0.5,
      lambda c: asked(Phase.TOUCHDOWN, replace(c, filter="paper"), (0.0, 0.0, 0.03)).velocity[2],

@@ -1,4 +1,4 @@
-"""Tests consecutive flights with the commands of the flight stack: heights, modes, and ends of flights."""
+"""Tests consecutive flights that the flight stack commands: heights, modes, and ends of the flights."""
 
 import math
 from dataclasses import replace

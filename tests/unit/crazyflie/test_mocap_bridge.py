@@ -113,7 +113,7 @@ def test_armed_a_jump_is_never_believed_disarmed_after_a_second():
 
 
 def passed_at(checks, since_s, seconds, ahead_s=0.0):
-    """Feed poses at 100 Hz with this offset of their stamps; return the times of the forwarded ones, s."""
+    """Feed poses at 100 Hz with this offset of the stamps; return the times of the forwarded poses, s."""
     times = [since_s + 0.01 * k for k in range(round(seconds * 100))]
     return [t for t in times if checks.step([sample(t + ahead_s)], t, armed=True)]
 

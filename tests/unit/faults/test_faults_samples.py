@@ -1,4 +1,4 @@
-"""Tests faults of sample streams: output, order and bounds of each kind, for vehicle state and target."""
+"""Tests faults of the sample streams: which samples arrive, in which order, and the limit of the queue."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Tests how [[fault]] tables define faults, and the reasons of rejections."""
+"""Tests how ``[[fault]]`` tables define faults, and the reasons of rejections."""
 
 import re
 import tomllib

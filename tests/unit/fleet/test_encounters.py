@@ -97,8 +97,8 @@ HOVER_M_S, SIZE_M = jet()[6:]
 
 
 def below(x, y, down, *, jets=None, axes=UPRIGHT):
-    """Return force, N, and torque, N m, on a Crazyflie at the origin, whose rotors are ``down`` m below those
-    of another one that hovers at x, y."""
+    """Return force, N, and torque, N m, on a Crazyflie at the origin, whose rotors are ``down`` m below the
+    rotors of a Crazyflie that hovers at x, y."""
     d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
     jets = np.array([[x, y, 0.0, 0.0, 0.0, -1.0, HOVER_M_S, SIZE_M]]) if jets is None else jets
     feel(d, jets, 99, np.array([0.0, 0.0, -down - d.above]), axes)
@@ -125,7 +125,7 @@ def test_the_axis_and_the_half_width_are_the_published_ones(lengths):
 
 
 def test_the_jet_carries_the_momentum_of_the_thrust():
-    """The jet carries 90 to 100 % of the thrust's momentum; with a length of l / 4 it would carry 6 %."""
+    """The jet carries 90 to 100 % of the thrust's momentum; if l were a quarter, the share would be 6 %."""
     for down in (0.3, 1.0, 2.0):
         r = np.linspace(0.0, 3.0, 6001)
         u = np.array([jet_speed(down, each, HOVER_M_S, SIZE_M) for each in r])
@@ -146,9 +146,9 @@ def test_nothing_above_and_nothing_far_beside():
 
 
 def test_it_is_of_the_size_of_measurements():
-    """The model's downwash force agrees with the one measured by Neural-Swarm (arXiv 2003.02992, figure 3).
+    """The model's downwash force agrees with measurements of Neural-Swarm (arXiv 2003.02992, figure 3).
 
-    Measured were 10, 8, 6 and 4 gram-force at 0.2, 0.3, 0.4 and 0.5 m below the upper vehicle.
+    The measured forces are 10, 8, 6 and 4 gram-force at 0.2, 0.3, 0.4 and 0.5 m below the upper vehicle.
     """
     measured = {0.2: 10.0, 0.3: 8.0, 0.4: 6.0, 0.5: 4.0}
     ours = {down: -below(0.0, 0.0, down)[0][2] / 9.81e-3 for down in measured}

@@ -58,13 +58,13 @@ def test_vehicles_that_begin_inside_each_other_are_refused():
 
 
 def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():
-    """All h stay above 30 mm; one fell to -11 mm when a sinking vehicle was predicted to continue inwards."""
+    """Every h stays above 30 mm. Predicting that a sinking vehicle continues inwards gave -11 mm once."""
     landings = land(load("fleet_8"), 20866).members
     assert min(each.verdict.h_min_outside_pad_m for each in landings) > 0.03
 
 
 ROOT = Path(__file__).parents[3]
-# with a wrong position of a member the third vehicle waits for a minute, so only one such moment is flown
+# if a member sends a wrong position, the third vehicle waits for a minute; only one such moment is flown
 CELLS = [(way, m) for way in Way for m in MOMENTS_S if way is not Way.LIES or m == "touchdown"]
 PAGE = (ROOT / "docs" / "reference" / "fault_grid.md").read_text()
 

@@ -1,4 +1,4 @@
-"""Tests messages between members: they are late or lost independently, and arrive after their tick."""
+"""Tests messages between members: delays and losses are independent; messages arrive after their tick."""
 
 from dataclasses import replace
 from types import SimpleNamespace

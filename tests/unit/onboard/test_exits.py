@@ -23,7 +23,7 @@ from sim.scenarios.scenario import load
 
 CONFIG = load("grid").onboard
 PERIOD_S = 1.0 / CONFIG.loop.rate_hz
-EXIT_S = 0.05  # time of the exit after the start of the flight, s
+EXIT_S = 0.05  # time from the start of the flight to the exit, s
 
 
 class Breaks(Enum):
@@ -40,7 +40,7 @@ class Breaks(Enum):
 class Flight:
     """Minimal clock, vehicle, target and log in one object; the vehicle executes commands immediately."""
 
-    exits: object  # function that is called in the tick of the exit
+    exits: object  # function that is called once, with this flight, at ``EXIT_S``
     armed: bool = True
     mode: Mode = Mode.EXTERNAL
     landed: Landed = Landed.IN_AIR

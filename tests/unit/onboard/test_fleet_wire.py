@@ -68,7 +68,7 @@ def pass_time(*sides):
 
 
 def taken(side, count=1):
-    """Receive at least ``count`` messages, including rejected ones; return those that were accepted."""
+    """Receive at least ``count`` messages, also rejected messages; return the accepted messages."""
     read, words, drain = [], [], zenoh_link.drain
 
     def drained(subscriber):
@@ -81,7 +81,7 @@ def taken(side, count=1):
 
 
 def greet(a, b):
-    """Send from both vehicles in turn until each has accepted a message of the other one."""
+    """Send from both vehicles in turn until each has accepted a message of the other vehicle."""
     heard = set()
 
     def in_turn():

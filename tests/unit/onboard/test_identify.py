@@ -102,7 +102,7 @@ def test_noise_rate_loss_and_delay_of_a_link_are_found():
 
 @pytest.mark.slow
 def test_its_standard_errors_are_true():
-    """In 19 or more of 24 windy flights the lag is within two standard errors, which match its spread."""
+    """In 19 or more of 24 windy flights the lag is within two standard errors; these match the spread."""
     lag = 2.0 * 0.68 / 5.2
     found = [identify([made_up(seed, wind=0.05)], DT_S, "x") for seed in range(24)]
     missed = [abs(one.lag_s - lag) / one.errors[4] for one in found]

@@ -1,4 +1,4 @@
-"""Tests the messages during a wait: each names the cause of the wait, and the key that limits the wait."""
+"""Tests the messages during a wait: a message names the cause of the wait, and the key with its limit."""
 
 import math
 from collections import Counter

@@ -48,7 +48,7 @@ class FreePlant:
         self.record.firmware.commands[:] = rpm
 
     def run(self, steps, command=None):
-        """Advance by this number of milliseconds with a command in rpm; None: the previous one."""
+        """Advance by this number of milliseconds with a command in rpm; None: the previous command."""
         if command is not None:
             self.record.firmware.commands[:] = command
         for _ in range(steps):
@@ -112,7 +112,7 @@ def test_six_degrees_of_freedom_agree_with_the_independent_model(seed, slow):
     """Compare rates, attitude, velocity, position and rotor speeds over 1.5 s of random commands.
 
     In each step, the simulator applies the torque of the step's end and the thrust direction of its start.
-    The error is half a step times their rates of change. The tolerances are one or two times this error.
+    The error is half a step times the rates of change of both; the tolerance is one or two times this error.
     """
     flown, reference = random_flight(seed, slow, 200.0)
     error = np.abs(flown - reference)

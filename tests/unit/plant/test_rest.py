@@ -1,4 +1,4 @@
-"""Tests the model of a vehicle at rest on the pad: it agrees with MuJoCo and ends when friction ends."""
+"""Tests the model of a vehicle at rest on the pad, which agrees with MuJoCo and ends when friction ends."""
 
 import itertools
 import math

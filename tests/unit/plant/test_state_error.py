@@ -45,7 +45,7 @@ def test_rows_do_not_depend_on_how_many_are_taken_at_once(parts, seed):
 
 
 def measured(row, truth, *, samples=60, rate_hz=RATE_HZ):
-    """Return position and velocity as estimated at the last of many samples along a path."""
+    """Return the position and velocity that the error model reports for the last sample on a path."""
     past = new(PastRecord)
     past.rate = rate_hz
     for k in range(samples):

@@ -1,6 +1,6 @@
 """Imitates PX4 on its simulator link with pymavlink and sockets, without code of this project.
 
-It connects, sends HEARTBEAT and SET_MESSAGE_INTERVAL, and answers each HIL_SENSOR with one
+The imitation connects, sends HEARTBEAT and SET_MESSAGE_INTERVAL, and answers each HIL_SENSOR with one
 HIL_ACTUATOR_CONTROLS. Its clock starts with the first HIL_SENSOR.
 """
 

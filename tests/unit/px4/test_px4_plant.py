@@ -169,7 +169,7 @@ def test_the_lines_of_every_form_hold_all_of_them(airframe, form):
     text = parameter_text(params, form)
     assert parameters_of(text) == pytest.approx(parameters(params))
     assert "CA_ROTOR_COUNT=4" in text or "CA_ROTOR_COUNT 4\n" in text  # integers are printed without decimals
-    assert all(len(name) <= 16 for name in parameters(params))  # the longest name that MAVLink allows
+    assert all(len(name) <= 16 for name in parameters(params))  # the maximum length of a name in MAVLink
 
 
 def test_the_check_before_a_flight_finds_nothing_unsafe_in_them():

@@ -63,7 +63,7 @@ class Pair:
         self.answering([(0.0,) * 4])
 
     def answering(self, outputs, **options):
-        """Run one step for each of these motor outputs, which PX4 sends as its answer."""
+        """Run one step for each of these motor outputs, which PX4 sends as answers."""
 
         def px4():
             for controls in outputs:
@@ -223,7 +223,7 @@ def build(tmp_path):
 
 @pytest.mark.parametrize("speed", [1.0, 5.0])
 def test_what_the_release_has_is_set_and_what_it_has_not_is_named(build, speed):
-    """Parameters that the build has are set; a missing one is named and does not prevent the start."""
+    """Parameters that the build has are set; a missing parameter is named and does not prevent the start."""
     wanted = {"COM_OBL_RC_ACT": 4, "COM_RC_IN_MODE": 0, "SYS_HAS_GPS": 0}
     px4 = Px4Program(
         build, build / "run", Px4Model.SIHSIM_QUADX, parameters=wanted, speed=speed, origin_wgs84=None

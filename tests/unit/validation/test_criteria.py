@@ -97,7 +97,7 @@ def test_a_part_that_no_flight_covers_is_missed():
 
 
 def test_chance_explains_some_of_a_difference_and_not_more():
-    """Recorded errors spread by a factor of three; a third more leaves the result open, six times misses."""
+    """Recorded errors span a factor of 3; simulated errors above them by 1.33 are open, by 6 are missed."""
 
     def word(factor):
         sizes = np.geomspace(0.006, 0.018, 8)

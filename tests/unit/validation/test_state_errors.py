@@ -1,4 +1,4 @@
-"""Tests that simulated errors of the state estimate are like recorded ones, also with default parameters."""
+"""Tests that simulated errors of the state estimate are like recorded errors, also by default."""
 
 import numpy as np
 import pytest

@@ -37,9 +37,9 @@ def flown(scenario, seed, on_step=None, parameters=()):
 
 
 def assert_equal(scenario, seed, least, *parameters):
-    """Assert that a flight in batches equals one flown tick by tick; return the recorded data of the first.
+    """Assert that a flight in batches equals a flight tick by tick; return the data of the flight in batches.
 
-    In batches at least the fraction ``least`` of the ticks is flown; without numba no tick is.
+    At least the fraction ``least`` of the ticks is flown in batches; without numba no tick is.
     """
     one, seen, in_batches = flown(scenario, seed, None, parameters)
     other, wanted, none = flown(scenario, seed, lambda tick, out: None, parameters)

@@ -1,4 +1,4 @@
-"""Compares the firmware model with the Crazyflie firmware: outputs of its compiled C code on random states.
+"""Compares the firmware model with outputs of the Crazyflie firmware's compiled C code on random states.
 
 ``tests/data/README.md`` lists the functions and their commit, and how the numbers were made. The model
 computes in double precision, the firmware in single; so integer counts may differ by one where a value is
@@ -157,7 +157,7 @@ def test_supervisor():
 
 
 def test_the_numbers_reach_every_clamp():
-    """Of each clamp, the reference cases contain values that it limits and values that it does not."""
+    """For each clamp, the reference cases contain values that the clamp limits and values that it passes."""
     mellinger, pid = data("mellinger")["out"], data("pid")["short_out"]
     for moments, clamp in ((mellinger[..., :2], 32000.0), (pid[..., :3], 32767.0)):
         share = (np.abs(moments) >= clamp).mean(axis=(0, 1))

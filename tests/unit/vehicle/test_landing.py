@@ -24,7 +24,7 @@ _EXTREMES = {"float": (0.1, -1e-9, 12345.678, math.nan, math.inf), "double": (0.
 
 
 def some_message(cls, rng):
-    """Return a message of a class, with numbers that 32 bits cannot represent among its values."""
+    """Return a message of a class; 32 bits cannot represent some of its numbers."""
     values = []
     lengths = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
     for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True):

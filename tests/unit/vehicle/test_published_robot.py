@@ -69,7 +69,7 @@ def test_it_drives_ahead_of_the_credit_by_a_fixed_number_of_ticks_and_waits_for_
         robot.await_credit(tick)
         robot.take(tick)
         robot.run_ahead(tick)
-    _, ahead = received(ends.marker, 2)  # one for tick 0, one for all ticks that the first credit allows
+    _, ahead = received(ends.marker, 2)  # messages for tick 0, and for all ticks that the first credit allows
     first, counts = msgpack.decode(ahead.payload.to_bytes())
     assert (first, len(counts)) == (1, RUN_AHEAD_TICKS)
     monkeypatch.setattr(published_robot, "COMPANION_SILENT_S", 0.05)

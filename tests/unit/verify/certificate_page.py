@@ -1,4 +1,4 @@
-"""Generates the certificate's tables of docs/how_it_works; run as a module, it writes them into the pages.
+"""Generates the certificate's tables of docs/how_it_works. This command writes them into the pages:
 
 python -m tests.unit.verify.certificate_page
 """

@@ -32,7 +32,7 @@ def own(share):
     return {"own": {"velocity_error_m_s": 0.05, "velocity_error_time_s": share / GAIN_1_S}}
 
 
-# name of a check; changes with which it just passes; changes with which it just fails
+# name of a check; changes with which the check just passes; changes with which the check just fails
 LIMITS = [
     ("barrier", {"touchdown": {"target_speed_max_m_s": 1.0}}, None),
     *(
@@ -177,7 +177,7 @@ def test_demand_and_its_growth_stay_below_their_bounds(number):
         assert grown <= bound + 0.02
         assert -grown <= demand_change(settled, x, x.shape, Span(d - 0.01, d + 0.01), -1.0) + 0.02
         closest = min(closest, bound - x.heave_acceleration_m_s2 - grown)
-    assert closest < 0.3  # m/s^2: the bound is not much larger than the largest observed value
+    assert closest < 0.3  # m/s^2: the bound is close to the largest observed value
 
 
 TIGHTER = [
@@ -196,7 +196,7 @@ TIGHTER = [
 @pytest.mark.parametrize(("section", "key", "names", "most"), TIGHTER)
 @examples(5)
 @given(shares=st.tuples(st.floats(0.05, 1.0), st.floats(0.05, 1.0)))
-@example(shares=(0.05, 1.0))  # with the largest tracking error, h below 0 rises with 0 m/s
+@example(shares=(0.05, 1.0))  # with the maximum tracking error, a negative h recovers at 0 m/s
 def test_more_of_what_is_bad_never_leaves_more_room(section, key, names, most, shares):
     less, more = sorted(share * most for share in shares)
     good, bad = rooms(**{section: {key: less}}), rooms(**{section: {key: more}})

@@ -157,7 +157,7 @@ def test_no_descent_drifts_farther_than_promised(acceleration):
                 e[i] += w[i] * dt
             farthest = max(farthest, math.hypot(*e))
     assert farthest <= promised
-    assert farthest > 0.65 * promised  # the promised limit is not much too large
+    assert farthest > 0.65 * promised  # the promised limit is not far too large
 
 
 @pytest.mark.parametrize("name", ["worked", "verdicts", "fleet"])

@@ -67,7 +67,7 @@ def promise_m():
 def turned_against(settings_, factor):
     """Return the target accelerations and velocity errors that cause the largest distance at the end.
 
-    Both have one value for each tick of the simulated loop.
+    Both arrays have one value for each tick of the simulated loop.
     """
     x, gain, ticks = extremes(settings_), settings_.robust.gain_over_pad_1_s, round(LONG_S * 100)
     none, knock = np.zeros(ticks), np.zeros(ticks)

@@ -44,7 +44,7 @@ STILL = {
     "touchdown": {"target_speed_max_m_s": 0.0, "pad_radius_m": 0.13},
     "envelope": {"target_acceleration_max_m_s2": 0.0},
 }
-WAIT_S = 13.1  # longest wait of the third vehicle, s
+WAIT_S = 13.1  # maximum wait of the third vehicle, s
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,7 @@ def test_each_scenario_declares_what_it_flies():
 )
 def test_a_scenario_that_is_not_as_declared_is_not_proven(part, key, value, check):
     scenario = load("field")
-    if key.startswith("heave"):  # before its change, this pad has a small declared heave
+    if key.startswith("heave"):  # the unchanged scenario already heaves a little, as declared
         heaves = replace(scenario.target, heave_amplitude_m=0.02, heave_rate_hz=0.1)
         envelope = replace(scenario.onboard.envelope, target_climb_max_m_s=0.02)
         scenario = replace(scenario, target=heaves, onboard=replace(scenario.onboard, envelope=envelope))

@@ -47,7 +47,7 @@ def test_nearly_all_programs_are_confirmed():
     assert unsure == 0
 
 
-# inputs of a tick of `fleet_3`: the slew limit leaves few velocities; the nominal one is the lowest in z
+# inputs of a tick of `fleet_3`: the slew limit permits few velocities; the nominal velocity is lowest in z
 IN_FLIGHT = (
     (0.23562030240347953, -1.0276756593002732, -0.14770333756579554),
     [
@@ -152,7 +152,7 @@ def test_where_a_silent_vehicle_is_taken_to_be_grows_by_its_drift_until_it_is_do
     [
         (1.5, 0.9, "no nearer"),  # this vehicle is where the silent vehicle may be
         (1.5, 2.9, "outside"),
-        (9.0, 2.0, "lax"),  # the silent vehicle has landed; this vehicle is where it may be
+        (9.0, 2.0, "lax"),  # the silent vehicle has landed; this vehicle is where the silent vehicle may be
         (9.0, 9.0, "outside"),
     ],
 )

@@ -143,7 +143,7 @@ def test_a_word_that_says_nothing_usable_is_refused_with_the_reason(keys, why):
 
 
 class Claimant:
-    """A vehicle that claims the pad from ``begins_s`` on, and lands when it is allowed to."""
+    """A vehicle that claims the pad from ``begins_s`` on, and lands when the right of way permits it."""
 
     def __init__(self, fleet, begins_s):
         self.member, self.memory = FleetMember(fleet, 0.0), Memory(phase=Phase.TAKEOFF, climbed=True)
@@ -255,7 +255,7 @@ def test_a_neighbour_in_the_way_stops_each_phase_but_the_touchdown(phase, keys, 
     if phase is Phase.TOUCHDOWN:
         assert there == alone
         return
-    # the approach may be at most half as fast as the decay rate of h allows, because positions may be wrong
+    # the approach may use half of the speed that the decay rate of h allows, because positions may be wrong
     assert sum(a * w for a, w in zip(there, way, strict=True)) <= 0.02
     assert flown(phase, keys, place, [beside(place, way, 2.9)]) == alone  # the other vehicle is out of reach
     assert math.dist(flown(phase, keys, place, [beside(place, way, 1.5)]), alone) < 1e-6  # in reach

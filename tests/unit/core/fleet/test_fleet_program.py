@@ -1,4 +1,4 @@
-"""Compares solutions of the fleet program, with several constraints, with those of scipy."""
+"""Compares the fleet program with scipy on random sets of several constraints."""
 
 import math
 
@@ -64,7 +64,7 @@ def met_nowhere(found, lower, upper):
     return least_by_scipy(more, [], lower, upper) > 0.0
 
 
-# three constraints; if one of them is shifted, their common corner moves ten million times as far
+# three constraints: a shift of one constraint moves their common corner ten million times as far
 FLAT = [
     Row((-0.9899924966004384, 0.14112000805986621, 1.192092896e-07), 0.0),
     Row((1.0, 0.0, 0.0), 0.0),
@@ -73,8 +73,8 @@ FLAT = [
 UNIT_BOX = ((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
 # a constraint that the best corner of the limits violates by a rounding error
 ROUNDED, BESIDE = Row((1.0, -2.220446049250313e-16, 0.0), 0.5), ((-0.5, 0.5, -0.5), (0.5, 1.5, 0.5))
-# a constraint that points within the limits satisfy only at x = 0; there it requires z >= 0, or nothing if
-# the coefficient of z is rounded to zero
+# a constraint that points within the limits satisfy only at x = 0; there the constraint requires z >= 0, or
+# nothing if the coefficient of z is rounded to zero
 LEVEL, AGAINST = Row((1.0, 0.0, 4.2e-145), 0.0), ((-0.04, -0.5, -0.5), (0.0, 0.5, 0.5))
 
 
@@ -197,7 +197,7 @@ def test_velocity_out_of_the_cone_grows_by_half_of_what_the_rate_allows(d_m, azi
         return sum(g * (t - v) for g, t, v in zip(gradient[:2], target, velocity, strict=False))
 
     row = CONE.outward(h_m, gradient, before, target)
-    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # largest allowed rate at which h decreases, m/s
+    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # maximum allowed rate at which h decreases, m/s
     grows_m_s = OUTWARD_PART * CONE.period_s * CONE.rate_1_s * h_m / CONE.lag_s
     assert row.g == (*gradient[:2], 0.0)
     assert math.isclose(most_m_s, max(0.0, lowers_m_s(before)) + grows_m_s, abs_tol=1e-9)

@@ -71,7 +71,7 @@ def test_the_shares_that_two_vehicles_fly_sum_to_one_or_more(seed, lost, slowest
         flown = [side.part for side in sides]
         down = [side.memory.phase in (Phase.TOUCHDOWN, Phase.LANDED) for side in sides]
         heard = all(side.member.memory.slots[0].message is not None for side in sides)
-        if heard and not all(down):  # the right of way prevents that both vehicles are on the pad
+        if heard and not all(down):  # the right of way keeps one of the vehicles off the pad
             assert sum(flown) >= 1.0, (t_s, flown, [side.memory.phase for side in sides])
         for me, other, word in ((0, 1, words[1]), (1, 0, words[0])):
             if rng.random() < 0.1 * lost:
@@ -97,7 +97,7 @@ def test_the_barrier_is_convex_with_the_gradient_of_finite_differences(p, q):
     h_m, g = barrier(p, 0.25, 0.75)
     assert math.hypot(*g) <= 1.0 + 1e-12
     then_m, _ = barrier(tuple(a + b for a, b in zip(p, q, strict=True)), 0.25, 0.75)
-    # within 1 um of the centre h is constant, which the tolerance covers
+    # the tolerance covers that h is constant within 1 um of the centre
     assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6
     if h_m > -0.2:
         for axis in range(3):

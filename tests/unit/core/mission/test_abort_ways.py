@@ -5,7 +5,7 @@ from flightstack.core.mission.phases import ABORT_TABLE, Condition, first
 
 
 def way_of(w):
-    """Return the expected end of an abort, by independent rules; ``w``: names of the true conditions."""
+    """Return the expected end of an abort by independent rules. ``w``: names of the true conditions."""
     if "EMERGENCY" in w:
         return AbortWay.MOTORS_OFF
     if "WAS_ARMED" not in w:

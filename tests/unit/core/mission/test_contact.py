@@ -1,4 +1,4 @@
-"""Tests that contact with the pad is detected, and that its flag then remains set."""
+"""Tests that contact with the pad is detected, and that the flag of the contact then remains set."""
 
 import math
 

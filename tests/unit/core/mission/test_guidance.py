@@ -99,7 +99,7 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
         assert found.velocity[:2] == pytest.approx(
             [v - gain * x for v, x in zip(MOVING[:2], e[:2], strict=True)]
         )
-        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # beyond the peak: higher by the peak's height
+        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # there the height is increased by the peak's
         above = e[2] - r.wait_height_m - (BARRIER.peak_height_m if far else 0.0)
         rising = found.velocity[2] - MOVING[2]
         if above > 0.0:
@@ -165,7 +165,7 @@ def test_flying_clear_is_up_then_away_then_down():
     there, memory = clearing((0.0, -far - 1e-6, 0.1))
     assert there == Command(Request.LAND)
     assert memory.clear
-    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # it still lands
+    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # LAND continues
     assert clearing((0.0, -far + 1e-6, top))[0].request is Request.EXTERNAL
 
 

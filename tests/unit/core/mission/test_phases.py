@@ -126,7 +126,7 @@ BLOCKS = blocks()
 
 
 class Word(dict):
-    """Sets of condition flags: ``word["armed"]`` has a boolean for each set; ``asked``: flags read so far."""
+    """Sets of condition flags: ``word["armed"]`` has a boolean for each set. ``asked``: flags read so far."""
 
     def __init__(self, words):
         self.words, self.asked = words, 0
@@ -143,7 +143,7 @@ def expected_rules(phase, word):
 
 @cache
 def everything(phase):
-    """Return all combinations of the flags that one of the two implementations reads.
+    """Return all combinations of the flags that at least one of the two implementations reads.
 
     The other flags must have no effect: in half of the combinations they are clear, in the other half set.
     """
@@ -160,7 +160,7 @@ def everything(phase):
 
 
 def expected(phase, words):
-    """Return the outcome's number for each set of flags, and all outcomes ``(to, reason)``; 0: no change."""
+    """Return for each set of flags the number of the outcome (0: no change), and all outcomes."""
     rules = expected_rules(phase, Word(words))
     outcomes = list(dict.fromkeys([STAY, *((to, why) for _, to, why in rules)]))
     numbers = [outcomes.index((to, why)) for _, to, why in rules]
@@ -209,7 +209,7 @@ def test_nothing_leaves_the_end_but_for_another_vehicle():
 
 
 def reachable(start, unless=0):
-    """Return all phases that can follow ``start``, directly or through others, while ``unless`` is clear."""
+    """Return all phases that can follow ``start``, directly or later, while ``unless`` is clear."""
     found, new = set(), {start}
     while new:
         phase = new.pop()

@@ -1,4 +1,4 @@
-"""A second-order velocity loop, which replaces the vehicle and flies references or follows a target."""
+"""A second-order velocity loop that replaces the vehicle; it flies references or follows a target."""
 
 import numpy as np
 from scipy.linalg import expm
@@ -86,7 +86,7 @@ def flown_behind(settings, factor, accelerations, errors=None, start_m=0.0):
         tracking.observe(seen, commanding=n > 0)
         wanted = target + error - gain * position
         setpoint = tracking.command((before, 0.0, 0.0), (wanted, 0.0, 0.0), seen, (50.0, 50.0, 50.0))
-        plant.fly(sent)  # a set-point acts one tick later
+        plant.fly(sent)  # a set-point takes effect one tick later
         before, sent = wanted, setpoint
         target += period_s * acceleration
         position += period_s * (plant.velocity[0] - target)

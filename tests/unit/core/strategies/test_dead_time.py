@@ -1,4 +1,4 @@
-"""Tests the filter on a velocity loop with a dead time: prediction, state, rejections, and the proof."""
+"""Tests the filter with a velocity loop that has a dead time: prediction, state, rejections, proof."""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -33,7 +33,7 @@ def test_the_way_until_a_set_point_acts_is_the_way_that_the_modelled_vehicle_fli
         foretold.append(tracking.carried(flown[-1]))
         tracking.memory.setpoint_m_s = setpoint
         tracking.observe(flown[-1], commanding=True)
-        flown.append(tracking.memory.model_m_s)  # the vehicle moves exactly as the model does
+        flown.append(tracking.memory.model_m_s)  # the vehicle moves exactly like the model
     late = 25
     for k, (way_m, then_m_s) in enumerate(foretold[:-late]):
         assert then_m_s[:2] == pytest.approx(flown[k + late][:2], abs=1e-12)

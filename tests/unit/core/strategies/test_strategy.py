@@ -73,7 +73,7 @@ def test_what_is_no_name_is_refused_with_what_is_allowed(name):
     ],
 )
 def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
-    settings = config(name)  # the form of the name is valid; its module is imported only later
+    settings = config(name)  # the form of the name is valid; the module is imported only later
     for use in (strategy_of, checks, problems):
         with pytest.raises(ConfigError, match=why):
             use(settings)
@@ -82,7 +82,7 @@ def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
 def test_reading_a_configuration_or_a_log_imports_nothing_from_outside(outside, capsys):
     settings = config("outside:Picky")
     assert packaged_strategy_of(settings) is None
-    with pytest.raises(ConfigError, match="cannot be imported"):  # the same for a log without its filter
+    with pytest.raises(ConfigError, match="cannot be imported"):  # as for a log without its filter
         strategy_of(settings)
     assert "outside" not in sys.modules
     assert capsys.readouterr().out == ""

@@ -106,7 +106,7 @@ def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_tilt_is_bounded_twice(sign):
-    """Two limits bound the set-point: one of the acceleration, one of its difference from the velocity."""
+    """Two limits bound the set-point: of the acceleration, and of the difference to the velocity."""
     far = (3.0 * sign, 0.0, 0.0)
     wide = replace(EAGER, error_max_m_s=10.0)
     for loop, most in ((wide, 13.0 * 3.0 / LOOP.rate_xy_1_s**2), (replace(EAGER, error_max_m_s=0.3), 0.3)):

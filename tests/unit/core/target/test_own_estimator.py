@@ -29,7 +29,7 @@ MOST = (0.7, 0.7, 0.7)
 
 
 class Vehicle:
-    """A vehicle with the modelled velocity loop; its reported state is late and has a velocity error."""
+    """A vehicle with the modelled velocity loop; the reported state is late and has a velocity error."""
 
     def __init__(self, error_m_s=(0.0, 0.0, 0.0), delay_ticks=2, rate_1_s=LOOP.rate_xy_1_s):
         self.error_m_s, self.delay, self.rate_1_s = np.array(error_m_s), delay_ticks, rate_1_s

@@ -55,7 +55,7 @@ def test_a_velocity_that_the_positions_contradict_is_soon_noticed(fault, yaw):
     noticed_s = next(
         t for t, track, _ in drive(Checks(), 4.0, yaw=yaw, says=WRONG[fault]) if track.memory.distrusted
     )
-    # a drift counts from 0.1 m on, after a low-pass of 0.2 s; the sum of the drift decays within about 2 s
+    # a drift counts above 0.1 m, after a low-pass of 0.2 s; the accumulated drift decays within about 2 s
     assert noticed_s < (2.0 if fault in ("half", "climbs", "flips every other second") else 1.3)
 
 
@@ -97,7 +97,7 @@ PERIOD_S = 0.02
 
 
 def believed_s(seconds, speed_m_s, *, flies, moves_m=0.0):
-    """Return how long the state is trusted, s; its position moves by ``moves_m`` in each period."""
+    """Return for how long the state is trusted, s; the position moves by ``moves_m`` in each period."""
     watched, age_s = Plausibility(CONFIG), CONFIG.checks.own_age_max_s
     for k in range(round(seconds / PERIOD_S)):
         at_s = PERIOD_S * k

@@ -33,7 +33,7 @@ links = st.builds(
 
 
 def assumed(link, axis):
-    """Return jerk noise, initial standard deviation of the acceleration, and its decay time, for an axis."""
+    """Return, for an axis, jerk noise, and initial standard deviation and decay time of the acceleration."""
     if axis == 2:
         return link.jerk_z_m_s3_sqrthz, link.acceleration_z_m_s2, math.inf
     return link.jerk_xy_m_s3_sqrthz, link.acceleration_xy_m_s2, link.acceleration_time_s
@@ -152,7 +152,7 @@ def fed(link, said=(0.0, 0.0), count=60):
 
 @given(st.floats(0.0, 0.2), st.floats(0.0, 1.0))
 def test_a_sender_that_says_it_is_worse_is_believed_and_one_that_is_better_is_not(position_m, velocity_m_s):
-    """In x and y a reported deviation is used if it is larger than the configured one, in z it never is."""
+    """In x and y a reported deviation above the configured deviation is used; in z none is used."""
     found = fed(LINK, (position_m, velocity_m_s))
     noise = {
         "position_noise_m": max(position_m, LINK.position_noise_m),

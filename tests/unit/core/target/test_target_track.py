@@ -106,7 +106,7 @@ def test_a_sample_that_was_long_on_its_way_is_late(track):
 
 def test_the_age_counts_from_the_measurement_less_the_shortest_delay(track):
     assert track.at(10.1).age_s == pytest.approx(0.1)
-    slow = later(0.1)._replace(arrival_s=10.1 + 0.05)  # arrives with 50 ms more latency than the first sample
+    slow = later(0.1)._replace(arrival_s=10.1 + 0.05)  # 50 ms more latency than for the first sample
     track.accept(slow)
     assert track.at(10.15).age_s == pytest.approx(0.05)
 
@@ -156,7 +156,7 @@ def bend(t_s, speed_m_s, turn_rate_rad_s):
     st.floats(-math.pi, math.pi),
 )  # fmt: skip
 def test_a_steady_bend_is_followed_without_an_error_that_stays(speed_m_s, rate, side, ahead_s, yaw_rad):
-    """On a circle the estimate with yaw is exact to 10 um, and at least five times better than without."""
+    """On a circle the estimate with yaw is exact to 10 um, at least five times better than without yaw."""
     link = replace(LINK, jerk_xy_m_s3_sqrthz=0.05)
     told, untold, sideways = (
         TargetEstimator(one) for one in (link, link, replace(link, turns_with_yaw=False))

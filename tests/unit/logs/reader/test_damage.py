@@ -119,7 +119,7 @@ def test_every_verb_ends_with_a_sentence_whatever_is_damaged(logs, kind, tmp_pat
 @pytest.mark.parametrize("place", ["data", "kind"])
 @pytest.mark.parametrize("number", [0, -2])
 def test_what_is_before_and_behind_a_damaged_chunk_is_read(logs, kind, place, number, tmp_path):
-    """Messages before and after any one damaged chunk are read, because the summary repeats all schemas."""
+    """Messages before and after a damaged chunk are read, because the summary repeats all schemas."""
     data, spans = bytearray(logs[kind].read_bytes()), chunks(logs[kind])
     begin, end = spans[number]
     data[{"data": (begin + end) // 2, "kind": begin}[place]] ^= 0x40

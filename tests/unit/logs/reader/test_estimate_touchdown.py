@@ -1,4 +1,4 @@
-"""Tests where, when and how fast the touchdown is found in the vehicle's estimate, or that none is found."""
+"""Tests place, time and speed of the touchdown found in the vehicle's estimate, or that none is found."""
 
 from dataclasses import replace
 

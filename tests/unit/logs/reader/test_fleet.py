@@ -41,7 +41,7 @@ def test_a_member_is_read_as_a_single_flight(fleet):
 
 
 def test_the_members_together_are_the_fleet(fleet):
-    """Each message is of one member or shared; members that are read together equal members read alone."""
+    """A message is of one member or shared; a member read with others equals the member read alone."""
     parts = {member: LogFile(fleet.log, member) for member in MEMBERS}
     counts = {member: sum(1 for _ in part.messages()) for member, part in parts.items()}
     shared = ("/tf", "/tf_static", "/fleet/pairs")
@@ -116,7 +116,7 @@ def test_without_the_end_of_a_pair_nothing_is_safe():
     assert cut.members["cf1"].reason == "collision with cf2"
 
 
-LATE_NS = 300_000_000  # more than the longest allowed time without data
+LATE_NS = 300_000_000  # time without data, ns; longer than the maximum allowed
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def judged(tmp_path):
 WIDE = replace(CONFIG, checks=Checks(clearance_m=2.0))
 
 
-# the first state beyond the clearance distance still counts: its smallest h is that of the steps before it
+# the first state beyond the clearance distance still counts, because it has the smallest h of earlier steps
 @pytest.mark.parametrize(
     ("low_tick", "violation", "how"),
     [

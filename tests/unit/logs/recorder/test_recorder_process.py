@@ -30,7 +30,7 @@ RECORD = (
 
 
 def start(tmp_path, *, file_limit=None, until="None"):
-    """Start a recorder as a process; return it and its paths when it listens."""
+    """Start a recorder as a process; return the process and its paths when the recorder listens."""
     paths = (tmp_path / "feed.sock", tmp_path / "flight.mcap")
     code = RECORD.replace("None", until)
     if file_limit:

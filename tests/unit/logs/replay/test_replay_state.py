@@ -1,4 +1,4 @@
-"""Tests that a controller with a restored state of any tick makes the decisions of the original one."""
+"""Tests that a controller with the restored state of any tick makes the original decisions."""
 
 import struct
 from copy import deepcopy

@@ -91,7 +91,7 @@ def test_a_changed_bit_of_the_vehicles_position_means_other_inputs(tmp_path, byt
 
 
 def once(topic, number, change):
-    """Return a function that changes the message ``number`` of a topic; the first has number 1."""
+    """Return a function that changes the message ``number`` of a topic; the first message has number 1."""
     seen = itertools.count(1)
     return lambda m: change(m.data) if m.topic == topic and next(seen) == number else m.data
 

@@ -1,4 +1,4 @@
-"""Tests vehicle state and parameters that the client reads, and the reasons it gives for missing messages."""
+"""Tests vehicle state and parameters that the client reads, and the stated reasons of missing messages."""
 
 import math
 import struct
@@ -63,7 +63,7 @@ def test_repeated_and_late_positions_do_not_refresh_the_state(state, late_ms):
 
 
 def fly(state, since_s, until_s, ahead_s=0.0):
-    """Feed positions at 50 Hz from a clock that is 60 s ahead; return the times of the accepted ones, s."""
+    """Feed positions at 50 Hz from a clock that is 60 s ahead; return the times of accepted positions, s."""
     taken = []
     for k in range(round((until_s - since_s) / 0.02)):
         at_s = since_s + 0.02 * k

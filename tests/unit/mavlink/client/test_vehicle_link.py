@@ -86,7 +86,7 @@ def auto(vehicle):
 def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
     assert auto.state.profile is None
     assert auto.failed is None
-    auto.command(Request.LAND, 0.0)  # this is ignored, because no vehicle is known yet
+    auto.command(Request.LAND, 0.0)  # this command is ignored, because no vehicle is known yet
     assert not auto.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.0)
     vehicle.send(position(10))
     poll(auto, 0.1)

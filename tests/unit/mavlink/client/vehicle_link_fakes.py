@@ -56,7 +56,7 @@ def params(message):
 
 
 class FakeAutopilot:
-    """A UDP socket without replies of its own; a test sends messages from it and reads the received ones."""
+    """A UDP socket without replies of its own; a test sends messages from it and reads received messages."""
 
     def __init__(self, url="udpin:127.0.0.1:0"):
         self.endpoint = Endpoint(url, 1, 1)

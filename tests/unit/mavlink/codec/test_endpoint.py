@@ -137,7 +137,7 @@ def test_the_table_is_bounded_and_peers_expire(server, call, monkeypatch):
     assert server.peers == (callers[0].address, callers[1].address)
     assert server.counters["peers_refused"] == 1
     callers[3].send(position())
-    server.send([position()], callers[3].address)  # no heartbeat: it gets replies only
+    server.send([position()], callers[3].address)  # a peer without a heartbeat gets replies only
     assert callers[3].socket.recv(2048)
     now = 111.0  # all peers have been silent for more than 10 s
     assert server.peers == ()

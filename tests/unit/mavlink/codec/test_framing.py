@@ -65,7 +65,7 @@ def test_signed_frame_is_kept_whole_and_unknown_flags_are_refused():
 
 
 def test_fuzz_never_raises_and_never_loses_a_good_frame():
-    """Of 5000 datagrams with random bytes and changed, truncated and good frames, no good one is lost."""
+    """Of 5000 datagrams with random bytes and changed, truncated and good frames, no good frame is lost."""
     rng = random.Random(1)
     pool = frames_of(200, seed=2)
     for _ in range(5_000):
@@ -111,7 +111,7 @@ def push_all(counters, pieces):
 
 
 def test_hundred_thousand_bytes_of_noise_lose_no_frame():
-    """Every frame is found, in order, between noise of which about half consists of start bytes."""
+    """Every frame is found, in order, between noise; about half of the noise consists of start bytes."""
     rng, counters = random.Random(2), Counter()
     frames, stream, noise = frames_of(2000, seed=3), bytearray(), 0
     for frame in frames:
