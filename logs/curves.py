@@ -73,7 +73,7 @@ class Chart(NamedTuple):
 
 
 def held_margin_m(flight: Flight) -> Floats | None:
-    """Return the margin on h, m, that the filter enforced at each step, (n,); NaN if it did not run.
+    """Return the margin on h, m, that the filter enforced at each step, (n,); NaN if the filter did not run.
 
     A step contains the slack s of the constraint at u*: s = g u* + rate * h_held + dh/dt. This gives h_held,
     and the margin is h - h_held. The result is ``None`` without steps, without configuration, and for a

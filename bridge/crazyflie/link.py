@@ -69,11 +69,11 @@ class LogBlocks:
 
     The firmware deletes its log blocks when it has received nothing for a second (crtp.c, log.c); cflib does
     not check that blocks arrive. cflib requests a long block in two packets and does not check that the
-    second one arrived; a block without it is too short and is never decoded.
+    second packet arrived; a block without the second packet is too short and is never decoded.
     """
 
     def __init__(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
-        """``put``: function that receives the events; cflib calls it in a thread of its own."""
+        """``put``: function that receives the events, called in cflib's thread."""
         self._crazyflie, self._put = crazyflie, put
         known = crazyflie.log.toc.get_element_by_complete_name
         for name in (name for block in BLOCKS for name in block.variables):
@@ -267,8 +267,8 @@ class CrazyflieLink:
 
         cflib would end with a set-point of zero thrust. Within two seconds after a flight the supervisor
         would treat the silence after this set-point as a lost link, and lock. So a stop set-point and its
-        notice are sent instead. cflib waits up to two seconds for its threads; a separate thread calls it,
-        so that the next connection may begin.
+        notice are sent instead. cflib waits up to two seconds for its threads; so a separate thread closes
+        the link, and the next connection may begin.
         """
         if crazyflie.link is not None and not self._flies:
             crazyflie.commander.send_stop_setpoint()

@@ -1,7 +1,7 @@
 """Presents a Crazyflie to MAVLink clients as a PX4 vehicle: it takes messages and returns messages.
 
-Pure: no socket, no clock, no thread. Telemetry is made only from new states, so no state is sent twice.
-Without a state of the Crazyflie no heartbeat is sent, only status texts.
+Pure: no socket, no clock, no thread. Telemetry is made only from new states, so an old state is never sent as
+new. Without a state of the Crazyflie no heartbeat is sent, only status texts.
 """
 
 from __future__ import annotations

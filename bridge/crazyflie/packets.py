@@ -1,10 +1,9 @@
 """Data between bridge and Crazyflie: packets and their queue, events, and decoded log packets.
 
 Urgent packets are sent first; old velocities are dropped. Each packet of the block ``STATE`` has the whole
-state: ``stateEstimateZ`` (firmware stabilizer.c) in millimetres, millimetres per second, a quaternion in 32
-bits and milliradians per second, then supervisor bits and voltage; they fill the 26 bytes of a packet.
-Decoded values have metres, seconds, radians, volts. The Crazyflie's world frame (z up) is used as ENU, its
-body frame is FLU.
+state in its 26 bytes: ``stateEstimateZ`` (firmware stabilizer.c) in millimetres, millimetres per second, a
+quaternion in 32 bits and milliradians per second, then supervisor bits and voltage. Decoded values have
+metres, seconds, radians, volts. The Crazyflie's world frame (z up) is used as ENU; the body frame is FLU.
 """
 
 from __future__ import annotations

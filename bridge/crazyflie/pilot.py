@@ -152,7 +152,7 @@ def yaw_rate(wanted_rad: float, state: CrazyflieState) -> float:
 
 
 class Stopped:
-    """Detects that the vehicle stands on something because it does not follow a descent command."""
+    """Detects a vehicle that stands on something: it does not follow a descent command."""
 
     def __init__(self) -> None:
         self._since_s = math.inf

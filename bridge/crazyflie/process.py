@@ -1,6 +1,6 @@
 """Process of the Crazyflie bridge: connects cflib to MAVLink clients.
 
-The loop waits for both links. On arrival it sends a set-point to the radio, or a state to the clients.
+The loop waits for both links. Each set-point goes to the radio, and each state to the clients, on arrival.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Limits and options of the Crazyflie bridge, and the firmware parameters that it writes.
+"""Limits and options of the Crazyflie bridge, and the firmware parameters that the bridge writes.
 
-In flight the firmware's Kalman filter uses only the accelerometer's body z axis, so it needs the rotor drag:
+In flight the firmware's Kalman filter uses only the accelerometer's body z axis and so needs the rotor drag:
 with ``kalman.dragB_*`` at the default 0 the filter's velocity is 16 % too high (measured on firmware 2026.08,
 drag 0.46 1/s), and at a commanded 0.30 m/s the vehicle flies 0.24 m/s.
 """
@@ -40,7 +40,7 @@ TAKEOFF_M = 0.5  # default take-off height above home, m
 
 @dataclass(frozen=True, kw_only=True)
 class CrazyflieOptions(PoseOptions):
-    """Options of the bridge: its connection, limits and firmware settings."""
+    """Options of the Crazyflie bridge: connection, limits and firmware settings."""
 
     uri: Annotated[str, Option(
         "--uri", "Crazyflie's address in cflib: radio://0/80/2M/E7E7E7E7E7, usb://0, udp://HOST:PORT.", "URI"

@@ -250,7 +250,7 @@ class Vehicle(Condition, Commander):
         self._owner = None
         self.mode = FlightMode.HOLD  # OFFBOARD would leave the present client in control
 
-    # Commands of clients; each returns the reason if it refuses
+    # Commands of clients; each returns the reason of a refusal, or None
 
     def client(self, now_s: float) -> None:
         self._client_s = now_s

@@ -66,7 +66,7 @@ class Endpoint:
 
         ``always``: peers of ``udpin`` that receive telemetry from the start and never expire.
         ``allow_unsigned``: permit listening on a network without a key.
-        A refused TCP connection is no error: the endpoint retries, and ``take_notices`` reports it.
+        A refused TCP connection is no error: the endpoint retries, and ``take_notices`` reports the refusal.
         """
         kind, host, port = parse_url(url)
         address = (host, port) if kind == "serial" else resolve(f"MAVLink URL {url!r}", host, port)

@@ -31,7 +31,7 @@ class Step:
     params: tuple[float, ...]
     done: Callable[[VehicleStatus], bool]
     prestream: bool = False  # whether the command requires streaming set-points
-    blind: bool = False  # whether it is also sent before any heartbeat and after rejections
+    blind: bool = False  # whether the command is also sent before any heartbeat and after rejections
     period_s: float = 0.5  # time between two tries, s
     tries: int = 10
 
@@ -52,7 +52,7 @@ class Profile:
     prestream_s: float  # duration of the set-point stream before the mode change, s
     unset: float  # value of an omitted command parameter
     # whether PARAM_VALUE's float field carries the bytes of an integer parameter (capability
-    # PARAM_ENCODE_BYTEWISE); if not, it carries the integer converted to a float
+    # PARAM_ENCODE_BYTEWISE); if not, the field carries the integer converted to a float
     bytewise: bool
     needs_origin: bool  # whether a position without satellite positioning requires SET_GPS_GLOBAL_ORIGIN
     pose_message: int  # id of the MAVLink message for poses of a motion capture

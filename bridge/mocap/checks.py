@@ -1,4 +1,4 @@
-"""Checks the order, age, rate and jumps of motion capture poses; options of the bridges that receive them.
+"""Checks the order, age, rate and jumps of motion capture poses; options of the bridges that receive poses.
 
 The Crazyflie's estimator does not reject outliers (firmware mm_pose.c): one pair of swapped markers makes the
 vehicle flip. So a pose is forwarded only if the vehicle can have moved to this pose from the last good pose.
@@ -43,13 +43,13 @@ class Limits:
     rate_min_hz: float = 20.0  # rate of the poses below which a warning is sent, Hz; PX4 needs 30 to 50 Hz
     rate_max_hz: float = 100.0  # maximum rate of forwarded poses, Hz
     speed_max_m_s: float = 5.0  # maximum speed of the body, m/s
-    jump_m: float = 0.05  # allowance for noise, which is added to the distance, m
+    jump_m: float = 0.05  # allowance for noise, which is added to the allowed distance, m
     turn_rate_max_rad_s: float = 20.0  # maximum rotation rate of the body, rad/s
-    turn_rad: float = 0.2  # allowance for noise, which is added to the angle, rad
+    turn_rad: float = 0.2  # allowance for noise, which is added to the allowed angle, rad
     room_m: float = 100.0  # half side of the room, m; the Crazyflie's estimator resets beyond 100 m
     gap_counted_s: float = 1.0  # maximum time between poses that counts for the possible motion, s
     return_m: float = 0.5  # maximum distance from the last good pose after rejected poses, m
-    settle_s: float = 1.0  # time at a new place after which it is accepted, s; only if disarmed
+    settle_s: float = 1.0  # time at a new place after which this place is accepted, s; only if disarmed
 
 
 class Passed(NamedTuple):

@@ -65,7 +65,7 @@ class MocapSource:
         passed, self.problem = self.checks.step(poses, now_s, armed=armed), self.checks.problem(now_s)
         self._arrived = self._arrived or bool(poses)
         if self._arrived or armed:
-            # the search stops before flight, because it receives all poses and odometry
+            # the search stops before flight, because a search receives all poses and odometry
             self._search.stop()
         if not self._arrived:
             keys = () if armed else self._search.keys()
@@ -136,7 +136,7 @@ class MocapVehicle:
     """Sends poses to a vehicle: call ``handle`` for each of its messages, then ``step``."""
 
     def __init__(self, system_id: int, origin: Origin | None) -> None:
-        """``origin`` is the position of the room's origin on earth, for an autopilot that needs it."""
+        """``origin``: position of the room's origin on earth, for an autopilot that needs this position."""
         self.profile: Profile | None = (
             None  # profile of the vehicle's autopilot; None: unknown or unsupported
         )

@@ -104,7 +104,7 @@ def decode_pose(payload: bytes, schema: str = POSE) -> Pose:
 
 
 def checked_unit(orientation_wxyz: Quat, others: Vec3 | tuple[float, ...]) -> Quat:
-    """Return the quaternion with unit length; raise OdometryError if it is bad or one of ``others`` is."""
+    """Return the quaternion with unit length. Raises OdometryError: bad quaternion, or a bad other number."""
     w, x, y, z = orientation_wxyz
     n = (*others, w, x, y, z)
     if not (math.isfinite(sum(n)) and max(n) < _LARGEST and min(n) > -_LARGEST):
@@ -120,7 +120,7 @@ def checked_unit(orientation_wxyz: Quat, others: Vec3 | tuple[float, ...]) -> Qu
 
 
 def _decoded(unpack: Unpack, payload: bytes) -> Any:
-    # Newer versions of the standard use the two option bytes for a padding length; ROS 2 ignores them, too.
+    # Newer versions of the standard use the two option bytes for a padding length; ROS 2 also ignores these.
     if payload[:2] != CDR_HEADER[:2]:
         raise OdometryError(
             f"payload of {len(payload)} bytes starts with {payload[:4].hex(' ') or 'nothing'}: only CDR "

@@ -136,7 +136,7 @@ class Ros2Node:
 
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
         """Announce a topic and declare its publisher; with a wrong type hash ROS 2 receives no sample."""
-        # number 0 is the token of the node itself
+        # token number 0 is that of the node itself
         key = topic_key(self._node.domain, topic, type_name, type_hash)
         token = self._node.publisher_token(len(self._tokens), topic, type_name, type_hash)
         self._tokens.append(zenoh_link.liveliness_token(self._session, token))

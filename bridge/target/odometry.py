@@ -20,7 +20,7 @@ from flightstack.core.types import TargetSample, Vec3
 
 ENCODING = "application/cdr;nav_msgs/msg/Odometry"
 WARN_FACTOR = 1.5  # ratio of reported to configured noise above which a warning is sent
-_UNUSED_M2 = 1e3  # variance from which a value counts as unknown; drivers write, for example, 1e6
+_UNUSED_M2 = 1e3  # variance, m2 or m2/s2, from which a value counts as unknown; some drivers write 1e6
 
 
 class RawSample(NamedTuple):
@@ -29,7 +29,7 @@ class RawSample(NamedTuple):
     payload: bytes
     sequence: int | None = None  # sequence number of the attachment; None: no attachment
     source_time_ns: int | None = None  # Unix time of the attachment; None: no attachment
-    odometry: Odometry | None = None  # odometry, if this process made the payload from it
+    odometry: Odometry | None = None  # odometry from which this process made the payload, or None
 
 
 class SampleSource(Protocol):
@@ -38,7 +38,7 @@ class SampleSource(Protocol):
 
 
 def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
-    """Convert a sample; its velocities are then in the world frame. ``arrival_s`` is on the stack's clock.
+    """Convert a sample, with velocities rotated into the world frame; ``arrival_s`` is on the stack's clock.
 
     Raises OdometryError: malformed, a value not finite or above 1e9, or no unit quaternion.
     """

@@ -2,7 +2,7 @@
 
 ``KEY`` is a Zenoh key, ``ros2:/TOPIC`` a topic of rmw_zenoh, ``ros2dds:/TOPIC`` a topic behind
 zenoh-bridge-ros2dds. The output is ``nav_msgs/msg/Odometry``: serialised, for log and replay, and also
-decoded if this module made it.
+decoded if this module made the message.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class TargetSpec:
 SETTLED_M_S = 0.05  # maximum usable standard deviation of velocity, m/s; a TurtleBot3 Burger drives 0.22 m/s
 UNKNOWN_M_S = 100.0  # standard deviation of an unmeasured velocity, m/s; far above robot speeds
 GATE_SIGMAS = 6.0  # minimum distance of an outlier from the expected position, sigmas; chance: < 1 in 10^7
-# number of consecutive outliers, or poses older than the last one, after which the estimate restarts
+# number of consecutive poses, outliers or older than the last accepted one, after which the estimate restarts
 OUTLIERS_MAX = 5
 UNSETTLED_MAX = 50  # number of poses without a velocity after which a warning is sent
 
@@ -135,7 +135,7 @@ UNSETTLED_MAX = 50  # number of poses without a velocity after which a warning i
 class PoseTrack:
     """Converts poses of a target into odometry of ``child_frame_id`` by estimating the velocity.
 
-    The stack's estimator expects position and velocity; it gets the velocity 0 with so large a noise that
+    The stack's estimator expects position and velocity; here the velocity is 0, with so large a noise that
     this value has no influence. Odometry is the measured pose with the estimated velocity; no odometry is
     made before the estimate has settled, or from an outlier. ``link``: noise of poses and motion.
     """
@@ -144,7 +144,7 @@ class PoseTrack:
         self._estimator = TargetEstimator(replace(link, velocity_noise_m_s=UNKNOWN_M_S))
         self._noise_m, self._child = link.position_noise_m, child_frame_id
         self._last: Pose | None = None  # last accepted pose
-        self._strange = 0  # number of consecutive poses that are outliers or older than the last one
+        self._strange = 0  # number of consecutive poses that are outliers or older than ``_last``
         self._unsettled = 0  # number of poses since the last restart of the estimator
         self.problem = ""  # reason why poses result in no odometry, or empty
 

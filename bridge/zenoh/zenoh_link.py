@@ -77,7 +77,7 @@ class ZenohLinkError(OSError):
 
 
 def check_endpoint(endpoint: str) -> str:
-    """Check an endpoint, since Zenoh silently retries a malformed one. Raises ValueError: malformed."""
+    """Check an endpoint, since Zenoh silently retries malformed endpoints. Raises ValueError: malformed."""
     match = _IP.match(endpoint.partition("?")[0].partition("#")[0])
     if (match and int(match.group(2)) <= 65535) or _UNIX.match(endpoint):
         return endpoint
@@ -105,7 +105,7 @@ def open_session(
         connect: endpoints to connect to; empty: those of the file.
         config_file: a Zenoh configuration (JSON5), for example with TLS keys and access rules.
         role: used if the file does not set the mode; a router does not forward between its peers.
-        prompt: request real-time priority for its threads, if the system allows it.
+        prompt: request real-time priority for the threads of the session, if the system allows it.
         lockstep: a connection survives a pause of 60 s of a process at either end without losing messages.
 
     Raises:
@@ -236,7 +236,7 @@ def is_matched(publisher: Publisher) -> bool:
 
 
 def transports(session: Session) -> int:
-    """Return the number of connections; if this remains 0, the peer is unreachable or rejects them."""
+    """Return the number of connections; always 0: the peer is unreachable or rejects this session."""
     return len(session.info.transports())
 
 

@@ -165,7 +165,7 @@ class Flight(Judged):
     target: TargetOdometry | None = None
     spans: tuple[Span, ...] = ()  # status messages to the other members, in order of time; empty: none
     attachments: dict[str, bytes] = field(default_factory=dict)  # files stored in the log, by name
-    barrier: Barrier | None = None  # barrier of the verdict; ``None``: the log does not contain it
+    barrier: Barrier | None = None  # barrier of the verdict; ``None``: not in the log
     member: str = ""  # name of the vehicle in the log; empty for a flight without a log
     pad_carries: bool = True  # whether the vehicle can stand on the pad; False: the physics has no pad
 
@@ -183,7 +183,7 @@ class Flight(Judged):
 
 @dataclass(frozen=True)
 class Fleet:
-    """All flights of a log, or one of them."""
+    """All flights of a log, or one flight of it."""
 
     path: Path  # log file
     flights: dict[str, Flight]  # flights by member; the times of each flight start at its ``origin_ns``

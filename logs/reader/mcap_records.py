@@ -1,4 +1,4 @@
-"""Reads the readable records of an MCAP file, and reports the first unreadable one.
+"""Reads the readable records of an MCAP file, and reports the first unreadable record.
 
 The ``mcap`` package stops at the first damage, and reports no problem for a file that it does not understand.
 Here reading continues behind an unreadable record, unless the length of the record is wrong.
@@ -127,14 +127,14 @@ class Records:
         return found
 
     def _repeated(self) -> Iterator[Any]:
-        """Yield the declarations that the summary repeats, because those before it may be unreadable."""
+        """Yield the declarations that the summary repeats, because the original ones may be unreadable."""
         with suppress(Exception):  # a missing or damaged summary is reported by the later pass
             summary = make_reader(self._stream, validate_crcs=True).get_summary()
             for record in (*summary.schemas.values(), *summary.channels.values()):
                 yield from self._declare(record)
 
     def _declare(self, record: Any) -> list[Any]:
-        """Store and return a schema or channel; reject a changed one, and a channel without its schema."""
+        """Store and return a schema or channel; reject changed declarations, and channels without schema."""
         kind = type(record)
         needed = record.schema_id if kind is Channel else 0
         if needed and (Schema, needed) not in self._declared:

@@ -1,7 +1,7 @@
 """Reads a flight log, complete or damaged: all data, or the part of one vehicle.
 
 A killed recorder leaves a file without its index, truncated at any byte; a disk or a transfer may damage any
-byte. The reader returns all readable records, and reports the place of the first unreadable one.
+byte. The reader returns all readable records, and reports the place of the first unreadable record.
 
 The metadata record ``fleet`` names the vehicles of the log, its members. The data of a member have its
 namespace in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``,
@@ -158,7 +158,7 @@ class LogFile:
 
     @property
     def made_by(self) -> str:
-        """Version of this stack that recorded the log; without one, the library that wrote the file."""
+        """Version of this stack that recorded the log; if unknown, the library that wrote the file."""
         made = self.outline.metadata.get("made", {})
         revision = f" (git {made['git_revision']})" if made.get("git_revision") else ""
         return f"version {made['version']}{revision}" if "version" in made else repr(self.outline.library)

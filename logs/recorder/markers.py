@@ -14,7 +14,7 @@ from logs.reader.flight_data import Sizes
 from logs.schema.rows import ControllerStepRow
 
 ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
-LIFETIME_S = 0.5  # lifetime of a marker, s: 2.5 periods of 5 Hz; without a new message it disappears
+LIFETIME_S = 0.5  # lifetime of a marker without a new message, s: 2.5 periods of 5 Hz
 PATH_POINTS = 200  # maximum number of points of a path; a full path loses every second point
 PATH_PERIOD_NS = 100_000_000  # initial period of path points, 10 Hz
 REACH = 2.5  # drawn radius of the barrier surface, divided by the distance of its peak from the axis
@@ -36,7 +36,7 @@ FILTERED_COLOR: Color = (0.17, 0.63, 0.17, 1.0)
 COMMAND_COLOR: Color = (0.58, 0.40, 0.74, 1.0)
 
 # Colours of the members of a fleet; a member has the same colour in report and viewer.
-# Okabe and Ito (2008), dark ones first, then two of Paul Tol's palettes; the ninth member repeats the first
+# Okabe and Ito (2008), dark colours first, then two of Paul Tol's palettes; member 9 has colour 1 again.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#44AA99")
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)

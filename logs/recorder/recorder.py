@@ -189,9 +189,9 @@ __all__ = ["RecorderError", "RecorderProcess", "problems", "record_main"]
 
 
 def record_main(socket_path: Path, out: Path, until_clients: int | None = None) -> int:
-    """Run the recorder as the main program of a process; print "ready" once it listens.
+    """Run the recorder as the main program of a process; print "ready" when clients can connect.
 
-    Return the exit status. 0: all data are in the file; 1: some data are missing; 2: it could not start.
+    Return the exit status. 0: all data are in the file; 1: some data are missing; 2: no start.
     """
     try:
         process = RecorderProcess(socket_path, out)

@@ -166,7 +166,7 @@ class Recorder:
         return Client(self.statistics.clients)
 
     def take(self, client: Client, data: bytes) -> None:
-        """Write the received data of a client. Raises WireError: its further data cannot be read."""
+        """Write the received data of a client. Raises WireError: the client's further data are unreadable."""
         client.received += data
         for record in feed.split(client.received):
             try:

@@ -109,7 +109,7 @@ class FlightInputs:
         return f"/{self.names.member}/{name}"
 
     def ticks(self) -> Iterator[TickRecord]:
-        """Yield the ticks in order; the last one may be incomplete."""
+        """Yield the ticks in order; the last tick may be incomplete."""
         given, step, power, neighbours, state, odometry = map(self.topic, _READERS)
         for unix_ns, records in groupby(self._records(), itemgetter(0)):
             found: dict[str, list[Any]] = defaultdict(list)

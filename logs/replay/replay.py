@@ -63,7 +63,7 @@ class Result:
 
 
 def replay(path: Path | str, config: FlightConfig | None = None, member: str | None = None) -> Result:
-    """Replay a flight with its own or another configuration, and compare the outputs with the log."""
+    """Replay a flight with the logged or another configuration, and compare the outputs with the log."""
     began_s = time.perf_counter()
     flight = FlightInputs(path, member)
     run = _Run(flight, config)

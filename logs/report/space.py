@@ -18,7 +18,7 @@ from logs.report.style import UNSAFE, layout, layout_3d, light, line, thin
 
 _SURFACE_RINGS, _SURFACE_SPOKES = 48, 73
 _SURFACE_COLORS = [[0.0, "#fff3c4"], [0.5, "#f7b267"], [1.0, "#d55e00"]]  # low to high, as in the paper
-_DISTANCE_MIN_M = 0.6  # minimum length of the distance axis, m, so that the cone is visible
+_DISTANCE_MIN_M = 0.6  # minimum range of distances, m, before a margin of 10 %, so that the cone is visible
 _BEFORE = "#9aa5b1"
 _SYMBOLS_3D = {"circle": "circle", "square-open": "square", "triangle-up": "diamond"}
 

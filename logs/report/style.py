@@ -94,7 +94,7 @@ class Axis(NamedTuple):
 
 
 def axis_of(sides: Sequence[Side]) -> Axis:
-    """Return the axis of a page; zero is the start of the first landing, or without landing, of the log."""
+    """Return the axis of a page; zero is the start of the first landing, or else the start of the log."""
     began = any(side.flight.landing_start_s is not None for side in sides)
     whole = [min(s.offset_s for s in sides), max(s.flight.duration_s + s.offset_s for s in sides)]
     landing = whole

@@ -40,7 +40,7 @@ def headline(verdict: FleetVerdict) -> tuple[str, str]:
 def run_table(run: Mapping[str, str], fleet: Fleet) -> str:
     """Return an HTML table of run, vehicles, versions and numbers of lost records.
 
-    ``run``: values of the run; a vehicle's own values, for example its seed, follow with its name.
+    ``run``: values of the run; values of one vehicle, for example its seed, follow with the vehicle's name.
     """
     found = {**run, **fleet.metadata.get("made", {})}
     for name, flight in fleet.flights.items():

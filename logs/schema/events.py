@@ -1,4 +1,4 @@
-"""Packs events as ``/rosout`` messages (``rcl_interfaces/msg/Log``), and defines the contact bits."""
+"""Packs ``/rosout`` events (``rcl_interfaces/msg/Log``), and defines the contact bits of true states."""
 
 from __future__ import annotations
 

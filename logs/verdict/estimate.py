@@ -2,10 +2,10 @@
 
 An estimate has no contacts. The first contact is found from the descent: low over the pad, the sink rate
 relative to the pad falls to almost zero within a few hundredths of a second, faster than a vehicle in flight
-can brake. Position and velocity at the contact come from a straight line through the steps before it: later
-steps already include the impact. Phase LANDED means that the motors have stopped. A crash that the stack did
-not notice looks like a timeout; the reason of the verdict says so. The numbers are as accurate as the
-estimates of vehicle and target: a constant error of either estimate is not visible.
+can brake. Position and velocity at the contact come from a straight line through the steps before the
+contact: later steps already include the impact. Phase LANDED means that the motors have stopped. A crash that
+the stack did not notice looks like a timeout; the reason of the verdict says so. The numbers are as accurate
+as the estimates of vehicle and target: a constant error of either estimate is not visible.
 
 An autopilot with its own physics may have a floor but no pad (``Flight.pad_carries``): the vehicle then lands
 on the floor at the pad's height and remains there while the target moves on. Such a flight is judged until
@@ -41,11 +41,11 @@ REST_HEIGHT_MAX_M = 0.05  # maximum distance of feet and pad beyond the contact 
 # repeat, so they are marked invalid
 REST_SEEN_S = 0.5
 _SAME_S = 1e-6  # tolerance of equal times, s; much shorter than a tick
-BEFORE_S = 0.3  # time before phase TOUCHDOWN, s: a gust may press the vehicle onto the pad before that phase
-AFTER_S = 1.0  # time after phase TOUCHDOWN, s: with the paper's rule the vehicle falls the last centimetres
+BEFORE_S = 0.3  # searched time before phase TOUCHDOWN, s: a gust may press the vehicle onto the pad earlier
+AFTER_S = 1.0  # searched time after phase TOUCHDOWN, s: with the paper's rule the last centimetres are a fall
 MEMORY_S = 0.15  # time before a stop from which the sink rate of the descent is computed, s
-STOPPED_SHARE = 0.5  # fraction of the earlier median sink rate; below it the descent has stopped
-# interval after a stop, s; its mean sink rate must also be below STOPPED_SHARE times the earlier median
+STOPPED_SHARE = 0.5  # fraction of the earlier median sink rate; below this fraction the descent has stopped
+# interval after a stop, s; the mean sink rate there must also be below STOPPED_SHARE times the earlier median
 STAYS_S = 0.05
 SINK_MIN_M_S = 0.05  # slowest descent whose end can be detected, m/s
 # Fraction of the highest sink rate; the last step above this rate was before the contact. A lower fraction
@@ -152,7 +152,7 @@ def feet_and_gap_m(config: FlightConfig | None) -> tuple[float, float]:
 
 
 def _height_max_m(config: FlightConfig | None) -> float:
-    """Return the maximum height above the pad for a contact, m; a stop above it is braking in flight."""
+    """Return the maximum height above the pad for a contact, m; a higher stop is braking in flight."""
     height_m = sum(feet_and_gap_m(config)) + HEIGHT_ERROR_MAX_M
     strategy = packaged_strategy_of(config) if config is not None else None
     return max(height_m, strategy.stopped_below_m) if strategy is not None else height_m
@@ -166,7 +166,7 @@ def _runs(phase: Ints, begin: int) -> list[tuple[int, int]]:
 
 
 def _stopped(steps: Steps, span: slice, height_max_m: float) -> int | None:
-    """Return the index of the last step before the pad stopped the descent; ``None`` if it did not stop."""
+    """Return the index of the last step before the pad stopped the descent; ``None``: no stop found."""
     t_s, sink_m_s = steps.t_s[span], -steps.relative_velocity_m_s[span, 2]
     for at in np.flatnonzero(steps.e_m[span, 2] <= height_max_m):
         before = _within(t_s, sink_m_s, t_s[at] - MEMORY_S, t_s[at])
@@ -193,7 +193,7 @@ def _within(t_s: Floats, values: Floats, begin_s: float, end_s: float) -> Floats
 
 
 def _at(steps: Steps, begin: int, last: int) -> Touch:
-    """Return position and velocity at the contact, halfway between the last step before it and the next step.
+    """Return position and velocity at the contact, halfway between the last step before contact and the next.
 
     An estimated velocity is late by about half a step or more, so its line is evaluated at the next step.
     """

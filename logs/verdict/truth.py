@@ -26,7 +26,7 @@ from logs.verdict.types import (
 )
 
 REST_SPEED_MAX_M_S = 0.05  # maximum speed relative to the pad at rest, m/s; sliding and rolling are faster
-LAND_AWAY_SPEED_MAX_M_S = 1.0  # maximum sink rate of a landing after an abort, m/s; a faster one is a fall
+LAND_AWAY_SPEED_MAX_M_S = 1.0  # maximum sink rate of a landing after an abort, m/s; higher: a crash
 _SAME_S = 1e-6  # tolerance of equal times, s; much shorter than a tick
 
 

@@ -97,7 +97,7 @@ class FleetVerdict(Verdict):
     collisions: int | None  # number of pairs that collided; None: data are missing, or no pairs
     # number of times that two flying vehicles came inside their ellipsoid; None as for ``collisions``
     ellipsoid_violations: int | None
-    # smallest ellipsoid norm of two flying vehicles; below 1: inside; None: unknown, or never two at once
+    # smallest ellipsoid norm of two flying vehicles; below 1: inside; None: unknown, or no two flew at once
     ellipsoid_min: float | None
     distance_min_m: float | None  # smallest distance of two centres of mass, m; None: unknown, or no pairs
 

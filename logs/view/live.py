@@ -95,7 +95,7 @@ class LiveRecording:
             ended(self._viewer)
 
     def _start(self, *words: str) -> str:
-        """Start Rerun and send it the recording; return its address, which only this machine can reach."""
+        """Start Rerun and send the recording there; return the address, which only this machine can reach."""
         port = Port()  # a free local port; the default of Rerun is a fixed port on every network
         program = [
             viewer_program(), "--bind", "127.0.0.1", "--port", str(port.number), *words,

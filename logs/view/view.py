@@ -151,7 +151,7 @@ def save(log: Path, out: Path) -> str:
 
 
 def open_viewer(recording: Path, *, web: bool) -> int:
-    """Show an ``.rrd`` file in Rerun until the viewer is closed; return its exit status."""
+    """Show an ``.rrd`` file in Rerun until the viewer is closed; return the viewer's exit status."""
     program = viewer_program()
     # The flight is shown only on this machine; by default Rerun would listen on every network.
     serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # 0: any free port

@@ -43,7 +43,7 @@ class OriginSender:
         self._last_s = -math.inf
 
     def restart(self) -> None:
-        """Send the origin again after a restart of the vehicle, which may have lost it."""
+        """Send the origin again after a restart: the vehicle may have lost the origin."""
         self._tries = 0
 
     def step(self, wanted: bool, now_s: float) -> list[Message]:
@@ -96,7 +96,7 @@ def velocity_setpoint(setpoint: ApprovedSetpoint, target: tuple[int, int], now_s
 
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD number of SET_MESSAGE_INTERVAL
 _CHECK_S = 1.0  # time over which a rate is measured, s
-_ENOUGH = 0.7  # sufficient fraction of the requested rate; lost messages and the autopilot's tick reduce it
+_ENOUGH = 0.7  # sufficient fraction of the requested rate; lost messages and the autopilot's tick lower it
 _ROUNDING_S = 1e-6  # margin for the rounding error of a time, s
 _REQUESTS = 5  # number of requests that are sent at intervals of _CHECK_S; later requests follow at _AGAIN_S
 _AGAIN_S = 3.0  # interval of the requests after the first _REQUESTS, s, while no message arrives
@@ -114,8 +114,8 @@ class _Stream:
 class StreamRequests:
     """Counts messages and returns SET_MESSAGE_INTERVAL commands while their rate is too low; no I/O.
 
-    As long as no message arrives, it requests every second at first, then less often: an autopilot may have
-    no position for minutes (no satellite fix, no origin). ``rates_hz``: required rate by message id.
+    As long as no message arrives, requests follow every second at first, then less often: an autopilot may
+    have no position for minutes (no satellite fix, no origin). ``rates_hz``: required rate by message id.
     """
 
     def __init__(self, rates_hz: Mapping[int, float], target: tuple[int, int], unset: float) -> None:
@@ -175,7 +175,7 @@ _TEXTS_KEPT = 4
 _WORKING_S = 3.0  # time until the next try after MAV_RESULT_IN_PROGRESS, s (as in MAVSDK)
 _DATUM_PERIOD_S = 1.0  # time between two requests for the message with the datum of the take-off, s
 _DATUM_TRIES = 30
-_FINALS = 2  # number of final rejections that end a request: one may belong to an earlier try
+_FINALS = 2  # number of final rejections that end a request: the first may belong to an earlier try
 # rejections that a repetition does not change; after any other result the command is sent again
 _FINAL = frozenset(
     {dialect.MAV_RESULT_DENIED, dialect.MAV_RESULT_UNSUPPORTED, dialect.MAV_RESULT_COMMAND_INT_ONLY}
@@ -226,7 +226,7 @@ class CommandSequencer:
         self._stream_last_s = now_s
 
     def note_ack(self, command: int, result: int) -> None:
-        """Record a COMMAND_ACK; it decides on a retry and can be the reason of a failure."""
+        """Record a COMMAND_ACK, which decides on a retry and can be the reason of a failure."""
         if self._step is None or command != self._step.command:
             return
         self._last_result = _RESULTS.get(result, f"result {result}")

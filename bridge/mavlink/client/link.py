@@ -155,7 +155,7 @@ class VehicleLink:
             self._outgoing += self._origin_sender.step(wanted, now_s)
 
     def send_setpoint(self, setpoint: ApprovedSetpoint, now_s: float) -> bool:
-        """Queue a velocity; only this method sends any. False: no profile, not finite, or ends a take-off."""
+        """Queue a velocity; no other code does. False: no profile, not finite, or a take-off would end."""
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
         profile = self.state.profile
         if profile is None or not self._may_stream(profile) or not math.isfinite(sum(velocity) + yaw):
@@ -217,8 +217,8 @@ class VehicleLink:
     def took(self, own: OwnState, ticks: int, passed: Iterable[int], *, setpoints: bool) -> None:
         """Record ticks that ran without ``poll``.
 
-        ``passed``: ids of the other messages that arrived; of these, only ``repeated`` ids concern this link;
-        ``setpoints``: whether all ticks sent a set-point; False: no tick did.
+        ``passed``: ids of the other messages that arrived; those in ``heeded`` are also in
+        ``VehicleState.repeated``; ``setpoints``: whether all ticks sent a set-point; False: no tick did.
         """
         self.state.took(own)
         self._setpoints += ticks if setpoints else 0
@@ -233,7 +233,7 @@ class VehicleLink:
         self.endpoint.close()
 
     def _use(self, profile: Profile) -> None:
-        """Make the senders for one autopilot; they repeat requests until the vehicle shows their effect."""
+        """Make the senders for one autopilot; these repeat a request until the vehicle shows its effect."""
         state_hz = self._rate_hz / self._every
         rates_hz = {
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,

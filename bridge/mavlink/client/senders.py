@@ -1,4 +1,4 @@
-"""Selects the frames of one vehicle by their ids and address, and explains why none arrive.
+"""Selects the frames of one vehicle by their ids and address, and explains why no frames arrive.
 
 Ids do not identify a sender: a script or router with default ids, or a second vehicle, may use them, too. A
 sender is an address with ids, and a heartbeat adds its kind (type and autopilot). While the known sender is
@@ -68,7 +68,7 @@ class Senders:
 
     @property
     def suspects(self) -> bool:
-        """Whether another address has sent recently: it may be a second vehicle, so arming is blocked."""
+        """Whether another address has sent recently: there may be a second vehicle, so arming is blocked."""
         return any(self._now_s - last_s <= SILENT_S for _, last_s in self._others.values())
 
     def take_notices(self) -> list[str]:
@@ -196,7 +196,7 @@ def _at(peer: Peer) -> str:
 _NO_DATA = "no data arrives; check that the vehicle is on and that its link leads to the address of --vehicle"
 _SENDERS_SHOWN = 4  # maximum number of listed senders
 
-# Causes of a missing heartbeat, the likely ones first: counters, and a text with their sum as {n}. Every
+# Causes of a missing heartbeat, the likely causes first: counters, and a text with their sum as {n}. Every
 # vehicle sends some unknown messages, so damage is the cause only if no frame is received.
 _CAUSES: Sequence[tuple[tuple[str, ...], str]] = (
     (("bad_signature",), "{n} frames are signed with another key than --signing-key"),

@@ -2,8 +2,8 @@
 
 PX4 sends an event as a number with arguments (MAVLink EVENT) on every link, and its text as STATUSTEXT only
 to a ground station. ``px4_events.json`` holds these texts (with release and licence); ``python -m
-tests.tables px4_events FILE`` makes it from the metadata of a PX4 build. An event outside the table is shown
-as its number. Format: github.com/mavlink/libevents, README.
+tests.tables px4_events FILE`` makes this file from the metadata of a PX4 build. An event outside the table is
+shown as its number. Format: github.com/mavlink/libevents, README.
 """
 
 from __future__ import annotations

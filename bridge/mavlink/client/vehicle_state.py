@@ -44,7 +44,7 @@ class VehicleState:
     def __init__(self, profile: Profile | None) -> None:
         # profile with the meaning of the modes; None: still unknown, so no status is available
         self.profile = profile
-        # numbers of rejected messages by reason; ``onboard.waiting`` shows them
+        # numbers of rejected messages by reason; ``onboard.waiting`` shows these numbers
         self.counters = Counter[str]()
         self.own: OwnState | None = None  # newest vehicle state; None before a position and an attitude
         # newest status, None before a heartbeat; ``arrival_s`` is the heartbeat's arrival

@@ -5,8 +5,9 @@ and a cut datagram damages the next datagram. Therefore each datagram is parsed 
 with a correct checksum; after any other byte the search continues at the next byte. The incomplete end of a
 stream waits in a bounded buffer.
 
-The checksum also covers the message's definition, so a frame of an unknown message cannot be checked: it
-counts if its header is plausible, no checked frame starts within it, and the data or the next frame follow.
+The checksum also covers the message's definition, so a frame of an unknown message cannot be checked. Such a
+frame counts if its header is plausible, no checked frame starts within it, and the frame is followed by the
+end of the data or the next frame.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """MAVLink's messages as pymavlink's classes, and their decoding from checked MAVLink 2 frames.
 
-``wide_messages.json`` holds messages that pymavlink's dialect ``ardupilotmega`` lacks: those of its dialect
+``wide_messages.json`` holds messages that pymavlink's dialect ``ardupilotmega`` lacks: those of the dialect
 ``all`` (which takes 0.6 s to load), and messages of MAVLink's ``common`` that PX4 sends and pymavlink lacks.
 ``python -m tests.tables messages`` updates the first group and keeps the second.
 
@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 
 def _make_class(row: dict[str, Any]) -> Any:
-    """Make a message class like pymavlink's generated ones from a row of the table."""
+    """Make a message class like pymavlink's generated classes from a row of the table."""
     names = row["fieldnames"]
     texts = {name for name, kind in zip(names, row["fieldtypes"], strict=True) if kind == "char"}
 

@@ -142,11 +142,11 @@ class _EndedError(Exception):
 
 
 class Examination:
-    """Check of one vehicle on the ground; it consumes the messages of its endpoint.
+    """Check of one vehicle on the ground; the check consumes the messages of its endpoint.
 
-    ``chosen``: configured profile, None: by the heartbeat; ``senders``: stores the vehicle's address
-    for the flight; ``stopped``: returns True to end the check early; ``say``: receives a text about the wait
-    every two seconds.
+    ``chosen``: configured profile, None: the heartbeat selects the profile; ``senders``: stores the vehicle's
+    address for the flight; ``stopped``: returns True to end the check early; ``say``: receives a text about
+    the wait every two seconds.
     """
 
     def __init__(

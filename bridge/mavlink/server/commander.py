@@ -111,7 +111,7 @@ class Texts:
     def refuse(
         self, text: str, now_s: float, topic: str = "", severity: int = dialect.MAV_SEVERITY_WARNING
     ) -> None:
-        """Add a refusal, unless one of the topic (default: the text) was added in the last second."""
+        """Add a refusal, unless its topic (default: the text) had a refusal in the last second."""
         topic = topic or text
         self._said_s = {of: at_s for of, at_s in self._said_s.items() if now_s - at_s < _SAME_GAP_S}
         if topic in self._said_s:
@@ -186,7 +186,7 @@ class Commander(ABC):
 
     @property
     def arming(self) -> bool:
-        """Whether arming was requested and its result is not known yet."""
+        """Whether arming was requested and the result is not known yet."""
         return False
 
     @property
@@ -244,7 +244,7 @@ class Commander(ABC):
 
     @abstractmethod
     def _take(self, setpoint: Setpoint, now_s: float) -> None:
-        """Handle a set-point of the sender in control; it is flown only in OFFBOARD."""
+        """Handle a set-point of the sender in control; a set-point is flown only in OFFBOARD."""
 
     # Commands of clients
 
@@ -306,7 +306,7 @@ class Commander(ABC):
         return None
 
     def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
-        """Take a set-point unless another sender has control; in every mode it continues the stream."""
+        """Take a set-point unless another sender has control; in any mode it continues the stream."""
         other = self._other_has_control(sender, now_s)
         if other is not None:
             return f"Set-point dropped: {other}"
@@ -320,7 +320,7 @@ class Commander(ABC):
     def _enter(
         self, mode: FlightMode, now_s: float, *, failsafe: bool = False, restart: bool = False
     ) -> None:
-        """Change the mode and start to fly it; the present mode restarts only with ``restart``."""
+        """Change the mode and start to fly the new mode; the present mode restarts only with ``restart``."""
         self.failsafe = failsafe
         if mode is not self.mode or restart:
             self._change(mode)

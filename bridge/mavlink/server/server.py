@@ -110,7 +110,7 @@ class Server(ABC, Generic[V]):
         """Take note of a message to this vehicle before its handler runs; a subclass may override this."""
 
     def own_commands(self) -> dict[int, Entry]:
-        """Return commands that extend or replace the common ones."""
+        """Return commands that extend or replace the common commands."""
         return {}
 
     def own_handlers(self) -> dict[int, Handler]:

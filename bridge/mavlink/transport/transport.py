@@ -131,9 +131,10 @@ class ByteStream:
     local_port = 0
 
     def __init__(self, kind: str, address: Peer, counters: Counter[str], notices: deque[str]) -> None:
-        """``address``: device and baud ("serial") or IPv4 address and port ("tcp"); ``notices``: for texts.
+        """``address``: device and baud ("serial") or IPv4 address and port ("tcp").
 
-        Raises OSError: the serial line cannot be opened; a refused TCP connection is tried again.
+        ``notices`` receives texts for the operator. Raises OSError: the serial line cannot be opened; a
+        refused TCP connection is tried again.
         """
         host, number = address
         self.baud = number if kind == "serial" else None
@@ -164,7 +165,7 @@ class ByteStream:
         return data, self._peer
 
     def send(self, frames: Sequence[bytes], _peer: Peer) -> None:
-        """Send or buffer frames; without a connection or room they are dropped."""
+        """Send or buffer frames; without a connection or room the frames are dropped."""
         for frame in frames:
             if self._ready() is None:
                 self._counters["send_errors"] += 1
@@ -186,7 +187,7 @@ class ByteStream:
                 return False
 
     def fileno(self) -> int:
-        """Descriptor of the connection; without one, a descriptor that is never readable."""
+        """Descriptor of the connection; without a connection, a descriptor that is never readable."""
         channel = self._ready()
         return self._nothing[0].fileno() if channel is None else channel.fileno()
 
