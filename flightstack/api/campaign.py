@@ -89,7 +89,7 @@ class Sweep:
     points: tuple[tuple[tuple[Any, ...], Campaign], ...]
 
     def _named(self) -> list[tuple[dict[str, Any], Campaign]]:
-        """Return for each point its values by key, and its landings."""
+        """Return for each point the values of the swept keys, by key, and the landings."""
         return [(dict(zip(self.keys, values, strict=True)), flown) for values, flown in self.points]
 
     @cached_property
@@ -194,7 +194,7 @@ def sweep(
 
 
 def _values(row: Row) -> dict[str, Any]:
-    """Return a landing's table columns by name: all fields of its row except ``cells``, the map of h."""
+    """Return a landing's table columns by name: all fields of the row except ``cells``, the map of h."""
     return {name: value for name, value in asdict(row).items() if name != "cells"}
 
 

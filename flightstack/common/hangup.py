@@ -140,7 +140,7 @@ def guard() -> bool:
     for number in range(3):
         try:
             os.fstat(number)
-        except OSError:  # the stream is closed: the next opened file would get its number
+        except OSError:  # the stream is closed: the next opened file would get its descriptor
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
     for name, number in _NUMBERS.items():
         old = getattr(sys, name)

@@ -45,7 +45,7 @@ _ABSENT = -1  # value of a follower that has not started or is ignored
 _NS = 1_000_000_000
 _ROUNDING_NS = 1_000  # margin, ns: larger than the rounding of a time in seconds, smaller than any step
 _YIELDS = 20  # number of polls without a sleep
-_PAUSE_S = 50e-6  # time between two polls, s; the system's timer slack makes it 0.1 ms
+_PAUSE_S = 50e-6  # time between two polls, s; the system's timer slack extends this time to 0.1 ms
 _FOLLOWER_MAX_S = 0.5  # maximum wall time of a wait for a follower, which may have been killed, s
 _STALL_MAX_S = 2.5  # wall time without a step after which followers use wall time, s
 
@@ -155,7 +155,7 @@ class RealTimePacer:
 
 
 class Follower(IntEnum):
-    """Processes that follow the clock; the values give the order of their integers in the file."""
+    """Processes that follow the clock; the values give the order of the processes' integers in the file."""
 
     ONBOARD = 0
     TARGET = 1

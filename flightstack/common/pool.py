@@ -28,7 +28,7 @@ START_S = 1800.0  # time-out of a worker's start, including compilation on a slo
 
 
 class WorkersError(LaunchError):
-    """A worker ended, or hung, before its first item."""
+    """A worker process ended, or hung, before it received its first item."""
 
 
 class _LostError(Exception):

@@ -38,7 +38,7 @@ _TIE = (
     "os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
 )
 END_TIME_MAX_S = 10.0  # time from SIGTERM to SIGKILL of a child, s
-CLOSE_TIME_MAX_S = 60.0  # maximum time for the recorder to end, s; its disk can be slow
+CLOSE_TIME_MAX_S = 60.0  # maximum time for the recorder to end, s; the disk can be slow
 
 
 _SOCKET_PATH_MAX = 107  # maximum length of a Unix socket's path, bytes (unix(7))
@@ -91,7 +91,7 @@ class Child:
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.PIPE,
                     stderr=errors,
-                    start_new_session=True,  # only the launcher receives Ctrl-C; it ends the children
+                    start_new_session=True,  # only the launcher receives Ctrl-C, and then ends the children
                 )
                 hand_on_niceness(self.process.pid)
         assert self.process.stdout is not None

@@ -32,7 +32,7 @@ class Terminal(Console):
 
 
 class Bar:
-    """Progress bar for a known number of results; it shows nothing if the output is not a terminal.
+    """Progress bar for a known number of results; the bar is hidden if the output is not a terminal.
 
     The bar is drawn when a result arrives, not by a thread: a process with threads cannot fork its workers.
     """

@@ -120,7 +120,7 @@ def _guarded(machine: Any) -> Any:
 
 
 def is_kept(what: str) -> bool:
-    """Whether the machine code of ``what`` is on disk, from where it loads in some tenths of a second."""
+    """Whether the machine code of ``what`` is on disk, so that it loads in some tenths of a second."""
     folder = cache_directory()
     return folder is not None and (folder / what).exists()
 

@@ -30,7 +30,7 @@ class Barriers(NamedTuple):
     """Values of the landing barrier function in this tick, and the result of the safety filter."""
 
     h_m: float  # value of the barrier function (paper eq. 9), m
-    gradient: Vec3  # gradient of the active barrier function, which includes the margin
+    gradient: Vec3  # gradient of the active barrier function, margin included
     dh_dt_m_s: float  # partial time derivative of the active barrier function, m/s
     nominal: Vec3  # nominal velocity u', m/s ENU
     result: FilterResult  # filtered velocity u* with the solver's status

@@ -59,8 +59,8 @@ class Memory:
 class ClockMemory:
     """Estimate of a sender's clock; ``way`` is arrival minus stamp, that is, clock difference plus delay."""
 
-    offset_s: float = inf  # minimum of arrival minus stamp, s; it rises quickly until a message reaches it
-    floor_s: float = inf  # minimum of arrival minus stamp, s; it rises slowly until a message reaches it
+    offset_s: float = inf  # minimum of arrival minus stamp, s; rises quickly while no message reaches it
+    floor_s: float = inf  # minimum of arrival minus stamp, s; rises slowly while no message reaches it
     held_s: float = 0.0  # time since a message last reached ``offset_s``, s
     stamp_s: float = -inf  # newest accepted stamp, s on the sender's clock
     taken_s: float = -inf  # arrival time of the newest accepted message, s

@@ -35,7 +35,7 @@ def numeric(cls: C) -> C:
 
 
 def rare(function: F) -> F:
-    """Mark a function that only Python runs: in compiled code, a call of it raises ``NotOrdinary``."""
+    """Mark a function that only Python runs: in compiled code, its call raises ``NotOrdinary``."""
     RARE.add(function)
     return function
 

@@ -83,7 +83,7 @@ class Charge(IntEnum):
 
     FIT = 0
     UNKNOWN = 1  # no recent voltage or throttle was received
-    TIRED = 2  # the battery is too low to start a landing or, in flight, to continue it
+    TIRED = 2  # the battery is too low to start a landing or, in flight, to continue the landing
 
 
 class Operator(IntEnum):

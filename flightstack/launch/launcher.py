@@ -29,8 +29,8 @@ from flightstack.watch import REFRESH_HZ, Watch, draw
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
 # maximum wall time from the end of the onboard process to the end of the autopilot's landing, s
 LAND_ALONE_MAX_S = COMPANION_SILENT_S + 100.0
-RECORDER_YIELDS = 10  # nice value of the recorder for one vehicle; it is divided by the number of vehicles
-LAND_MAX_S = 30.0  # maximum time for an onboard process to end, s: it first lands a real vehicle
+RECORDER_YIELDS = 10  # nice value of the recorder, divided by the number of vehicles
+LAND_MAX_S = 30.0  # maximum time for an onboard process to end, s: the process first lands a real vehicle
 
 
 @dataclass

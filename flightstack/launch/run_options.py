@@ -92,7 +92,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
         return getattr(self, self.flies.name.lower(), None)
 
     def described(self) -> dict[str, str]:
-        """Return the options for the log; the filter is left out, as the logged scenario contains it."""
+        """Return the options for the log; the filter is left out, because the logged scenario names it."""
         vehicle = self.flies.value.removeprefix("--")
         own = {"vehicle": vehicle, "program": self.program, "config": self.config_file}
         return {

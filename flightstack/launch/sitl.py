@@ -85,7 +85,7 @@ def _ids(found: Iterable[int]) -> str:
 def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
     """Return a scenario with the options applied. Raises ConfigError: the certificate refuses the flight."""
     name = options.config_file or VEHICLES[options.flies].configuration(scenario, options.program)
-    if name is not None:  # the start point and fleet are the scenario's unless the configuration sets them
+    if name is not None:  # start point and fleet come from the scenario unless the configuration sets them
         config, own = load_config(name), scenario.onboard
         start_offset_m = config.takeoff.start_offset_m or own.takeoff.start_offset_m
         takeoff = replace(config.takeoff, start_offset_m=start_offset_m)

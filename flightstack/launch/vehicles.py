@@ -45,7 +45,7 @@ class Run(NamedTuple):
     robots_at: str  # Zenoh endpoint of the robots
 
     def start(self, verb: str, cls: type[Any], **own: Any) -> Child:
-        """Start a simulator process; ``own``: its options in addition to those of the run."""
+        """Start a simulator process; ``own``: options of this process in addition to those of the run."""
         launcher, options = self.launcher, self.options
         both = {"scenario": launcher.folder / SCENARIO, "recorder": launcher.socket, "zenoh_config": None}
         return launcher.start(verb, shared(options, cls, **both, **own))
@@ -138,7 +138,7 @@ def _run_px4(run: Run, number: int, model: Px4Model, wanted: Mapping[str, float]
 
 
 def _ardupilot(run: Run) -> Flying:
-    """Start ArduCopter's software in the loop; the onboard process waits for its heartbeat."""
+    """Start ArduCopter's software in the loop; the onboard process waits for ArduCopter's heartbeat."""
     launcher, number = run.launcher, run.options.instance or 0
     folder = launcher.folder / "ardupilot"
     folder.mkdir(exist_ok=True)

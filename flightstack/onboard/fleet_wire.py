@@ -13,8 +13,8 @@ With d = this clock - other clock at one moment:
     arrival at this process      - stamp of the other process  >=  d    minimum: ``ahead_ns``
     arrival at the other process - stamp of this process       >= -d    reported minimum: ``echo_ns``
 
-So d lies between -echo_ns and ahead_ns. The estimate is the centre, and its bound is half the width: half the
-sum of both directions' minimum delays. The delays need not be known or equal. Cristian's method (1989)
+So d lies between -echo_ns and ahead_ns. The estimate is the centre; the error bound is half the width: half
+the sum of both directions' minimum delays. The delays need not be known or equal. Cristian's method (1989)
 uses one round trip instead of the minimum delay in each direction.
 
 Clocks drift, so both minimum values grow with their age by ``DRIFT_PPM``.
@@ -43,7 +43,7 @@ NEIGHBOURS = "controller/neighbours"  # log topic of the received messages
 EVERY_MEMBER = f"**/{KEY}"
 CAPACITY = 256  # maximum number of queued messages; the oldest ones are dropped
 BYTES_MAX = 2048  # maximum size of an accepted message, bytes
-PROOF_S = 0.3  # time for which messages must agree after a clock step, s; it is longer than the latency
+PROOF_S = 0.3  # time for which messages must agree after a clock step, s; longer than the latency
 ONE_WAY_S = 2.0  # duration of one-way reception after which a text reports it, s
 NAMESAKE_S = 1.0  # time before the start for finding another process with the same vehicle id, s
 # maximum drift between two clocks, ppm: Linux slews each of them by at most 500 ppm (adjtimex(2))

@@ -31,7 +31,7 @@ from logs.schema.controller_rows import pack_neighbours, status_row, unpack_neig
 CREDIT_EVERY = 10  # number of ticks between two credits (messages that allow the target to continue)
 WAIT_SLICE_S = 0.05  # wall time between two checks for signals during a wait, s
 FIRST_WAIT_MAX_S = 600.0  # maximum wall time of a wait for a first message, s; some senders compile first
-# wall time without a message of the simulated world after which it counts as dead, s: on a busy computer a
+# wall time without a message after which the simulated world counts as dead, s: on a busy computer a
 # process can wait for the processor for many seconds, and the world waits for all onboard processes
 WORLD_SILENT_S = 75.0
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys of messages from and to a member

@@ -93,7 +93,7 @@ class Onboard(Leaving):
         """Log and publish a tick, and send the message to the fleet."""
         link, arrived = self.link, taken.arrived
         exec_s *= self.options.speed
-        self.log.status(tick, self.fleet.say(out.member_status))  # other members wait for it
+        self.log.status(tick, self.fleet.say(out.member_status))  # other members wait for this message
         self.log.samples(arrived.messages, tick.unix_ns)
         for text in self.refusals.told(arrived.problems):
             self.log.event(tick.unix_ns, WARN, text)

@@ -83,7 +83,7 @@ class Described(NamedTuple):
 
     config: FlightConfig  # configuration of the onboard process
     run: Mapping[str, str]  # metadata of the run; they replace default entries of the same name
-    names: Names  # namespace and MAVLink system id of the vehicle; they form the names of the log's channels
+    names: Names  # namespace and MAVLink system id of the vehicle; both form the names of the log's channels
 
 
 def describe(

@@ -256,8 +256,8 @@ class LiveWires(LinkedVehicle):
     def samples(self, now_s: float) -> Arrived:
         """Return the samples that have arrived since the last call.
 
-        Samples of a tick in which the process stalled are dropped. Some may have arrived after the tick
-        started: they would reduce the minimum delay too much, and later samples would count as too late.
+        Samples of a tick in which the process stalled are dropped. Samples that arrived after the tick
+        started would reduce the minimum delay too much, and later samples would count as too late.
         """
         messages = self._source.poll()
         stall_s = self._pacer.now_s() - now_s

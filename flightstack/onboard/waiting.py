@@ -22,7 +22,7 @@ PERIOD_S = 2.0  # time between two reports, s
 _FLYING = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
 _REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; less severe texts are not used as reasons
 _REASONS = 3  # maximum number of vehicle texts in one report
-_REASON_AGE_MAX_S = 15.0  # maximum age of a reason, s; PX4 and ArduPilot repeat it earlier
+_REASON_AGE_MAX_S = 15.0  # maximum age of a reason, s; PX4 and ArduPilot repeat reasons earlier
 _CAUSE_AGE_MAX_S = 5.0  # maximum age of a text that explains a disarm, s; two heartbeats (1 Hz) can be lost
 _PROBLEMS = 2  # maximum number of texts about rejected samples in one report
 

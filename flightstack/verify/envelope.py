@@ -30,7 +30,7 @@ class Extremes:
     target_climb_m_s: float  # vertical speed of the pad, m/s
     target_acceleration_m_s2: float  # horizontal acceleration of the target, m/s^2
     heave_acceleration_m_s2: float  # vertical acceleration of the target, m/s^2; 0 without heave
-    slip_m_s: float  # horizontal speed relative to the target while the vehicle follows it, m/s
+    slip_m_s: float  # horizontal speed relative to the target while the vehicle follows the target, m/s
     position_error_m: float  # horizontal error of the relative position, m: sigma_factor deviations
     height_error_m: float  # vertical error of the relative position, m: sigma_factor deviations
     growth_m: float  # growth of the margin between two samples of the target, m

@@ -159,7 +159,7 @@ def _bandwidth(config: FlightConfig) -> float:
     return feedback.tilt_rate_1_s / rate_1_s * max(1.0, feedback.error_rate_1_s / rate_1_s)
 
 
-STEP_S = 3e-3  # step of the impulse responses, s; their values between two steps are bounded
+STEP_S = 3e-3  # step of the impulse responses, s; the values between two steps are bounded
 DOUBLINGS = (11, 14)  # minimum and maximum number of doublings: responses of 6 to 49 s; the rest is bounded
 SLACK = 0.03  # maximum fraction of a result that the vehicles beside the interval's centre can add
 FOLLOW_PIECE_MIN = 1e-4  # minimum width of an interval of lag factors

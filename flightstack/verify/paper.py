@@ -2,9 +2,10 @@
 
 At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box (limits
 v) raises h by ``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target (speed w, climb w_z) lowers h by
-``|s| w + w_z``. The difference must not be negative at any distance and in any direction; it is smallest
-along the slower axis of the box. Near the apex (d = 0) the smoothing makes the filter's gradient smaller than
-s. The difference is linear in |s|, and the check at the peak includes s = 0: the apex is covered, too.
+``|s| w + w_z``. The first rate minus the second must not be negative at any distance and in any direction;
+this difference is smallest along the slower axis of the box. Near the apex (d = 0) the smoothing makes the
+filter's gradient smaller than s. The difference is linear in |s|, and the check at the peak includes s = 0:
+the apex is covered, too.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ def modelled(config: FlightConfig) -> Check:
 def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     """Return the largest distance from the centre in the final descent, m, and its time, s, over all lags.
 
-    The range of lags is divided into intervals; each one uses its slowest decay and its largest rho.
+    The range of lags is divided into intervals; the slowest decay and the largest rho of each one are used.
     """
     declared_s, spread = config.velocity_loop.lag_xy_s, config.envelope.lag_spread
     robust, gain = config.robust, config.robust.gain_over_pad_1_s

@@ -196,10 +196,10 @@ def row(
     part: float, h_m: float, gradient: Vec3, own_wanted_m_s: Vec3, message: MemberStatus, now: Estimate,
     fleet: Fleet,
 ) -> Row:  # fmt: skip
-    """Return the constraint on this vehicle's velocity; ``part``: its share (result of ``share``).
+    """Return the constraint on this vehicle's velocity; ``part``: share of this vehicle (see ``share``).
 
-    With the share ALL, the constraint uses the other vehicle's velocity. With the share HALF, it uses the
-    mean of both announced velocity commands: if both vehicles follow them, h falls no faster than the rate
+    With the share ALL, the constraint uses the other vehicle's velocity; with the share HALF, the mean of
+    both announced velocity commands. If both vehicles follow their commands, h falls no faster than the rate
     allows. Possible changes of the other vehicle's velocity since its message tighten the constraint.
     """
     if part == ALL:
@@ -214,9 +214,9 @@ def row(
 def wider(basic: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
     """Tighten ``basic`` for a vehicle with late messages, which can be anywhere in a wider ellipsoid.
 
-    While a flight of the other vehicle is possible, this vehicle remains outside the wider ellipsoid or, if
-    it is inside, does not approach the centre. After that time the other vehicle has landed inside. This
-    vehicle then remains outside or, if it is inside, has only the constraint ``basic``, because it must land.
+    While a flight of the other vehicle is possible, this vehicle does not enter the wider ellipsoid; inside,
+    it does not approach the centre. After that time the other vehicle has landed inside. This vehicle then
+    does not enter the ellipsoid; inside, only the constraint ``basic`` holds, because this vehicle must land.
     """
     bound_m_s = -fleet.rate_1_s * outer_m
     if now.age_s <= fleet.silent_flight_s:

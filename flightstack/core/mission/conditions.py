@@ -182,9 +182,10 @@ def time_flags(s: Situation, now_s: float) -> int:
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
-    """Whether states arrived ``recovery_time_s`` after all inputs became good, and a heartbeat since then.
+    """Whether new messages of each kind have arrived since all inputs became good.
 
-    An input that arrives rarely, or in bursts, counts as good until it is too old.
+    States of vehicle and target must arrive ``recovery_time_s`` or more after this time, a heartbeat at any
+    later time. An input that arrives rarely, or in bursts, counts as good until it is too old.
     """
     own, status, target = snapshot.inputs.own, snapshot.inputs.status, snapshot.target
     if own is None or status is None or target is None:

@@ -32,7 +32,7 @@ class NominalCommand(NamedTuple):
 def _wait(s: Situation, seen: Snapshot) -> NominalCommand:
     status = seen.inputs.status
     if status is not None and status.armed and status.landed is not Landed.ON_GROUND and seen.target_ok:
-        # a vehicle that starts in the air hovers; the filter keeps it clear of an approaching pad
+        # a vehicle that starts in the air hovers; the filter keeps the vehicle clear of an approaching pad
         return NominalCommand(Request.EXTERNAL, ZERO, filtered=s.strategy.waits_filtered)
     return NominalCommand(Request.NONE)
 

@@ -80,7 +80,7 @@ def masks(phases: Collection[Phase]) -> NDArray[np.int64]:
     """Return required and blocking flags of all rules, (phase, rule, 2); -1 is padding that never fires.
 
     Raises ValueError: a rule of ``phases`` uses a flag that an ordinary tick neither computes nor excludes;
-    compiled code would miss it.
+    compiled code would miss this flag.
     """
     found = np.full((len(Phase), max(map(len, TABLE.values())), 2), -1, dtype=np.int64)
     for phase, rules in TABLE.items():
@@ -197,7 +197,7 @@ class Mission(Situation):
         return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > self.config.retreat.abort_time_max_s
 
     def _down(self, status: VehicleStatus, now_s: float) -> bool:
-        """Whether the vehicle is not reported in the air and, if the heartbeat is recent, not armed."""
+        """Whether the status does not report a flight and, if the heartbeat is recent, the motors are off."""
         fresh = now_s - status.arrival_s <= self.config.checks.status_age_max_s
         return status.landed in _NOT_FLYING and not (status.armed and fresh)
 

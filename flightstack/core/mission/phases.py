@@ -99,7 +99,7 @@ DISARMED, MODE_CHANGED = (
 )
 _IN_FLIGHT = (
     *_OPERATOR,
-    # after a jump of its estimate the autopilot can land the vehicle itself, so the reason names the jump
+    # after a jump of its position estimate the autopilot can land the vehicle: the reason names the jump
     Rule(C.WAS_ARMED, Phase.ABORT, DISARMED, unless=C.ARMED | C.LINK_LOST, about=C.OWN_LOST),
     Rule(C.WAS_EXTERNAL, Phase.ABORT, MODE_CHANGED, unless=C.EXTERNAL | C.LINK_LOST, about=C.OWN_LOST),
     Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),

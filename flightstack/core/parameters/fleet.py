@@ -15,8 +15,8 @@ from flightstack.common.strict_toml import ConfigError, span
 
 ID_MAX = 250
 OTHERS_MAX = 8  # maximum number of other members; each can add a constraint to the program
-PART_OF_LAG = 0.25  # maximum rate_1_s * lag of the velocity loop for which h of two vehicles cannot overshoot
-# time after its last announcement for which a yielding vehicle takes the whole share, in latencies
+PART_OF_LAG = 0.25  # maximum rate_1_s * velocity loop lag; below it h of two vehicles does not overshoot
+# time for which a yielding vehicle takes the whole share after its last announcement, in latencies
 HOLD_LATENCIES = 3.0
 ZERO_LATENCIES = 2.0  # time for which a neighbour relies on ``yields_to``, in latencies
 DECIDE_LATENCIES = 4.0  # time until the higher id yields if two members both claim to be first, in latencies

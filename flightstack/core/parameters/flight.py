@@ -255,8 +255,8 @@ class FlightConfig:
 def check_origin(name: str, origin_wgs84: Vec3) -> None:
     """Reject an origin of local coordinates that an autopilot would reject or misinterpret.
 
-    ArduPilot treats a height of 0 as "not known" (``AP_Baro::update_field_elevation``, 4.6) and stores it in
-    centimetres: on the ground it then resets its height datum once a second.
+    ArduPilot treats a height of 0 as "not known" (``AP_Baro::update_field_elevation``, 4.6) and stores
+    heights in centimetres. With a height of 0 ArduPilot resets the height datum on the ground at 1 Hz.
     """
     latitude_deg, longitude_deg, height_m = origin_wgs84
     if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and -500.0 <= height_m <= 9000.0):

@@ -29,7 +29,7 @@ LEAST_M_S2 = 0.1  # minimum of the acceleration limit, m/s^2, so that the veloci
 
 @dataclass(frozen=True, slots=True)
 class Reserve:
-    """Battery, and the thrust that it allows; without this table the battery sets no limits."""
+    """Battery, and the thrust that the battery allows; without this table the battery sets no limits."""
 
     hover_throttle: Annotated[float, span(0.05, 1.0)]  # mean throttle of the motors in hover
     hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # voltage in hover at `hover_throttle`

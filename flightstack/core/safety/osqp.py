@@ -31,7 +31,7 @@ EPS = 1e-9  # absolute (m/s) and relative tolerance of the solver's test
 RHO = 1.0
 RELAXATION = 1.5
 ITERATIONS_MAX = 200  # maximum number of iterations (about 50 us); then the exact solution is used
-_KNOWN: Vec3 = (0.25, -0.5, 0.125)  # nominal velocity inside the box, which is then the solution
+_KNOWN: Vec3 = (0.25, -0.5, 0.125)  # nominal velocity within all limits, so that it is the solution
 
 
 class _Csc(ctypes.Structure):

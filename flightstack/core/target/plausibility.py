@@ -23,7 +23,7 @@ from flightstack.core.numeric import norm
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import ZERO, OwnState, TargetSample, Vec3
 
-SMOOTHING_S = 0.2  # time constant of the drift's low-pass, s; it reduces 2 cm of noise at 20 Hz to 1 cm
+SMOOTHING_S = 0.2  # time constant of the drift's low-pass, s; noise of 2 cm at 20 Hz becomes 1 cm
 TRUSTED_AGAIN = 0.5  # fraction of the maximum allowed drift below which a state is trusted again
 # Speed below which a vehicle with equal positions can be at rest, m/s: firmware truncates positions to
 # millimetres and reports the bias of its accelerometer as a velocity, 9 mm/s on a Crazyflie.

@@ -1,4 +1,4 @@
-"""Estimate of the thrust reserve in flight; it limits accelerations and decides whether to land.
+"""Estimate of the thrust reserve in flight; the reserve limits accelerations and decides whether to land.
 
 docs/how_it_works/robust_filter.md, *The thrust reserve*, derives the estimate. It uses the throttle in flight
 or, without a throttle, the voltage. Without data the lowest reserve for which the certificate holds is used.

@@ -141,8 +141,8 @@ class RobustFilter(Filter):
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
         """Return the vertical velocity that satisfies eq. 11 at the measured horizontal velocity.
 
-        The horizontal velocity responds later than the vertical one, so its measured value is used. The bound
-        uses the h that remains when the vertical loop has reached its command.
+        The horizontal velocity responds later than the vertical one, so the measured horizontal velocity is
+        used. The bound uses the h that remains when the vertical loop has reached its command.
         """
         v, t = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s
         left_m = h_m + self._lag_z_s * min(0.0, v[2] - before_m_s[2])
