@@ -155,7 +155,7 @@ def at_once(here: Callable[[], object], apart: Callable[[], object]) -> None:
         return
     ended, ends = os.pipe()  # the read end becomes readable when the forked process ends
     child = -1
-    with contextlib.suppress(OSError):  # too many processes
+    with contextlib.suppress(OSError):  # the fork fails if too many processes run
         child = os.fork()
     if child == 0:
         with contextlib.suppress(BaseException):

@@ -43,7 +43,7 @@ class Objects:
     """
 
     def __init__(self, root: object) -> None:
-        found = sorted(_reached(root, {}), key=lambda one: not is_state(class_of(one)))  # state first
+        found = sorted(_reached(root, {}), key=lambda one: not is_state(class_of(one)))  # state objects first
         self._state = [one for one in found if is_state(class_of(one))]
         ends = list(accumulate((struct_of(class_of(one)).size for one in found), initial=0))
         words = np.zeros(ends[-1] // WORD + 1)

@@ -95,7 +95,7 @@ class Operator(IntEnum):
     LAND = 3  # abort with a landing by the autopilot, because the stack is about to exit
     TIME_OVER = 4  # abort: the time of the flight is over
 
-    __hash__ = int.__hash__  # faster, as in ``Phase``
+    __hash__ = int.__hash__  # faster than that of enumerations
 
 
 class OwnState(NamedTuple):

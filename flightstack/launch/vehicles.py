@@ -204,7 +204,7 @@ class Vehicle(NamedTuple):
     with_robots: bool = False  # whether the vehicle's process also simulates the robots
     # whether the autopilot's program simulates the physics: without a pad, and from the position 0
     own_physics: bool = False
-    vehicles_max: int = 1  # maximum number of vehicles of a run
+    vehicles_max: int = 1  # maximum number of vehicles in a run
 
 
 _PX4_CONFIGURATIONS = {"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}  # names by airframe

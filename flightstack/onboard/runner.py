@@ -286,7 +286,7 @@ class Refusals:
             self.count += refused
             if not refused or self.count == 1:
                 found.append(text)
-            elif self.count & (self.count - 1) == 0:  # a power of two
+            elif self.count & (self.count - 1) == 0:  # the count is a power of two
                 found.append(f"{text} ({self.count} refused so far)")
         return found
 

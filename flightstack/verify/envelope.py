@@ -85,7 +85,7 @@ def _own_velocity_sigma_m_s(config: FlightConfig) -> float:
     return 0.5 * own.position_noise_m * math.sqrt(period_s / time_s) / time_s
 
 
-@lru_cache(maxsize=16)  # several checks of one configuration need it
+@lru_cache(maxsize=16)  # several checks of one configuration use the result
 def _estimates(link: TargetLink, rate_hz: float, age_max_s: float) -> tuple[TargetMotion, ...]:
     """Return the target estimate when a sample has just arrived, just before the next, and at the age limit.
 

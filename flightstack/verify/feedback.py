@@ -200,7 +200,7 @@ def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tupl
         return math.inf, 0.0
     error_m_s = x.velocity_error_m_s + config.robust.gain_over_pad_1_s * x.position_error_m
     bounds = np.array([x.target_acceleration_m_s2, error_m_s])
-    own = (gains + through)[:, :_OTHER] @ bounds  # bounds of position, u - v, a
+    own = (gains + through)[:, :_OTHER] @ bounds  # bounds of position, of u - v, and of a
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
     stiff = max(high**2 - middle**2, middle**2 - low**2) * w * w
     differs = np.array([0.0, stiff, (high - middle) * drag])

@@ -74,7 +74,7 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
 def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> float:
     """Return the decay rate of an error, 1/s; it is negative for an unstable loop."""
     whole = tick_matrix(config, gain_1_s, slower, response)
-    own = np.delete(np.delete(whole, _TARGET, 0), _TARGET, 1)  # the target's velocity is constant
+    own = np.delete(np.delete(whole, _TARGET, 0), _TARGET, 1)  # without the constant target velocity
     return -math.log(float(np.abs(np.linalg.eigvals(own)).max())) * config.loop.rate_hz
 
 

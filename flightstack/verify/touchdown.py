@@ -92,7 +92,7 @@ class _Descent(NamedTuple):
     time_s: float
 
 
-@lru_cache(maxsize=64)  # several checks of one configuration need it
+@lru_cache(maxsize=64)  # several checks of one configuration use the result
 def _drift_of_m(descent: _Descent, lag_s: float, rho: float) -> tuple[float, float]:
     """Return the result of ``drift_m`` for one tau and rho.
 

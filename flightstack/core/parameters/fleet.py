@@ -41,7 +41,7 @@ class Fleet:
     acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 3.0
     # maximum horizontal acceleration of the commanded velocity; a Crazyflie can follow 2.1 m/s^2
     slew_xy_max_m_s2: Annotated[float, span(0.05, 20.0)] = 2.0
-    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which members add a constraint
+    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which a member adds a constraint
     age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # message age above which a vehicle is silent
     latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # maximum latency of a message
     silent_flight_s: Annotated[float, span(0.1, 60.0)] = 6.0  # time after which a silent vehicle has landed

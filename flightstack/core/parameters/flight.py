@@ -58,7 +58,7 @@ class Touchdown:
     height_m: Annotated[float, span(0.01, 1.0)] = 0.05  # paper filter: height of the touchdown (section V)
     pad_radius_m: Annotated[float, PAD_RADIUS_M] = 0.10  # radius of the pad
     feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # height of centre of mass above feet
-    target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # target's top speed (TurtleBot3 Burger)
+    target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # maximum target speed (TurtleBot3 Burger)
     # maximum wait for a slow target after the landing starts; at low speed a delayed vehicle state has
     # smaller errors
     calm_wait_s: Annotated[float, span(0.0, 60.0)] = 0.0
@@ -93,7 +93,7 @@ class Contact:
 class Retreat:
     """Motion away from the pad: go-around, hold, climb, flight clear of the target."""
 
-    # horizon of the drift prediction: response time of the horizontal loop
+    # horizon of the drift prediction: about the lag of the horizontal loop
     drift_time_s: Annotated[float, span(0.05, 5.0)] = 0.3
     # minimum h for a go-around; at a lower h the descent continues
     h_left_m: Annotated[float, span(0.01, 3.0)] = 0.08
@@ -162,7 +162,7 @@ class Checks:
     recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # time with good inputs before a start or retry
     retries_max: Annotated[int, span(0, 20)] = 3  # maximum number of go-arounds before an abort
     swings_max: Annotated[int, span(1, 100)] = 3  # maximum number of exits from the cone over the pad
-    over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0  # maximum time over the pad
+    over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0  # maximum time over the pad in the air
     landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0  # maximum duration of a landing
     wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0  # maximum wait for inputs before the landing
     clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # minimum safe horizontal distance to the target

@@ -41,7 +41,7 @@ class Reserve:
     motor_voltage_max_v: Annotated[float, span(0.1, 100.0)] | None = None
     thrust_exponent: Annotated[float, span(0.5, 3.0)] = 1.5  # exponent p of the thrust
     share: Annotated[float, span(0.1, 1.0)] = 0.5  # part of the reserve for commands; the rest is for wind
-    smoothing_s: Annotated[float, span(0.2, 20.0)] = 1.0  # time constant of the estimate in flight
+    smoothing_s: Annotated[float, span(0.2, 20.0)] = 1.0  # time constant of the reserve estimate in flight
 
     def __post_init__(self) -> None:
         least = self.at(self.lowest_voltage_v)

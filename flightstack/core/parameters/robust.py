@@ -25,10 +25,10 @@ class VelocityLoop:
     # part of lag_xy_s before a horizontal set-point has an effect: delays of links and attitude
     dead_time_s: Annotated[float, span(0.0, 0.5)] = 0.0
     rate_xy_1_s: Annotated[float, span(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
-    rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0  # vertical natural frequency
+    rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0  # natural frequency of the vertical model
     damping: Annotated[float, span(0.1, 2.0)] = 0.68  # damping ratio of the model
     gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # fraction of the tracking error added to the set-point
-    gain_z: Annotated[float, span(0.0, 2.0)] = 0.5  # fraction of the vertical error that is added
+    gain_z: Annotated[float, span(0.0, 2.0)] = 0.5  # fraction of the vertical tracking error that is added
     # maximum difference between horizontal set-point and velocity; this limit bounds the tilt
     error_max_m_s: Annotated[float, span(0.05, 10.0)] = 0.6
     slope_time_s: Annotated[float, span(0.01, 1.0)] = 0.05  # time constant of the smoothed acceleration
@@ -103,11 +103,13 @@ class TargetLink:
     jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # vertical jerk density; 0.6 on a ship
     # maximum factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
-    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # initial standard deviation, x and y
+    # initial standard deviation of the acceleration on x and y
+    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3
     # time constant with which the estimated acceleration on x and y decays
     acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5
     turns_with_yaw: bool = True  # whether velocity turns with yaw; false for a robot that moves sideways
-    acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01  # initial standard deviation, vertical
+    # initial standard deviation of the vertical acceleration
+    acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +129,7 @@ class Robust:
     rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # maximum decay rate of h; the velocity loop is faster
     # upper limit of the error by which the vertical velocity is below its command
     tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04
-    sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # number of covered standard deviations
+    sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # number of covered standard deviations of positions
     fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # radius within which the margin fades
     # maximum acceleration of the commanded velocity along east, north and up
     acceleration_max_m_s2: Each[Annotated[float, span(0.2, 20.0)]] = (2.0, 2.0, 2.5)
@@ -138,11 +140,13 @@ class Robust:
     descent_max_m_s: Annotated[float, span(0.05, 10.0)] = 1.0  # maximum descent speed, relative to the pad
     wait_height_m: Annotated[float, span(0.03, 3.0)] = 0.1  # height of the wait before the final descent
     commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # height below which the final descent starts
-    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # maximum distance for the final descent
-    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # maximum relative speed for the final descent
+    # maximum distance from the centre at which the final descent starts
+    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04
+    # maximum speed relative to the target at which the final descent starts
+    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12
     corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # radius of the corridor; outside: go-around
-    descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # final descent: speed relative to the pad
-    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # final descent: maximum set-point lead
+    descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # speed of the final descent relative to the pad
+    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # maximum lead of the final descent
     touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # height below which a stop means contact
 
     @property

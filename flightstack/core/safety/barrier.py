@@ -52,7 +52,7 @@ def problem_of(boundary: Any, e_m: Vec3) -> str:
         h_m, (gx, gy, gz), dh_dt_m_s = boundary.evaluate(e_m, ZERO)
         numbers = (h_m, gx, gy, gz, dh_dt_m_s, boundary.h(e_m), boundary.linearisation_bound_m(e_m, 0.01))
         return "" if math.isfinite(sum(numbers)) else f"{name} gives no finite numbers at {e_m}: {numbers}"
-    except Exception as error:  # any exception of the user's code
+    except Exception as error:  # the user's code can raise any exception
         return f"{name} raised {type(error).__name__}: {error}"
 
 
