@@ -89,7 +89,7 @@ def _to_waypoints(points_m: Sequence[tuple[float, float]], speed_m_s: float, tur
 
 
 def _by_function(name: str, speed_m_s: float, turn_rad_s: float) -> Course:
-    """Steer by the user's function; limit its values to ``speed_m_s`` and ``turn_rad_s``."""
+    """Steer by the user's function; limit the returned values to ``speed_m_s`` and ``turn_rad_s``."""
     function: Any = referred(name, "target.function")
 
     def steer(t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
@@ -115,7 +115,7 @@ _NEEDED = "called with t_s, x_m, y_m, yaw_rad it must return speed and turn rate
 
 
 def try_out(spec: TargetSpec) -> None:
-    """Call a path's steering function once, at the start pose. Raises ConfigError: it cannot be used."""
+    """Call a path's steering function at the start pose. Raises ConfigError: the function cannot be used."""
     if (steers := course(spec, spec.speed_m_s, spec.turn_rate_rad_s)) is not None:
         steers(0.0, *spec.position_m, spec.heading_rad)
 

@@ -1,6 +1,6 @@
-"""The MAVLink autopilot of the simulated vehicle; it behaves like PX4.
+"""The MAVLink autopilot of the simulated vehicle, which behaves like PX4.
 
-Pure: it computes messages from messages and times, without socket, clock or random numbers.
+The autopilot is pure: it computes messages from messages and times, without socket, clock or random numbers.
 """
 
 from __future__ import annotations

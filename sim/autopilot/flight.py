@@ -85,7 +85,7 @@ class Standing:
 
     def __init__(self, vehicle: VehicleSim) -> None:
         self._vehicle = vehicle
-        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # whether it stands on a surface
+        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # whether the vehicle stands
         self.since_s = 0.0  # time since which ``now`` has its value, s
         self._contact = self.now
         self._changed_s = 0.0

@@ -1,6 +1,7 @@
 """Flies one mode: velocity set-points for hold, take-off, landing and offboard.
 
-In hold, take-off and landing the velocity follows from the position error; in offboard it is the set-point.
+In hold, take-off and landing the velocity follows from the position error; in offboard the velocity is the
+received set-point.
 Changes of mode, arming and fail-safes are in ``sim.autopilot.flight``.
 """
 
@@ -57,7 +58,7 @@ class Pilot:
         self._engaged, self._fresh = False, True
 
     def take(self, setpoint: Setpoint) -> None:
-        """Store the newest received set-point; OFFBOARD flies it."""
+        """Store the newest received set-point for OFFBOARD."""
         self._setpoint, self._fresh = setpoint, True
 
     @property

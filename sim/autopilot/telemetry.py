@@ -118,7 +118,7 @@ def _system_time(s: Snapshot[Flight]) -> Message:
     return dialect.MAVLink_system_time_message(s.epoch_ns // 1000 + s.boot_us, s.boot_ms)
 
 
-# Streams in the order of a datagram, with default rates, Hz: those of PX4, or rates that clients needed in
+# Streams in the order of a datagram. The default rates, Hz, are those of PX4, or rates that clients needed in
 # measurements. None: a message in ``EVERY_TICK`` is sent at every tick, all others on request only.
 STREAMS: StreamTable[Flight] = {
     dialect.MAVLINK_MSG_ID_SYS_STATUS: (common.sys_status, 5.0),
@@ -137,5 +137,5 @@ STREAMS: StreamTable[Flight] = {
     dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: (_position_target_local_ned, 2.0),
     dialect.MAVLINK_MSG_ID_ALTITUDE: (_altitude, 1.0),
     dialect.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 0.5),
-    dialect.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 5.0),  # 30 Hz on PX4's onboard link; packing it is slow
+    dialect.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 5.0),  # PX4's onboard link: 30 Hz, but packing is slow
 }

@@ -27,7 +27,7 @@ from logs.verdict.types import Outcome
 from logs.verdict.verdict import FleetVerdict, fleet_verdict
 from sim.runners.landing import Landing
 
-ERROR = "error"  # outcome of a landing that could not be simulated to its end
+ERROR = "error"  # outcome of a landing that could not be simulated to the end
 _OUTCOMES = frozenset({ERROR, *(outcome.value for outcome in Outcome)})
 CELL_M = 0.1  # width and height of a cell of the map of h, m
 E_Z_LOW_M = -0.3  # lower edge of the lowest cells of the map, m; these cells include all lower values
@@ -157,7 +157,7 @@ def _values(landing: Landing) -> dict[str, Any]:
 
 
 def error_row(seed: int, reason: str) -> Row:
-    """Return the row of a landing that could not be flown; it counts as a failure."""
+    """Return the row of a landing that could not be flown; the row counts as a failure."""
     return Row(seed, ERROR, " ".join(reason.split()))
 
 

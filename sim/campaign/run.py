@@ -88,7 +88,7 @@ class Plan:
 
 
 def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None) -> Plan:
-    """Load and check a scenario. Raises ConfigError: a check rejects it."""
+    """Load and check a scenario. Raises ConfigError: a check rejects the scenario."""
     scenario = load(scenario_name)
     for member in scenario.members:
         try_out(member.target)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
+import scipy  # loads each part at the first use of the part, in 0.3 to 0.5 s
 
 from logs.verdict.types import Outcome
 from sim.campaign.rows import ERROR, Row
@@ -42,7 +42,7 @@ def count(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def kinds(row: Row) -> list[str]:
-    """Return the names under which a progress bar counts a landing: outcome, and ``violations`` after one."""
+    """Return the names under which a progress bar counts a landing: outcome, and ``violations`` if any."""
     return [row.outcome, *(["violations"] if row.violation else [])]
 
 

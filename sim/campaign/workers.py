@@ -86,7 +86,7 @@ def fly_here(
 ) -> Iterator[Row]:
     """Yield the rows of these seeds as they arrive, in any order, from processes on this machine.
 
-    ``scenario_toml``: the scenario as text; ``duration_max_s``: longest landing, simulated time; ``given``:
+    ``scenario_toml``: the scenario as text; ``duration_max_s``: simulated time limit of a landing; ``given``:
     pickled class of a filter that is in no module, for processes that are not forked.
     Raises WorkersError: no worker process starts.
     """

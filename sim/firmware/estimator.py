@@ -1,10 +1,10 @@
 """On-board state estimator: IMU at 500 Hz, corrected by position and yaw from motion capture.
 
-It models the Crazyflie's Kalman filter with external pose and its noise figures. Like the firmware, it
-ignores the age of samples, so the estimate of a moving vehicle lags by the latency of motion capture. It
-uses the filter's stationary gains instead of a covariance. The states of each axis are position,
+The estimator models the Crazyflie's Kalman filter for an external pose, with the firmware's noise figures.
+Like the firmware, it ignores the age of samples, so the estimate of a moving vehicle lags by the latency of
+motion capture. Stationary gains of the filter replace the covariance. The states of each axis are position,
 velocity and acceleration error. The horizontal acceleration error is a tilt of the attitude estimate (a tilt
-d causes the acceleration g d), the vertical one is the accelerometer's bias.
+d causes the acceleration g d), the vertical error is the accelerometer's bias.
 
 There are two forms. The default form uses all three accelerometer axes, so wind and drag do not look like
 tilt; a pose has no roll and pitch. With ``known_drag_1_s`` the estimator has the firmware's form: in flight

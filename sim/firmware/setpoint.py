@@ -80,7 +80,7 @@ def receive(inbox: InboxRecord, s: SetpointRecord, now_ms: int) -> None:
 
 
 class Inbox:
-    """Sends set-points into the ring buffer ``record``; ``setpoint``: the current one."""
+    """Sends set-points into the ring buffer ``record``; ``setpoint``: the current set-point."""
 
     def __init__(self, record: InboxRecord, setpoint: SetpointRecord) -> None:
         self._rows = record.rows.data

@@ -7,8 +7,8 @@ offset of the two clocks. Over radio this offset may drift by a tenth of a secon
 
 Each check of the screening marks samples. A marked sample also excludes ``MARGIN_S`` on both sides, because
 loggers interpolate over damaged values. A piece must last at least ``PIECE_MIN_S`` in the air. A flight with
-more damage than ``DAMAGED_MAX`` is excluded, because its estimator or link failed before the first marked
-sample.
+more damage than ``DAMAGED_MAX`` is excluded, because its estimator or link must have failed before a check
+detected the failure.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
+import scipy  # loads each part at the first use of the part, in 0.3 to 0.5 s
 from numpy.typing import NDArray
 
 from sim.flights.recording import QUANTITIES, Floats, Recording, RecordingError, read_recording
@@ -112,7 +112,7 @@ def _matrix(r: Recording) -> Floats:
     return made
 
 
-BAND_HZ = (0.5, 6.0)  # frequency band of a Crazyflie's attitude; above it the attitude's derivative is noise
+BAND_HZ = (0.5, 6.0)  # frequency band of a Crazyflie's attitude; above 6 Hz its derivative is noise
 WINDOW_S = 4.0  # time window of one lag estimate, s
 LAG_MAX_S = 0.25  # upper limit of the lag in the search, s
 CORRELATION_MIN = 0.7  # correlation below which the lag counts as unknown
@@ -163,11 +163,11 @@ def clock_lag_s(recording: Recording) -> Floats:
 
 Mask = NDArray[np.bool_]
 
-GAP_FACTOR = 5.0  # time between two samples above which they count as a gap, in sample periods
+GAP_FACTOR = 5.0  # maximum time between two samples without a gap, in sample periods
 SPEED_MAX_M_S = 6.0  # maximum speed between two motion-capture samples; no Crazyflie in a room is faster
 FROZEN_S = 0.05  # duration after which a repeated pose counts as frozen, s; motion capture lost the body
 ESTIMATE_OFF_M = 0.3  # distance from motion capture above which an estimate has diverged; good flights: 0.2 m
-CLOCKS_OFF_S = 0.05  # allowed clock offset, s; at 1 m/s it causes 5 cm, as much as the compared errors
+CLOCKS_OFF_S = 0.05  # allowed clock offset, s; 0.05 s cause 5 cm at 1 m/s, as much as the compared errors
 CLOCKS_S = 0.5  # minimum duration of a clock offset, s; a shorter offset is random
 VOLTAGE_V = (2.5, 4.4)  # voltage range of one LiPo cell under load, V
 ABOVE_GROUND_M = 0.15  # height above which there is no ground effect (3 propeller diameters), m
@@ -180,7 +180,7 @@ FLIGHT_MIN_S = 3.0  # minimum usable time in the air, s
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Reason why a part of a flight, or all of it, is left out."""
+    """Reason why a part of a flight, or the whole flight, is left out."""
 
     text: str
     seconds: float
@@ -205,7 +205,7 @@ class Screened:
 
 
 def load(path: Path) -> Screened:
-    """Read, check and screen a flight. Raises RecordingError: it is unreadable or contradicts itself."""
+    """Read, check and screen a flight. Raises RecordingError: unreadable or contradictory data."""
     recording = read_recording(path)
     check(recording)
     return screen(recording)

@@ -4,7 +4,7 @@ Each axis of the gusts and of the disturbance torques is an Ornstein-Uhlenbeck p
 sqrt(2/T) dW, with the first-order spectrum of Dryden's longitudinal gusts. ``crazyflie20.toml`` has T and the
 ratio of vertical to horizontal gusts.
 
-The wakes of the four rotors merge into one turbulent jet along the thrust. The model of its mean velocity is
+The wakes of the four rotors merge into one turbulent jet along the thrust. The model of the mean velocity is
 from Bauersfeld, Muller, Ziegler, Coletti and Scaramuzza, "Robotics meets Fluid Dynamics: A Characterization
 of the Induced Airflow below a Quadrotor as a Turbulent Jet" (arXiv 2403.13321), fitted to six vehicles:
 
@@ -36,7 +36,7 @@ from sim.scenarios.tables import Wind
 
 
 class NoiseRecord(Record):
-    """State of the noise on three axes, in the unit of its standard deviation."""
+    """State of the noise on three axes, in units of the standard deviation."""
 
     now: Vector
     decay: Vector  # factor on the value in one step
@@ -99,7 +99,7 @@ def set_up_wind(w: WindRecord, wind: Wind, shape: WindShape, seed: int, step_s: 
 AIR_KG_M3 = 1.204  # air density at 20 degrees C and sea level
 DECAY = 10.11  # factor in the velocity on the axis; DECAY, ORIGIN and SPREAD are from Bauersfeld et al.
 ORIGIN = -5.817  # distance of the jet's virtual origin below the rotors, divided by l; negative: above them
-SPREAD = 0.07668  # half width of the jet, divided by the distance from its virtual origin
+SPREAD = 0.07668  # half width of the jet, divided by the distance from the virtual origin
 NEAR = 2.5  # distance from the rotors at which the four wakes have merged, divided by l
 EDGE = 4.0  # outer radius of the jet, in half widths; the velocity fades out from 3 to 4 half widths
 PLATE_DRAG = 1.18  # drag coefficient of a flat plate across the flow

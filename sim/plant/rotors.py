@@ -45,7 +45,7 @@ class RotorRecord(Record):
     q1: float  # drag torque = (q1 + q2 rpm) rpm, N m
     q2: float
     arm: float
-    gyro: float  # angular momentum of a rotor divided by its speed, N m s / rpm
+    gyro: float  # angular momentum of a rotor divided by the rotor speed, N m s / rpm
     reaction: float  # torque on the body divided by a rotor's change of speed in one step, N m / rpm
     gain: float  # gain of the first-order lag in one step; exact for a constant command
     slow_rise: float

@@ -150,7 +150,7 @@ class MeasurementChannel:
         self._noise = NoiseRows(sigmas, seed, purpose + ".noise")
         self._rate, self._delay_ns = link.rate_hz, round(link.delay_s * NS)
         self._waiting = np.empty((0, 1 + self._width))  # time of measurement, ns, and values
-        self._taken = self._due_ns = 0  # number of measurements; time of the next one, ns
+        self._taken = self._due_ns = 0  # number of measurements; time of the next measurement, ns
 
     def run(self, times_ns: Sequence[int], measure: Callable[[list[int]], F64]) -> tuple[list[int], F64]:
         """Measure the samples that are due at these times, in increasing order, and release samples.

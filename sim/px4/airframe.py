@@ -124,8 +124,8 @@ def _rate_gains(axis: str, per_command: float, lag_s: float) -> dict[str, float]
     }
 
 
-# Formats that pass parameters to PX4: environment variables of its start script (rcS), an airframe file, its
-# console. The environment cannot set a parameter to PX4's own default if the simulation has a different
+# Formats that pass parameters to PX4: environment variables of PX4's start script (rcS), an airframe file,
+# PX4's console. The environment cannot set a parameter to PX4's own default if the simulation has a different
 # default (SYS_FAILURE_EN).
 FORMATS = {
     "env": "export PX4_PARAM_{}={}",

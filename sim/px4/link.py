@@ -17,7 +17,7 @@ from sim.px4.plant import COMPONENT_ID, SYSTEM_ID
 _CHUNK = 65536  # maximum bytes per read
 _SEND_MAX_S = 5.0  # maximum time for which PX4's receive buffer may be full, s
 _BAD_DATA: int = dialect.MAVLINK_MSG_ID_BAD_DATA  # undecodable bytes; unknown messages also have negative ids
-SLICE_S = 0.1  # longest wait for the socket, s
+SLICE_S = 0.1  # maximum wait for the socket, s
 
 
 class LinkClosedError(ConnectionError):

@@ -98,9 +98,9 @@ def _tell(event: str, *, paced: bool) -> None:
 
 
 def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
-    """Serve PX4 until SIGTERM, SIGINT or ``duration_s``; print ``ready tcp:HOST:PORT`` when it can connect.
+    """Serve PX4 until SIGTERM, SIGINT or ``duration_s``; print ``ready tcp:HOST:PORT`` when PX4 can connect.
 
-    Each PX4 that connects starts with the vehicle at its start position; PX4 does not reconnect, so a new
+    Each PX4 that connects starts with the vehicle at the start position; PX4 does not reconnect, so a new
     connection is a new flight. Returns the exit status.
     """
     return run_process("px4-sim", partial(_run, scenario, options))

@@ -96,7 +96,7 @@ def free_instance() -> int:
 
 
 def _instance_runs(number: int) -> bool:
-    """Whether a PX4 with this instance number runs; it has a lock file."""
+    """Whether a PX4 with this instance number runs and holds its lock file."""
     lock = Path(f"/tmp/px4_lock-{number}")  # from PX4 platforms/posix/src/px4/common/main.cpp
     if not lock.exists():
         return False
@@ -167,7 +167,7 @@ class Px4Program(Child):
 
         The simulator must run, because PX4 waits for it. The origin is set after PX4 has a position, because
         the first satellite fix sets an origin, too. In HOLD PX4 arms only with an origin; with motion capture
-        its checks fail for some seconds after the origin is set.
+        PX4's checks fail for some seconds after the origin is set.
         """
         until_s = time.monotonic() + timeout_s
         self._wait_for(_BOOTED, until_s)

@@ -57,7 +57,7 @@ class Lockstep:
 
 STEP_US = STEP_MS * 1000
 STEP_S = STEP_MS * 1e-3
-HELLO_MAX_S = 10.0  # time-out of PX4's first message, s of wall time; PX4 sends it on connection
+HELLO_MAX_S = 10.0  # time-out of PX4's first message, s of wall time; PX4 sends this message on connection
 BOOT_MAX_S = 60.0  # time-out of PX4's first motor outputs, s of wall time
 NUDGE_S = 1.0  # wall time after which one step runs without an answer, s; PX4 may wait for a sensor
 _BEHIND_MAX_S = 0.1  # delay above which simulated time does not catch up, s

@@ -138,7 +138,7 @@ class Batches:
         return self._quiet_until_s(tick) if until_s is None and self._speak(tick) else until_s
 
     def _quiet_until_s(self, tick: int) -> float | None:
-        """Return the time at which the next other message is due, s; None: one is due now."""
+        """Return the due time, s, of the next message except state and set-point; None: due now."""
         request = Request.EXTERNAL if self._controller.memory.phase in FLYING else Request.NONE
         now_s = self._grid.ns(tick) / 1e9
         until_s = self._link.silent_until_s(request) - _SOON_S

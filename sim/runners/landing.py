@@ -57,7 +57,7 @@ class _Wires(VehicleTicks):
 
 
 class Companion(Leaving, FleetEnd):
-    """Replaces the onboard process; the vehicle's loop calls it where it would wait for an answer.
+    """Replaces the onboard process; the vehicle's loop calls it instead of the wait for an answer.
 
     ``controller`` replaces the scenario's controller. ``on_step`` is called after every controller step.
     ``system_id``: MAVLink system id of the vehicle. ``target_seed``: seed of the robot; if None, ``seed`` is
@@ -203,8 +203,8 @@ def land(
 ) -> Landing:
     """Fly the landings of all vehicles of a scenario and judge each of them.
 
-    A member that no other member approaches flies exactly as it does alone with its own scenario and seed
-    (``Scenario.singles``).
+    A member that no other member approaches flies exactly as in a flight alone, with the member's scenario
+    and seed (``Scenario.singles``).
 
     Args:
         scenario: the whole scenario; its ``onboard`` part configures the flown controller.

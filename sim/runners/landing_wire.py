@@ -65,7 +65,7 @@ class Inlet(Endpoint):
         return arrived
 
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
-        """Pass messages to the other end; they may be changed."""
+        """Pass messages to the other end; this may change the messages."""
         del peer
         arrived = self.other._arrived
         for message in messages:

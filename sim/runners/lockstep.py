@@ -64,7 +64,7 @@ class LockstepVehicle(VehicleNode):
 
     @property
     def rests(self) -> bool:
-        """Whether the vehicle needs no more ticks; without a companion the autopilot lands it first."""
+        """Whether the vehicle needs no more ticks; without a companion the autopilot first lands."""
         return self.over or not (self._alive or self.vehicle.armed)
 
     @property
@@ -96,7 +96,7 @@ class LockstepVehicle(VehicleNode):
         """Begin a tick: send due messages, request the answer, and simulate until the answer can take effect.
 
         After the end of its flight, a vehicle simulates the whole tick in this call: the autopilot still
-        controls it, but nothing is sent or logged.
+        controls the vehicle, but nothing is sent or logged.
         """
         robot, vehicle, now_ns = self.robot, self.vehicle, self.grid.ns(tick)
         now_s, steps = now_ns / 1e9, self.grid.ms(tick + 1) - self.grid.ms(tick)
@@ -167,7 +167,7 @@ class LockstepVehicle(VehicleNode):
             self.answered = self.answered or self._take(self.endpoint.receive(), now_ns)
 
     def _take(self, frames: list[Received], now_ns: int) -> bool:
-        """Handle frames up to the companion's answer for this tick; return True if it has arrived."""
+        """Handle frames up to the companion's answer for this tick; return whether the answer has arrived."""
         for i, received in enumerate(frames):
             message, companion = received.message, self._companion
             id_ = message.get_msgId()
@@ -210,10 +210,10 @@ def fly_in_lockstep(
     ticks: int | None,
     batch: Callable[[int], int] | None = None,
 ) -> int:
-    """Run the ticks of all vehicles until a stop request or until all flights are over; return their number.
+    """Run the ticks of all vehicles until a stop request or the end of all flights; return their number.
 
     ``exchange``: transmits the messages of a fleet; ``ticks``: largest number of ticks; None: no limit;
-    ``batch``: flies a batch of ticks that starts with the given one, and returns their number (0: none).
+    ``batch``: flies a batch of ticks from the given tick on, and returns the number of ticks (0: none).
     Raises NoAnswerError: time-out of a companion.
     """
 

@@ -2,7 +2,7 @@
 
 Keys under the namespace of each robot (``cf1`` by default):
 
-- ``target/odom``: measured odometry as a tracker sends it, ``nav_msgs/msg/Odometry`` in CDR.
+- ``target/odom``: measured odometry, as from a tracker, ``nav_msgs/msg/Odometry`` in CDR.
 - ``sim/target/ticks``, ``sim/credit`` (read): in lockstep, see docs/how_it_works/lockstep.md.
 - ``sim/target/truth``: in real time, true pose and twist for a vehicle that another process simulates.
 - ``controller/step`` (read): in real time, the mission phase, which shows the start of the landing.

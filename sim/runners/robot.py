@@ -75,7 +75,7 @@ class Ticks(NamedTuple):
 
 
 class Robot:
-    """A robot that computes its motion some ticks ahead; it may wait for the start of the landing.
+    """A robot that computes its motion some ticks ahead, and may wait for the start of the landing.
 
     The number of future ticks is limited, so that the robot learns in time when to start driving. A tick in a
     batch takes a fifth of the time of a single tick.
@@ -109,7 +109,7 @@ class Robot:
         raise NotImplementedError
 
     def await_credit(self, tick: int) -> None:
-        """Wait until the companion permits the robot to compute this tick, if it depends on the companion."""
+        """Wait until the companion permits this tick, if the robot depends on the companion."""
 
     def run_ahead(self, tick: int) -> None:
         """Compute future ticks while the companion computes, if that saves time."""

@@ -39,7 +39,7 @@ class Held(Generic[T]):
         return len(self._items)
 
     def passed(self, item: T, fate: Fate, now_ns: int) -> list[T]:
-        """Return the copies of an item that pass now; hold the delayed ones, up to ``HELD_MAX``."""
+        """Return the copies of an item that pass now; hold the delayed copies, up to ``HELD_MAX``."""
         out = []
         for due_ns in fate.due_ns:
             if fate.stall is None and due_ns <= now_ns:
@@ -80,7 +80,7 @@ class Wire:
     def send(
         self, messages: Sequence[Message], now_ns: int, peer: Peer | None = None, last: Sequence[Message] = ()
     ) -> None:
-        """Send all due messages, new and delayed ones; during a fault each in a separate datagram.
+        """Send all due messages, new and delayed; during a fault each message has its own datagram.
 
         ``messages`` may be changed; ``peer``: receiver, None: all peers; ``last``: sent last, without faults.
         """

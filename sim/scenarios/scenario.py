@@ -61,7 +61,7 @@ class Scenario:
     name: str  # name of the scenario; with `base` its default is the name of the file
     description: str  # purpose of the scenario in one sentence
     onboard: FlightConfig
-    # time limit of a flight, after which it aborts
+    # time limit of a flight, after which the flight aborts
     duration_max_s: Annotated[float, span(1.0, 3600.0)] = 120.0
     start: Start = field(default_factory=Start)
     target: TargetSpec = field(default_factory=TargetSpec)
@@ -166,7 +166,7 @@ class Scenario:
         return found
 
     def pads_apart_m(self) -> list[float]:
-        """Return the smallest possible distance of each pair of pads, m; 0 if their paths may meet."""
+        """Return the smallest possible distance of each pair of pads, m; 0 if the paths may meet."""
         lines = [each.target.line() for each in self.members]
         return [apart_m(*two) for two in combinations(lines, 2)]
 

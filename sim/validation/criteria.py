@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
+import scipy  # loads each part at the first use of the part, in 0.3 to 0.5 s
 
 from sim.flights.recording import Floats
 from sim.options import ValidateOptions
@@ -109,7 +109,8 @@ class Criterion:
     paths: tuple[str, ...]  # paths of the criterion's numbers in the results of a flight
     # sentence for a missed limit, with a placeholder for the value; None: the sentence is made from ``text``
     cause: str | None = None
-    by_chance: bool = False  # whether the result is random: it fails only if the whole interval is outside
+    # whether the result is random; such a criterion fails only if the whole interval is outside the limits
+    by_chance: bool = False
     scale: float = 1.0  # factor from the value to the printed number
     unit: str = ""  # unit of the printed number
 
@@ -150,7 +151,7 @@ def judge(flights: Sequence[Compared]) -> list[Verdict]:
 
 
 def _word(criterion: Criterion, found: Estimate | None, part_covered: bool) -> str:
-    """Return the result: ``OPEN`` if no flight covers the criterion, ``MISSED`` if none covers its part."""
+    """Return the result: ``OPEN`` if no flight covers the criterion, ``MISSED`` if none covers the part."""
     if found is None:
         return OPEN if part_covered else MISSED
     if criterion.low <= found.value <= criterion.high:
@@ -278,7 +279,7 @@ def summary(
 
 
 def reasons(flight: Compared) -> list[str]:
-    """Return the reasons why a flight, or parts of it, are left out."""
+    """Return the reasons why a flight or parts of a flight are left out."""
     return [f"{r.text} ({r.seconds:.1f} s)" if flight.used else r.text for r in flight.left_out]
 
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
+import scipy  # loads each part at the first use of the part, in 0.3 to 0.5 s
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell, cell, new
@@ -75,7 +75,7 @@ class OpenLoop:
 
     horizons: tuple[Horizon, ...]  # errors at ``HORIZONS_S``
     thrust_ratio: float  # ratio of the plant's thrust to the recorded thrust, mean over the starts
-    starts: int  # number of start samples; one prediction begins at each
+    starts: int  # number of start samples; a prediction begins at each start sample
 
 
 class Piece(NamedTuple):

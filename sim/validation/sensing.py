@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its parts when they are used; they take 0.3 to 0.5 s
+import scipy  # loads each part at the first use of the part, in 0.3 to 0.5 s
 
 from flightstack.compiled.records import cell, new
 from sim.flights.recording import Floats
@@ -21,9 +21,9 @@ from sim.plant.state_error import ErrorRows, PastRecord, mismeasured_path
 from sim.scenarios.tables import StateError
 
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # edges of the speed bands around 0.2, 0.5, 0.75 and 1 m/s
-DELAY_S = (-0.1, 0.2)  # range of an estimate's delay; outside it the clocks differ
+DELAY_S = (-0.1, 0.2)  # range of an estimate's delay; a delay outside this range means different clocks
 DRAWS = 6  # number of simulated estimates per flight; the model's errors differ between flights
-SLOWEST = 10.0  # percentage of samples, those with the lowest speeds, from which the offset is computed
+SLOWEST = 10.0  # percentage of samples from which the offset is computed: those with the lowest speeds
 
 
 @dataclass(frozen=True, slots=True)

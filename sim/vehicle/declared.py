@@ -30,9 +30,9 @@ from sim.world.step import DIAGONAL
 DELAY_M_S = 0.02  # allowed difference between declared and simulated delay, s; its effect is below the noise
 NOISE_SHARE = 0.5  # minimum ratio of declared to simulated noise of a link; an estimator filters noise
 SPEED_SHARE = 0.01  # allowed relative excess of the target's acceleration over the declared value
-# smallest allowed ratio of the declared vertical velocity error to the gusts' rms: that of tier lab
+# minimum ratio of the declared vertical velocity error to the gusts' rms: that of tier lab
 GUST_SHARE = 0.066
-RADIO_SHARE = 0.5  # largest allowed ratio of the radio's delay to the declared lag spread
+RADIO_SHARE = 0.5  # maximum ratio of the radio's delay to the declared lag spread
 # Fraction of the certificate's bound on the touchdown distance; at this distance all feet must be on the pad.
 # Of 300 landings of tier lab 19 crash on a pad of 6 cm, 3 on 7 cm, none on 8 cm; half of the bound fits 8 cm.
 FEET_SHARE = 0.5
@@ -47,7 +47,7 @@ class _Row(NamedTuple):
     there: str  # key in the scenario, or a text that names several
     unit: str
     found: float | None = None  # value in the scenario; None: the value of the key ``there``
-    share: float = 1.0  # smallest allowed ratio of the declared value to the value in the scenario
+    share: float = 1.0  # minimum ratio of the declared value to the value in the scenario
     near: float | None = None  # maximum allowed difference; None: the declared value may be larger
     room: float | None = None  # margin; None: it follows from ``share`` or ``near``
     remedy: str = ""  # change that makes this margin positive

@@ -3,8 +3,9 @@
 Time, noise and loss of a sample depend only on the seed, so the compiled code only adds the true pose. The
 random numbers and their order equal those of ``MeasurementChannel``.
 
-With the errors of recorded flights (``StateError``) a sample is a complete on-board estimate: it arrives
-without delay and replaces the estimate. A fault that diverts samples receives only position and heading.
+With the errors of recorded flights (``StateError``) a sample is a complete on-board estimate: the sample
+arrives without delay and replaces the estimate. A fault that diverts samples receives only position and
+heading.
 """
 
 from __future__ import annotations

@@ -283,7 +283,7 @@ class Physics(ABC):
     def set_deck(
         self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float
     ) -> None:
-        """Set the true pose and velocity of the pad centre; it moves on an arc until the next call."""
+        """Set the true pose and velocity of the pad centre, which moves on an arc until the next call."""
         self._world.set_deck(position_enu_m, yaw_rad, velocity_enu_m_s, yaw_rate_rad_s)
 
     def advance(self, steps: int) -> None:

@@ -178,12 +178,12 @@ class VehicleSim(Physics):
         self.firmware.send(set_point(velocity_enu_m_s, yaw_rad), self._ms - self.sent_before_ms)
 
     def set_position(self, position_enu_m: Vec3, yaw_rad: float) -> None:
-        """Send a position set-point to the PID loop; it is delayed as in ``set_velocity``."""
+        """Send a position set-point to the PID loop, delayed as in ``set_velocity``."""
         setpoint = set_point(yaw_rad=yaw_rad, position=position_enu_m)
         self.firmware.send(setpoint, self._ms - self.sent_before_ms)
 
     def stop_setpoint(self) -> None:
-        """Send a stop set-point; the motors are off as long as it is the newest set-point."""
+        """Send a stop set-point; the motors are off until a newer set-point arrives."""
         self.firmware.send(STOP, self._ms - self.sent_before_ms)
 
     def begin_judging(self) -> None:

@@ -1,4 +1,4 @@
-"""Physics steps of 1 ms of vehicle and deck; MuJoCo computes the step if they may be in contact.
+"""Physics steps of 1 ms of vehicle and deck; MuJoCo computes a step in which contact is possible.
 
 A vehicle at rest moves with the pad, without MuJoCo, until the forces or the deck's motion change. On a real
 pad static friction holds the vehicle. MuJoCo's contact is soft, so a vehicle at rest creeps under a steady
@@ -234,7 +234,7 @@ def apart(reach: ReachRecord, body: BodyRecord, deck: DeckRecord) -> bool:
     p, d, below = body.position, deck.position, reach.vehicle
     x, y, z = p[0] - d[0], p[1] - d[1], p[2] - d[2]
     square, beside = x * x + y * y, reach.vehicle + reach.robot
-    if not (p[2] > below and z > below + reach.robot_top):  # close bodies: test the cylinder's lowest point
+    if not (p[2] > below and z > below + reach.robot_top):  # close bodies: test the lowest point
         axes = rotation_axes(body.quaternion)
         level, up = math.sqrt(axes[6] * axes[6] + axes[7] * axes[7]), axes[8]
         below = reach.side * level - min(reach.bottom * up, reach.top * up)
@@ -277,9 +277,9 @@ def answer(body: BodyRecord, m: MujocoRecord) -> None:
 def physics_step(world: WorldRecord) -> None:
     """Advance vehicle and deck by one step.
 
-    MuJoCo's Euler step uses the velocities at the end of the step. ``move_body`` is more accurate, so it
-    replaces a MuJoCo step without contact. MuJoCo moves only the vehicle. A vehicle at rest moves with the
-    pad, and its contact bits do not change.
+    MuJoCo's Euler step uses the velocities at the end of the step. ``move_body`` is more accurate and
+    therefore replaces a MuJoCo step without contact. MuJoCo moves only the vehicle. A vehicle at rest moves
+    with the pad, and its contact bits do not change.
     """
     if carried(world.rest, world.wrench, world.body, world.deck):
         return

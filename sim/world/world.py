@@ -65,8 +65,8 @@ def _cylinder(model: mujoco.MjModel, geoms: npt.NDArray[np.bool_]) -> tuple[floa
 class World:
     """The vehicle's rigid body and the deck.
 
-    ``params``: geometry and contact; ``mass_kg``: true mass; the inertia scales with it; ``target``: shapes
-    of pad and robot; ``record``: record that stores the state; None creates one.
+    ``params``: geometry and contact; ``mass_kg``: true mass; the inertia scales with the mass; ``target``:
+    shapes of pad and robot; ``record``: record that stores the state; None creates one.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class World:
         self._set_body(*position, *velocity, *quaternion, *rates)
 
     def set_deck(self, position: Vec3, yaw: float, velocity: Vec3, rate: float) -> None:
-        """Set the deck's state; it then moves on an arc with constant forward speed, climb and turn rate."""
+        """Set the deck's state; the deck then moves on an arc with constant speed, climb and turn rate."""
         self._set_deck(*position, *velocity, yaw, rate, *arc_of_step(rate))
 
     def body(self) -> Body:
