@@ -135,7 +135,7 @@ def _all(a: _Content, b: _Content) -> Iterator[Difference]:
 
 
 def messages_of(schema: str, a: bytes, b: bytes) -> Iterator[tuple[str, str, str]]:
-    """Yield (field, a, b) for each different field of two CDR messages, or their bytes."""
+    """Yield (field, a, b) for each different field of two CDR messages, or the bytes if undecodable."""
     if a == b:
         return
     found: list[tuple[str, str, str]] = []

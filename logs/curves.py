@@ -21,7 +21,7 @@ from logs.verdict.types import VIOLATION_LIMIT_M
 TRUE = "#0072B2"  # blue: true values
 ESTIMATED = "#56B4E9"  # sky blue: estimated values
 TARGET = "#CC79A7"  # reddish purple: target
-BOUNDARY = "#D55E00"  # vermillion: boundary of the barrier
+BOUNDARY = "#D55E00"  # vermillion: boundary h = 0
 NOMINAL = "#E69F00"  # orange: nominal velocity
 FILTERED = "#0072B2"
 COMMAND = "#009E73"  # bluish green: commanded velocity
@@ -48,7 +48,7 @@ class Curve(NamedTuple):
     key: str
     name: str  # name in the legend
     color: str
-    values: Callable[[Flight], Values | None]  # None: the log has no such data
+    values: Callable[[Flight], Values | None]  # returns None if the log has no such data
     width: float = 1.5
     dash: str = "solid"
     symbol: str = ""  # symbol of the markers that replace the line; only the report draws them

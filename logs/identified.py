@@ -71,7 +71,7 @@ def gather(flights: list[Flight]) -> Found:
 def _try(what: str, missing: list[str], find: Callable[[], T]) -> T | None:
     """Return the result of ``find``; on ValueError, store its message in ``missing`` and return None.
 
-    It is not used for the velocity loop, whose result is required.
+    This function is not used for the velocity loop, whose result is required.
     """
     try:
         return find()

@@ -14,7 +14,7 @@ from flightstack.core.types import ZERO, Vec3
 
 STATE_AGE_MAX_S = 0.3  # maximum age of the state, s: thirty packets in a row were lost
 HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s: ten packets in a row were lost
-VARIANCE_MAX_M2 = 0.01  # maximum position variance of an axis, m2; settled: 0.001 (cflib reset_estimator)
+VARIANCE_MAX_M2 = 0.01  # maximum position variance of an axis, m2; cflib waits for changes below 0.001
 TILT_MAX_DEG = 2.0  # maximum tilt of markers to body, degrees; a common 1 degree causes a drift of 6.8 cm/s
 # Lowest voltage at rest for arming, V: a sixth of the charge is left. The firmware never lands by itself.
 BATTERY_MIN_V = 3.7

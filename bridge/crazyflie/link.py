@@ -52,7 +52,7 @@ PARAMS = (  # firmware parameters that are read for the checks before arming
 EVENTS_MAX = 512  # maximum number of queued events: four seconds of log packets
 BLOCK_SILENT_S = 1.0  # time without a packet after which a log block is requested again, s
 ANSWER_MAX_S = 2.0  # time without any answer after which an attempt to connect is given up, s
-UNANSWERED_S = 0.5  # time-out of a connection's first answer in a blind landing, s: cflib requests it once
+UNANSWERED_S = 0.5  # time-out of the first answer in a blind landing, s: cflib sends the first request once
 CONNECT_MAX_S = 120.0  # time-out of an attempt to connect, s; 1,235 requests, a fifth of them lost, take 40 s
 RESEND_S = 0.05  # time-out before cflib repeats a request over UDP, s; cflib's default of 0.2 s suits a radio
 RETRY_S = 0.5  # time between two attempts to connect, s
@@ -65,7 +65,7 @@ _ARM_REPLY = 0x81  # answer to command 1 on channel 1 of the supervisor's port (
 
 
 class LogBlocks:
-    """Requests each log block until it arrives: call ``step`` often. Blocks do not wait for each other.
+    """Requests each log block until packets of it arrive: call ``step`` often. No block delays another.
 
     The firmware deletes its log blocks when it has received nothing for a second (crtp.c, log.c); cflib does
     not check that blocks arrive. cflib requests a long block in two packets and does not check that the

@@ -210,7 +210,7 @@ LATE_MAX_S = 0.05  # maximum delay of a packet, s; a later packet is ignored
 PROOF_S, PATIENCE_S = 0.05, 0.3
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # difference from the expected time above which the firmware may have restarted, ms
-_DRIFT = 0.1  # maximum relative drift of a simulated firmware's clock; CrazySim's ran at 0.97 of real time
+_DRIFT = 0.1  # maximum relative clock drift of a simulated firmware; the clock of CrazySim ran 3 % slow
 
 
 class BootClock:

@@ -126,11 +126,11 @@ class Arming:
         return list(orders), None
 
 
-GAIN_1_S = 1.5  # position gain, 1/s; a third of the velocity loop's gain avoids overshoot
+GAIN_1_S = 1.5  # position gain, 1/s: a third of the velocity loop's gain, which avoids overshoot
 SPEED_XY_M_S = 0.3  # maximum horizontal speed, m/s
 CLIMB_M_S = 0.4  # maximum climb rate, m/s
 DESCENT_M_S = 0.25  # descent rate, m/s
-ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # maximum height error and speed for the end of a take-off
+ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # maximum height error, m, and speed, m/s, at the end of a take-off
 # height above the start, m, below which a take-off keeps the horizontal velocity of a moving deck
 CLEAR_M = 0.1
 CARRIED_MAX_M_S = 1.0  # maximum velocity of a moving deck that the take-off follows, m/s
@@ -168,7 +168,7 @@ class Stopped:
 
 
 class Pilot:
-    """Flies take-off, hold and landing; a take-off starts with the velocity of a moving deck."""
+    """Flies take-off, hold and landing; a take-off from a moving deck starts with the deck's velocity."""
 
     def __init__(self) -> None:
         self.begin(-math.inf)
@@ -180,7 +180,7 @@ class Pilot:
         self._stopped = Stopped()
 
     def velocity(self, state: CrazyflieState, takeoff_z_m: float | None) -> Velocity:
-        """Return the velocity to the point to hold; ``takeoff_z_m``: z of this point in a take-off, m."""
+        """Return the velocity to the point to hold; ``takeoff_z_m``: its z in a take-off, m; else None."""
         takes_off = takeoff_z_m is not None
         x, y, z = (
             p + v / GAIN_1_S for p, v in zip(state.position_enu_m, state.velocity_enu_m_s, strict=True)

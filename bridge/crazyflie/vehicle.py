@@ -2,8 +2,8 @@
 
 A client's velocity is immediately sent to the radio and never repeated: when the client stops, the firmware's
 watchdog levels the vehicle after 0.5 s and stops the motors after 2 s (firmware supervisor.c). The bridge
-makes set-points only in its own modes (take-off, hold, landing), and only while clients send heartbeats, or
-to land.
+makes set-points only in its own modes (take-off, hold, landing) and, except for a landing, only while clients
+send heartbeats.
 """
 
 from __future__ import annotations
@@ -144,7 +144,8 @@ class Vehicle(Condition, Commander):
             self._silence_said = False
         if self.position_known(now_s):
             self._placed_s = state.at_s
-            height_m = state.position_enu_m[2] - min(0.0, self.home_enu_m[2])  # above z = 0 or a lower home
+            # height above z = 0, or above home if home is lower
+            height_m = state.position_enu_m[2] - min(0.0, self.home_enu_m[2])
             self._sink_s = limits.BLIND_SPARE_S + limits.BLIND_SHARE * max(0.0, height_m) / DESCENT_M_S
         if restarted:
             self._stop("it restarted", now_s)

@@ -24,7 +24,7 @@ _BYTES_PER_CALL = 16384  # number of bytes (4 ms of work) after which a call of 
 _NOTICES_MAX = 32  # maximum number of texts that wait for ``take_notices``
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 _OLD = frozenset({Refusal.STALE, Refusal.REPLAYED})  # refusals of old frames with a correct signature
-_ANSWER_S = 1.0  # time between two replies to frames with old timestamps, which may be replayed, s
+_ANSWER_S = 1.0  # time between two replies to frames with old timestamps, s; replayed frames have them, too
 _SETUP_SIGNING: int = dialect.MAVLINK_MSG_ID_SETUP_SIGNING
 
 
@@ -93,7 +93,7 @@ class Endpoint:
             raise
         self._framer = Framer(self.counters, stream=self._transport.is_stream)
         self._heartbeat: Message | None = None  # newest heartbeat of this endpoint; stored only with a key
-        self._answered_s = -math.inf  # time of the last reply to a frame with an old timestamp
+        self._answered_s = -math.inf  # time of the last reply to a frame with an old timestamp, s
         self.local_port = self._transport.local_port  # UDP port of the socket; 0 for other links
         self.baud = self._transport.baud  # speed of a serial line, bit/s; None for other links
         warnings = (warning, self._signer.warning if self._signer else None)

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.messages import MESSAGES
 
 _BITS_PER_BYTE = 10  # bits per byte on a serial line, 8N1
-_USABLE = 0.9  # fraction of the line for planned messages; the remainder is for replies, texts and others
+_USABLE = 0.9  # fraction of the line for planned messages; the rest is for replies, texts and other messages
 _FRAME = 12  # length of a MAVLink 2 header and checksum, bytes
 _SIGNATURE = 13  # length of a signature, bytes
 _IN_A_ROW = 3  # minimum number of message periods in the state's maximum age; two messages may be lost

@@ -102,7 +102,7 @@ def _landing(status: VehicleStatus) -> bool:
 
 
 def _may_arm_in_its_mode(status: VehicleStatus) -> bool:
-    # Without set-points PX4's checks fail in OFFBOARD (its mode after a landing by set-points) and in LAND.
+    # Without set-points PX4's checks fail in OFFBOARD (the mode after a landing by set-points) and in LAND.
     standing = status.landed is Landed.ON_GROUND and not status.armed
     return not (standing and status.mode in (Mode.EXTERNAL, Mode.LAND))
 

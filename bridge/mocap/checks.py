@@ -74,19 +74,19 @@ class PoseChecks:
     def __init__(self, limits: Limits = Limits()) -> None:
         self.limits = limits
         self.counts = Counter[Refusal]()  # rejected poses by reason
-        self.thinned = self.passed = 0  # number of poses omitted to limit the rate, and forwarded
+        self.thinned = self.passed = 0  # number of poses omitted to limit the rate; number of forwarded poses
         self._clock = SenderClock(limits.late_max_s, limits.clock_proof_s)
         self._last: Passed | None = None
         self._sent_s = -math.inf
         self._resets = 0
         self._elsewhere: Passed | None = None  # newest pose of the series that follows a jump
         self._elsewhere_since_s = 0.0
-        self._refused: Refusal | None = None  # reason why the newest pose was rejected; None: it was good
+        self._refused: Refusal | None = None  # reason why the newest pose was rejected; None: a good pose
         self._window_s, self._in_window = -math.inf, 0
         self._rate_hz: float | None = None
 
     def step(self, poses: Sequence[Pose | None], now_s: float, *, armed: bool) -> tuple[Passed, ...]:
-        """Return the good poses of those that arrive now, oldest first; None is an unreadable message.
+        """Return the good poses among ``poses``, oldest first; a pose None is an unreadable message.
 
         No jump is accepted if the vehicle is armed.
         """

@@ -207,7 +207,7 @@ class Bridge:
         self._start_s = time.monotonic()
 
     def run(self, stop: Stop, duration_s: float | None) -> None:
-        """Run until a signal or ``duration_s``; then, if armed, until disarmed or a second signal."""
+        """Run until a signal or ``duration_s``; with an armed vehicle, until disarm or a second signal."""
         told = False
         while stop.count < 2:
             now_s = self._turn()
@@ -247,7 +247,7 @@ class Bridge:
 
 
 def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
-    """Run until a signal arrives; if the vehicle is armed then, until it is disarmed or a second signal."""
+    """Run until a signal arrives; with an armed vehicle, until disarm or a second signal."""
     if options.origin is not None:
         check_origin("--origin", options.origin)
     with ExitStack() as stack:

@@ -192,7 +192,7 @@ class _Generator:
         return f"({', '.join(self._run(codes * (field.length or 1), f'*{value}'))},)"
 
     def _numbers(self, kind: str) -> list[str]:
-        """Return the struct codes of a number or of a message of numbers of one type; else none."""
+        """Return the struct codes of a number or of a message of numbers of one type; else an empty list."""
         if kind in CODES:
             return [CODES[kind]]
         fields = (kind != "string" and self._fields_of(kind)) or ()

@@ -59,7 +59,7 @@ def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
 
 
 def sigma_of(variance_x: float, variance_y: float) -> float | None:
-    """Return the larger standard deviation of x and y; None: the sender reports none."""
+    """Return the larger standard deviation of x and y; None: not reported by the sender."""
     known = 0.0 < variance_x < _UNUSED_M2 and 0.0 < variance_y < _UNUSED_M2  # False for NaN
     return math.sqrt(max(variance_x, variance_y)) if known else None
 

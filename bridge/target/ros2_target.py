@@ -53,7 +53,7 @@ class TargetType(Enum):
 
 class RosType(NamedTuple):
     name: str
-    type_hash: str  # REP 2016; equal for these types from Iron on
+    type_hash: str  # hash of the type (REP 2016); equal for these types from ROS 2 Iron on
 
 
 ROS_TYPES = {
@@ -94,7 +94,7 @@ class TargetSpec:
     def key(self) -> str:
         if self.dialect is Dialect.RMW_ZENOH:
             return any_type_key(self.domain, self.name)
-        # zenoh-bridge-ros2dds has a topic at its name without the leading slash
+        # in zenoh-bridge-ros2dds the key of a topic is the topic's name without the leading slash
         return check_topic(self.name)[1:] if self.dialect is Dialect.ROS2DDS else self.name
 
     def check_key(self, key: str) -> None:
@@ -127,7 +127,7 @@ class TargetSpec:
 SETTLED_M_S = 0.05  # maximum usable standard deviation of velocity, m/s; a TurtleBot3 Burger drives 0.22 m/s
 UNKNOWN_M_S = 100.0  # standard deviation of an unmeasured velocity, m/s; far above robot speeds
 GATE_SIGMAS = 6.0  # minimum distance of an outlier from the expected position, sigmas; chance: < 1 in 10^7
-# number of consecutive poses, outliers or older than the last accepted one, after which the estimate restarts
+# number of consecutive poses that are outliers or too old, after which the estimate restarts
 OUTLIERS_MAX = 5
 UNSETTLED_MAX = 50  # number of poses without a velocity after which a warning is sent
 
@@ -244,7 +244,7 @@ class TargetSource:
         return taken
 
     def take_problems(self) -> list[str]:
-        """Return the warnings since the last call; each is sent once per flight."""
+        """Return the warnings since the last call; each warning is sent once per flight."""
         texts, self._taken = self.told[self._taken :], len(self.told)
         return texts
 
@@ -302,7 +302,7 @@ _LIKELY = ("**/$*odom$*/**", "**/$*Odometry$*/**", "**/$*pose$*/**", "**/$*Pose$
 
 
 class KeySearch:
-    """Lists keys whose names contain odometry or a pose, from the first ``keys`` until ``stop``.
+    """Lists keys whose names contain "odom" or "pose", from the first call of ``keys`` until ``stop``.
 
     During the search this process receives all samples of such keys, so do not use it in flight. Keys that
     the session itself publishes are not found.

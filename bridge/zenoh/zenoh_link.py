@@ -2,8 +2,8 @@
 
 Scouting and gossip are off unless a configuration file enables them. There are no callbacks: a callback runs
 in another thread, hides exceptions, and blocks the end of a process with an open session. Zenoh retries a
-connection silently, so ``ConnectionAlarm`` monitors it; a rejected certificate, a wrong password and a
-missing machine cannot be distinguished.
+connection silently, so ``ConnectionAlarm`` monitors the connection; a rejected certificate, a wrong password
+and a missing machine cannot be distinguished.
 """
 
 from __future__ import annotations

@@ -237,7 +237,7 @@ def read_config(data: bytes) -> FlightConfig:
 
 
 class Sizes(NamedTuple):
-    barrier: Barrier | None  # None: unknown
+    barrier: Barrier | None  # barrier of the flight; None: unknown
     pad_radius_m: float
     # horizontal and vertical semi-axis, m, of the ellipsoid that separates two vehicles; None: no neighbours
     ellipsoid_m: tuple[float, float] | None = None

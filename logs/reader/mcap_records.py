@@ -127,7 +127,7 @@ class Records:
         return found
 
     def _repeated(self) -> Iterator[Any]:
-        """Yield the declarations that the summary repeats, because the original ones may be unreadable."""
+        """Yield the declarations that the summary repeats, because the originals may be unreadable."""
         with suppress(Exception):  # a missing or damaged summary is reported by the later pass
             summary = make_reader(self._stream, validate_crcs=True).get_summary()
             for record in (*summary.schemas.values(), *summary.channels.values()):

@@ -4,7 +4,7 @@ The messages of a :class:`Deriver` let any viewer show the flight in 3-D. They c
 the configuration and the metadata of the run. The log time of the steps alone determines which messages are
 derived: two runs with equal steps give equal messages. Frames: ``map`` is the ENU world, ``map_ned`` the same
 origin with NED axes, ``<ns>/base_link`` the vehicle (heading only), ``<ns>/target`` the pad with its heading,
-``<ns>/target_pad`` the pad without heading: the barrier does not move in this frame.
+``<ns>/target_pad`` the pad without heading: the boundary h = 0 does not move in this frame.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ class Derivers:
     def attachment(self, name: str, data: bytes) -> None:
         member, name = split(name)
         if name == ATTACHMENT:
-            with contextlib.suppress(ConfigError):  # an incompatible version: the barrier is not drawn
+            with contextlib.suppress(ConfigError):  # an incompatible version: no boundary is drawn
                 self._member(member).configure({}, read_config(data))
 
     def declare(self, topic: str, schema: str) -> Derive | None:

@@ -21,7 +21,7 @@ HEADER = struct.Struct("<IIqqI")  # payload length, channel, log time ns, publis
 CONTROL = 0  # channel of the control records; records of other channels are messages
 SOCKET_PATH_MAX = 107  # maximum length of a socket path, bytes (unix(7))
 MAX_PAYLOAD = 16 * 2**20  # maximum payload, bytes; a longer payload shows a corrupted stream
-MAX_ATTACHMENT = MAX_PAYLOAD - 2**16  # maximum attachment, bytes; the rest is for its name and media type
+MAX_ATTACHMENT = MAX_PAYLOAD - 2**16  # maximum attachment, bytes; the rest is for name and media type
 
 
 class Declare(msgspec.Struct, tag=True):

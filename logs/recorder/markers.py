@@ -1,4 +1,4 @@
-"""Markers for 3-D viewers: barrier surface, pad, both paths, nominal and filtered velocity."""
+"""Markers for 3-D viewers: boundary h = 0, pad, both paths, nominal and filtered velocity."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # 
 LIFETIME_S = 0.5  # lifetime of a marker without a new message, s: 2.5 periods of 5 Hz
 PATH_POINTS = 200  # maximum number of points of a path; a full path loses every second point
 PATH_PERIOD_NS = 100_000_000  # initial period of path points, 10 Hz
-REACH = 2.5  # drawn radius of the barrier surface, divided by the distance of its peak from the axis
-REACH_BESIDE = 1.0  # ``REACH`` in a fleet: smaller, so that surfaces of neighbours do not overlap
-SECTORS, RINGS = 24, 8  # grid of the barrier surface: 24 x 8 x 2 triangles
+REACH = 2.5  # drawn radius of the boundary h = 0, divided by the distance of its peak from the axis
+REACH_BESIDE = 1.0  # ``REACH`` in a fleet: smaller, so that boundaries of neighbours do not overlap
+SECTORS, RINGS = 24, 8  # grid of the boundary: 24 x 8 x 2 triangles
 _GRID_1_M = 1024.0  # surface points are rounded to 1/1024 m: finer than a millimetre, and compressible
 _ARROW_SIZE_M = (0.012, 0.03, 0.04)  # size of an arrow, m: shaft diameter, head diameter, head length
 BODY_SIZE_M = (0.092, 0.092, 0.029)  # Bitcraze, Crazyflie 2.1 data sheet: 92 x 92 x 29 mm
@@ -87,7 +87,7 @@ class Path:
 
 
 def shapes(own_frame: str, target_frame: str, sizes: Sizes) -> list[Marker]:
-    """Return barrier and pad in frames of the target, body and ellipsoid in the frame of the vehicle."""
+    """Return boundary and pad in frames of the target, body and ellipsoid in the frame of the vehicle."""
     radius_m, thickness_m = sizes.pad_radius_m, 0.01
     pad = Marker(
         target_frame, "pad", 0, CYLINDER, (2.0 * radius_m, 2.0 * radius_m, thickness_m), PAD_COLOR,

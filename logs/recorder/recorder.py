@@ -24,10 +24,10 @@ from logs.recorder.recording import Client, DiskError, McapFile, Recorder, Recor
 from logs.schema.schemas import typestore
 
 # Flush period in wall time, s; `recording` also flushes by log time. A killed recorder loses at most 0.5 s:
-# this period and the clients' buffers (0.1 s in lockstep). A power cut also loses one `fdatasync`.
+# this period and the clients' buffers (0.1 s in lockstep). A power cut also loses data since `fdatasync`.
 FLUSH_PERIOD_S = 0.25
 READ_PERIOD_S = 0.004  # wall time between two reads, s; reading several ticks at once saves processor time
-GRACE_S = 3.0  # wall time for clients to finish after a stop, s
+GRACE_S = 3.0  # maximum wall time for clients to finish after a stop, s
 _RECEIVE_BYTES = 2**18
 
 

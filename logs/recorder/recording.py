@@ -33,7 +33,7 @@ _QOS = "[]"  # empty list, as rosbags writes: the sender's quality of service is
 
 
 class DiskError(OSError):
-    """The disk does not accept data, or loses them; the file ends at its last complete record."""
+    """The disk does not accept data, or loses data; the file ends at its last complete record."""
 
 
 class SafeStream:

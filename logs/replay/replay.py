@@ -46,7 +46,7 @@ class Result:
     path: Path  # path of the log file
     compared: int = 0  # number of compared ticks, from tick 0 on
     outputs: Tally = field(default_factory=Tally)  # differences of decisions and events
-    states: Tally = field(default_factory=Tally)  # differences of snapshots
+    states: Tally = field(default_factory=Tally)  # differences of the controller's stored states
     # differences of the inputs and frames from the replayed MAVLink link; None if not replayed
     wire: Tally | None = None
     notes: list[str] = field(default_factory=list)  # parts that were not compared, with the reasons

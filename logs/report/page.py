@@ -32,7 +32,7 @@ class Panel(NamedTuple):
 
 
 class Page(NamedTuple):
-    """A page: its first screen, and the panels below it."""
+    """A page: the first screen, and the panels below."""
 
     title: str
     badge: tuple[str, str]  # text of the outcome, and its style (good, fair or bad)
@@ -52,7 +52,7 @@ def render(page: Page) -> str:
 
 
 def write(path: Path, page: Page) -> Path:
-    """Write a page. Raises ReportError: it cannot be written; or raises like ``need_libraries``."""
+    """Write a page. Raises ReportError: the page cannot be written; or raises like ``need_libraries``."""
     text = render(page)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -76,7 +76,7 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
 
 
 def run_of(fleet: Fleet) -> Mapping[str, str]:
-    """Return the values of the run: those of the metadata that are equal for all vehicles."""
+    """Return the values of the run: the metadata that are equal for all vehicles."""
     first, *others = (flight.metadata.get("run", {}) for flight in fleet.flights.values())
     shared = {key: value for key, value in first.items() if all(run.get(key) == value for run in others)}
     return {**shared, **fleet.metadata.get(FLEET, {})}

@@ -24,7 +24,7 @@ _SYMBOLS_3D = {"circle": "circle", "square-open": "square", "triangle-up": "diam
 
 
 class Track(NamedTuple):
-    """Positions of vehicle and landing spot by one source, m, (n, 3); NaN where unknown."""
+    """Positions of vehicle and landing spot from one source, m, (n, 3); NaN where unknown."""
 
     source: str  # "true" or "estimate"
     color: str
@@ -51,7 +51,7 @@ def tracks(flight: Flight) -> list[Track]:
 
 
 def _relative(flight: Flight) -> list[tuple[Track, Floats]]:
-    """Return each track with its relative positions since the start of the landing, m, (n, 3), if known."""
+    """Return the tracks with known relative positions since the landing's start; positions in m, (n, 3)."""
     start_s = flight.landing_start_s or 0.0
     found = [(track, track.relative_m[track.t_s >= start_s]) for track in tracks(flight)]
     return [(track, e_m) for track, e_m in found if len(_known(e_m))]
@@ -66,7 +66,7 @@ def _distance_max_m(paths: Sequence[Floats]) -> float:
 
 
 def trajectory_3d(flights: Mapping[str, Flight]) -> go.Figure | None:
-    """Draw the relative trajectories over the barrier's surface; ``flights``: by name of the vehicle."""
+    """Draw the relative trajectories over the boundary h = 0; ``flights``: by name of the vehicle."""
     found = {name: paths for name, flight in flights.items() if (paths := _relative(flight))}
     if not found:
         return None
@@ -117,7 +117,7 @@ def _surface(barrier: Barrier, distance_max_m: float) -> go.Surface:
 
 
 def altitude_over_distance(flight: Flight) -> go.Figure | None:
-    """Draw relative altitude over horizontal distance, with the barrier's boundary."""
+    """Draw relative altitude over horizontal distance, with the boundary h = 0."""
     found = _relative(flight)
     if not found:
         return None

@@ -159,7 +159,7 @@ _DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # en dash without a line break befo
 
 
 def pairs_table(fleet: Fleet) -> str:
-    """Return a table with the smallest distances of each pair while both flew, and its collision time."""
+    """Return a table with the smallest distances of each pair while both flew, and the collision time."""
     rows = []
     for (one, other), pair in sorted(fleet.pairs.items()):
         names = f"{fleet.ids.get(one, one)}{_DASH}{fleet.ids.get(other, other)}"

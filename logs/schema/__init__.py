@@ -1,6 +1,6 @@
 """Messages of the log, and the names of a flight's records, which start with the namespace of the vehicle.
 
-Written by hand: the definitions in ``msg/*.msg``, the levels of events in ``events.py``, and
+These parts are written by hand: the definitions in ``msg/*.msg``, the levels of events in ``events.py``, and
 ``controller_rows.py``, which fills the rows of a tick. ``schemas.py`` and ``rows.py`` make types and rows
 from the definitions; ``rows.pyi`` is generated.
 

@@ -38,7 +38,7 @@ from logs.verdict.types import (
 REST_SPEED_MAX_M_S = 0.10  # maximum estimated speed relative to the pad at rest, m/s; estimates are noisy
 REST_HEIGHT_MAX_M = 0.05  # maximum distance of feet and pad beyond the contact gap, m; estimates drift
 # maximum time between the check at rest and the nearest valid state, s; at rest the states, rounded to mm,
-# repeat, so they are marked invalid
+# repeat, and repeated states are marked invalid
 REST_SEEN_S = 0.5
 _SAME_S = 1e-6  # tolerance of equal times, s; much shorter than a tick
 BEFORE_S = 0.3  # searched time before phase TOUCHDOWN, s: a gust may press the vehicle onto the pad earlier
@@ -47,7 +47,7 @@ MEMORY_S = 0.15  # time before a stop from which the sink rate of the descent is
 STOPPED_SHARE = 0.5  # fraction of the earlier median sink rate; below this fraction the descent has stopped
 # interval after a stop, s; the mean sink rate there must also be below STOPPED_SHARE times the earlier median
 STAYS_S = 0.05
-SINK_MIN_M_S = 0.05  # slowest descent whose end can be detected, m/s
+SINK_MIN_M_S = 0.05  # minimum sink rate of a descent whose end can be detected, m/s
 # Fraction of the highest sink rate; the last step above this rate was before the contact. A lower fraction
 # includes steps of a lagging state (lag 0.03 s, 50 Hz: contact 0.10 m/s too slow with 0.85, 0.03 at 0.95).
 BEGINS_SHARE = 0.95
@@ -195,7 +195,7 @@ def _within(t_s: Floats, values: Floats, begin_s: float, end_s: float) -> Floats
 def _at(steps: Steps, begin: int, last: int) -> Touch:
     """Return position and velocity at the contact, halfway between the last step before contact and the next.
 
-    An estimated velocity is late by about half a step or more, so its line is evaluated at the next step.
+    An estimated velocity is late by half a step or more, so the velocity line is evaluated at the next step.
     """
     t_s, next_s = 0.5 * float(steps.t_s[last] + steps.t_s[last + 1]), float(steps.t_s[last + 1])
     first = max(begin, int(np.searchsorted(steps.t_s, t_s - FIT_S)))

@@ -35,13 +35,13 @@ class LiveRecording:
     """Rerun recording of running flights; each call of ``add`` adds newer data of one flight."""
 
     def __init__(self, where: str, configs: Mapping[str, FlightConfig | None]) -> None:
-        """Open the view of vehicles with these names; a vehicle without configuration has no barrier."""
+        """Open the view of vehicles with these names; no configuration: no boundary h = 0 is drawn."""
         self._configs = configs
         self._stream = rr.RecordingStream("flightstack")
         self._stream.send_recording_name(", ".join(configs))
         self._events: Canvas | None = None  # None: no data have arrived
         self._canvases: dict[str, Canvas] = {}  # canvases of all vehicles by name
-        self._phases: dict[str, int] = {}  # newest phase by name
+        self._phases: dict[str, int] = {}  # newest phase by name of the vehicle
         self._viewer: subprocess.Popen[bytes] | None = None
         self._stays = where == NATIVE  # whether the window stays open until the user closes it
         self.address = where  # address of the web page with the view, or path of the recording

@@ -161,7 +161,7 @@ def open_viewer(recording: Path, *, web: bool) -> int:
 def viewer_program() -> str:
     """Return the path of Rerun's program.
 
-    This is not ``bin/rerun``: that Python wrapper starts the program and leaves it running after SIGTERM.
+    The path is not ``bin/rerun``: that Python wrapper leaves the program running after SIGTERM.
     """
     return str(files("rerun_cli") / "rerun")
 
@@ -173,7 +173,7 @@ def draw(canvas: Canvas, flight: Flight) -> None:
 
 
 def _scene(canvas: Canvas, flight: Flight) -> None:
-    """Send the controller's data: vehicle, target with its pad and barrier, both paths."""
+    """Send the controller's data: vehicle, target with pad and boundary h = 0, both paths."""
     canvas.style(WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     steps = flight.steps
     if steps is None:
@@ -188,7 +188,7 @@ def _scene(canvas: Canvas, flight: Flight) -> None:
         turn = np.stack([nothing, nothing, np.sin(half_rad), np.cos(half_rad)], axis=1)
         moved = rr.Transform3D.columns(translation=place_m, quaternion=turn)
         canvas.columns(f"{WORLD}/{name}", at_ns[valid], moved)
-        if name == "target":  # the barrier moves with the target but does not rotate with it
+        if name == "target":  # the boundary h = 0 moves with the target but does not rotate
             canvas.columns(SPOT, at_ns[valid], rr.Transform3D.columns(translation=place_m))
     sizes = sizes_of(flight.config, flight.metadata.get("run", {}))
     for shape in markers.shapes("vehicle", "target", sizes):

@@ -1,7 +1,7 @@
 """Messages and requests of the companion; each request is repeated until the vehicle shows its effect.
 
 Only telemetry counts: an acknowledgement does not prove that a command was executed (PX4 answers a mode
-change twice, the first time always with ACCEPTED, and either can be lost). A rejection only affects the
+change twice, the first time always with ACCEPTED, and each answer can be lost). A rejection only affects the
 retries.
 """
 

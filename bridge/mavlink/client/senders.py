@@ -46,7 +46,7 @@ class Senders:
     _now_s: float = -math.inf  # arrival time of the newest frame
     _known_s: float = -math.inf  # arrival time of the newest frame from the known address
     _kind: Kind | None = None
-    _beat_s: float = -math.inf  # time of the known sender's newest frame after its first heartbeat
+    _beat_s: float = -math.inf  # time of the known sender's newest frame after its first heartbeat, s
     _claims: tuple[int, int] | None = None  # base_mode and custom_mode of the last accepted heartbeat
     # base_mode and custom_mode, then first time, of a heartbeat that is not accepted yet
     _doubted: tuple[tuple[int, int], float] | None = None
@@ -54,7 +54,7 @@ class Senders:
     _steady: int = 0  # number of the known sender's newest frames with steps up to _GAP_MAX
     _number: int = -1  # sequence number of the newest frame that was compared with ``_newest``
     _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # newest frames, oldest first
-    # times of the first and of the newest frame of other addresses that use the vehicle's ids
+    # times, s, of the first and of the newest frame of other addresses that use the vehicle's ids
     _others: dict[Peer, tuple[float, float]] = field(default_factory=dict)
     _due: int = 1  # count of ignored frames at which the next notice is due
     _notices: list[str] = field(default_factory=list)
@@ -114,7 +114,7 @@ class Senders:
         """Whether a frame of the known sender is a repetition; never for TIMESYNC, which lockstep repeats."""
         header, newest = message.get_header(), self._newest
         frame = (header.seq, header.msgId, message.get_crc())
-        # a message without a checksum was never on a wire; some senders give all frames the same number
+        # a message without a checksum was never on a wire; some senders never change the sequence number
         if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC or frame[2] is None or header.seq == self._number:
             return False
         self._number = header.seq

@@ -117,7 +117,7 @@ class VehicleState:
         return frozenset((landed,) if self._watches_power else (landed, battery))
 
     def took(self, own: OwnState) -> None:
-        """Record a vehicle state that other code decoded, and its heading as the newest one."""
+        """Record a vehicle state that other code decoded, and its heading as the newest heading."""
         self.own, self._yaw_enu_rad, self._yaw_time_s = own, own.yaw_rad, own.source_time_s
 
     def update(self, message: Message, arrival_s: float) -> None:

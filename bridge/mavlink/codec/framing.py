@@ -24,7 +24,7 @@ _HEADER_V2 = 10  # number of bytes of version 1's fields, two flag bytes, and an
 _CHECKSUM = 2  # length of the checksum, bytes
 _SIGNATURE = 13  # number of bytes of link id, timestamp and signature
 FLAG_SIGNED = 0x01  # the only incompatibility flag that MAVLink 2 defines
-REST_MAX = 560  # maximum number of buffered bytes of a stream: two frames of the largest length
+REST_MAX = 560  # maximum number of buffered bytes of a stream: two frames of the maximum length
 
 
 class NoFrame(IntEnum):

@@ -28,7 +28,7 @@ from bridge.mavlink.transport.address import is_local, parse_url, resolve
 _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s
 _HEARTBEAT_S = 1.0
 _VERSION_S = 0.5  # time between two requests of the version, s
-_VERSION_TRIES = 12  # number of requests of the version; a busy line of 57,600 baud loses most replies
+_VERSION_TRIES = 12  # maximum number of version requests; a busy line of 57,600 baud loses most replies
 _SAY_S = 2.0  # time between two texts about the wait, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # time between two polls, s
@@ -39,7 +39,7 @@ _READ_MAX_S = 30.0  # time limit of the check after the first message of the veh
 _AT_ONCE = 5  # maximum number of open parameter requests; the buffer of a radio is small
 _READ_PERIOD_S = 0.4  # time between two requests of a parameter, s; autopilots reply within 0.05 s on a wire
 _READ_TRIES = 5
-_READ_TRIES_LOSSY = 15  # number of requests of a parameter after any reply was lost, for a busy line
+_READ_TRIES_LOSSY = 15  # maximum number of requests of a parameter once a reply was lost on a busy line
 _FLOAT = struct.Struct("<f")
 # Layout of the float field that carries an integer bytewise.
 _BYTES: Mapping[int, struct.Struct] = {
@@ -120,7 +120,7 @@ class ParameterReader:
 class Report:
     profile: Profile | None  # profile of the autopilot; None: not recognised
     version: str | None  # release of the autopilot; None: not received
-    findings: tuple[Finding, ...]  # one per checked parameter; empty if the check ended early
+    findings: tuple[Finding, ...]  # one finding per checked parameter; empty if the check ended early
     problem: str | None  # reason against the flight other than parameters, or None
     notes: tuple[str, ...] = ()  # texts for the operator about the release
     rules: str | None = None  # release whose rules were used; None: no rules

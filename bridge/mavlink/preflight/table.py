@@ -24,7 +24,7 @@ class Needs(NamedTuple):
     horizontal_m_s2: float  # maximum horizontal acceleration of the commanded velocity, m/s2
     vertical_m_s2: float
     altitude_max_m: float  # maximum height of the flight above the ground, m
-    system_id: int = 1  # MAVLink id of the vehicle and its companion
+    system_id: int = 1  # MAVLink system id of the vehicle and its companion
 
 
 # limit of a rule: a number, or the name of the field of ``Needs`` that has the number
@@ -75,7 +75,7 @@ class Rule:
     stops: tuple[str, ...] = ()  # values that stop the motors in the air and are always unsafe
     wanted: str = ""  # allowed values as text, {} for the number; empty: text from the condition
     # conditions, of which exactly one is given (tested for the shipped files)
-    low: Bound | None = None  # minimum allowed value; ``high``: maximum
+    low: Bound | None = None  # minimum allowed value; ``high``: maximum allowed value
     high: Bound | None = None
     values: tuple[str, ...] = ()  # allowed whole numbers with their meaning, such as "4 (land)"
     bits_set: int | None = None
@@ -98,7 +98,7 @@ class Rule:
         return (low is None or number >= low - _SLACK) and (high is None or number <= high + _SLACK)
 
     def wanted_in(self, name: Name, needs: Needs) -> str:
-        """Return the required value as text, in the unit of the parameter, rounded up to two decimals."""
+        """Return the required value as text, in the unit of the parameter, with two decimals, rounded up."""
         unit = f" {name.unit}" if name.unit else ""
 
         def own(number: float) -> str:

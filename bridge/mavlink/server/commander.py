@@ -1,6 +1,6 @@
 """Flight modes and commands of a vehicle that behaves like PX4, and the choice of the client in control.
 
-One sender of set-points has control of the vehicle, and only few commands of other senders are accepted: PX4
+One sender of set-points has control of the vehicle; only a few commands of other senders are accepted. PX4
 follows the newest message, so a second companion or a forgotten script could take over in flight.
 
 A subclass arms and disarms, flies the modes, and adds its fail-safes. Methods that can refuse return the
@@ -287,7 +287,7 @@ class Commander(ABC):
         return None
 
     def land(self, now_s: float) -> str | None:
-        """Land at the present position; never refused, without effect on a disarmed vehicle."""
+        """Land at the present position. A landing is never refused; a disarmed vehicle ignores it."""
         if self.armed:
             self._enter(FlightMode.LAND, now_s)
         return None

@@ -146,7 +146,7 @@ class ByteStream:
         self._channel: Channel | None = None
         self._was_up = self._told = False  # whether a connection ever existed; whether its loss is reported
         self._lost_s = self._retry_s = time.monotonic()
-        self._outgoing = bytearray()  # pending frames; a part of the first one may have been sent
+        self._outgoing = bytearray()  # pending frames; a part of the first frame may have been sent
         self._nothing = socket.socketpair()  # descriptors that are never readable
         if self.baud is not None:
             self._channel = _SerialChannel(address)
