@@ -52,9 +52,9 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     limits the velocity and its rate of change and, with a ``filter``, enforces the barrier. The robust filter
     also limits the horizontal velocity relative to the target to ``robust.gain_1_s`` times the distance.
 
-    Reward: 10 for each metre that the distance to the landing spot decreases, -0.001 for each step, and -0.1
-    for each step with h below -5 mm outside the pad; at the end 10 for a landing, -10 for a crash, 0 at the
-    time limit, and -5 otherwise.
+    Reward: 10 for each metre by which the distance to the landing spot decreases, -0.001 for each step, and
+    -0.1 for each step with h below -5 mm outside the pad; at the end 10 for a landing, -10 for a crash, 0 at
+    the time limit, and -5 otherwise.
 
     ``terminated``: the flight is over; ``truncated``: the flight exceeded its time limit. The last ``info``
     has ``verdict``, ``outcome``, ``violation`` (None: unknown), ``h_min_outside_pad_m`` and ``is_success``.

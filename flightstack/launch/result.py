@@ -23,7 +23,7 @@ from logs.verdict.types import FALL_M_S, FALLS, PROCESS, SOURCES, Outcome, Verdi
 from logs.verdict.verdict import fleet_verdict, judge_fleet, result
 
 _ABOUT = ("scenario", "seed", "config", "filter")
-# columns of the table of vehicles: heading, key of the value, factor to the unit of the heading
+# columns of the vehicles' table: heading, key of the value, factor to the heading's unit
 _COLUMNS = (
     ("outcome", "outcome", 1.0),
     ("violation", "violation", 1.0),

@@ -5,8 +5,8 @@ Some velocity must satisfy the landing barrier, the velocity limits (box) and th
 
     g . u >= |g| w + a t - rate h,
 
-where w is the neighbour's speed, a t its ellipsoid's growth rate at the maximum latency, rate = rate_1_s;
-this vehicle has the whole share, and the neighbour approaches straight. g is a unit vector whose vertical
+where w is the neighbour's speed, a t its ellipsoid's growth rate at the maximum latency, rate = rate_1_s.
+This vehicle has the whole share, and the neighbour approaches straight. g is a unit vector whose vertical
 part is multiplied by k = radius_xy / radius_z. The checks use the box's horizontal disc, without slew limit.
 """
 

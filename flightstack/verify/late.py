@@ -81,9 +81,9 @@ def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: fl
 def drift_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
     """Return a vehicle's largest distance from the pad's centre, m, and its lag divided by the declared one.
 
-    The distance holds until ``time_s`` after the start of the final descent. It has three parts: the free
-    motion from the maximum distance and speed at the start and, for the target's acceleration and for the
-    error of the velocity command, the bound times the sum of the absolute impulse response.
+    The distance holds until ``time_s`` after the start of the final descent. It is the free motion from the
+    maximum distance and speed at the start, plus the effects of the target's acceleration and of the velocity
+    command's error. Each effect is the bound of the input times the sum of the absolute impulse response.
     """
     slower = [1.0 + share * config.envelope.lag_spread for share in SLOWER]
     return max((_drift_m(config, x, time_s, lag, each), lag) for lag in slower for each in RESPONSES)

@@ -1,7 +1,7 @@
 """Checks of eq. 11 that any filter needs: some velocity in the box always satisfies the barrier.
 
 At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box (limits
-v) raises h by ``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target (speed w, climb w_z) lowers h by
+v) raises h by ``v_z + |s| (|n_x| v_x + |n_y| v_y)``. The worst target (speed w, climb w_z) lowers h by
 ``|s| w + w_z``. The first rate minus the second must not be negative at any distance and in any direction;
 this difference is smallest along the slower axis of the box. Near the apex (d = 0) the smoothing makes the
 filter's gradient smaller than s. The difference is linear in |s|, and the check at the peak includes s = 0:

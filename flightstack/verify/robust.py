@@ -70,8 +70,8 @@ def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
 def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     """Return the lowest h outside the pad as a depth below 0, m, and its distance from the centre, m.
 
-    The depth is the missing margin at this distance (the margin fades towards the pad, and is sized for the
-    slope at the pad's edge), plus the losses between two ticks and between two samples of the target.
+    The depth is the missing margin at this distance, plus the losses between two ticks and between two
+    samples of the target. The margin fades towards the pad and is sized for the slope at the pad's edge.
     """
     robust, held_m = config.robust, x.usual.margin_m.low
     kept_m = robust.tracking_error_m_s / robust.rate_1_s

@@ -8,9 +8,9 @@ semi-axis: a motion never reduces h more than the linear prediction. The ellipso
 of the other vehicle's position.
 
 This vehicle takes a share of the avoidance: none, half or all. The shares of two vehicles always sum to at
-least 1, also with late or lost messages; docs/how_it_works/fleet.md proves this from the order of the rules
-in ``share``: first the announcements of this vehicle, then the reasons why the other one cannot give way,
-then the latest announcements of the other one. Vehicles that meet head-on each step aside to the right.
+least 1, also if messages are late or lost. docs/how_it_works/fleet.md proves this from the order of the rules
+in ``share``: announcements of this vehicle, reasons why the other vehicle cannot give way, and the newest
+announcements of the other vehicle. Vehicles that meet head-on each step aside to the right.
 """
 
 from __future__ import annotations

@@ -3,10 +3,10 @@
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 
 ``by_active_set`` is a dual active-set method in plain floats (Goldfarb and Idnani, Mathematical Programming
-27, 1983): it starts at the clipped u', where sides of the box are active, adds the constraint with the
+27, 1983). It starts at the clipped u', where sides of the box are active. It adds the constraint with the
 largest violation until no constraint is violated, and removes a constraint whose multiplier would become
-negative. Its result is used only if it satisfies the Karush-Kuhn-Tucker conditions, which are checked here;
-if not, ``by_all_sets`` tries all active sets: in three dimensions at most three constraints are active at the
+negative. Its result is used only if it satisfies the Karush-Kuhn-Tucker conditions, which are checked here.
+If not, ``by_all_sets`` tries all active sets: in three dimensions at most three constraints are active at the
 minimiser. ``least_slack`` relaxes constraints if no point satisfies all. The result depends only on the data
 of this tick, and OSQP shares no code with this module.
 """

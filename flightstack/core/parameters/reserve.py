@@ -11,8 +11,8 @@ rest to hover. To first order the fraction 1 / (1 + 1.5 p sag_v / voltage) of r 
 If the firmware compensates the battery voltage, a fixed motor voltage limits the thrust command. The maximum
 throttle is then the lower one of throttle_max and motor_voltage_max_v / voltage.
 
-Recorded Crazyflies 2.1 with markers hover at 0.78 of full PWM at 3.7 V and at 0.90 at 3.1 V, with p = 1.5;
-the throttles of their motors span 9 %, so the motor with the highest saturates at a mean of about 0.95.
+Recorded Crazyflies 2.1 that carry markers hover at 0.78 of full PWM at 3.7 V and at 0.90 at 3.1 V; p is 1.5.
+The throttles of the motors span 9 %, so the highest one saturates at a mean throttle of about 0.95.
 """
 
 from __future__ import annotations

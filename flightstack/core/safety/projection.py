@@ -3,9 +3,9 @@
     min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= b     (u': nominal velocity)
 
 The minimiser is ``clip(u' + lambda g)`` with the smallest multiplier lambda >= 0 that satisfies the
-half-space. g . clip(u' + lambda g) never falls with lambda and is linear between the values at which an axis
-reaches its bound, so a walk over these values finds lambda exactly. The solver shares no code with this
-module; in flight the solver starts from this result and confirms or improves it.
+half-space. g . clip(u' + lambda g) never falls with lambda, and is linear between the values of lambda at
+which an axis reaches its bound, so a walk over these values finds lambda exactly. The solver shares no code
+with this module; in flight the solver starts from this result and confirms or improves it.
 """
 
 from __future__ import annotations
