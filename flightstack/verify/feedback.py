@@ -27,7 +27,7 @@ SHARE = 0.5  # ratio of the required decay rate on an interval of the lag spread
 PIECE_MIN = 1e-6  # minimum width of an interval of lag factors; without a proof there: decay rate 0
 BANDWIDTH = 2.5  # maximum ratio of feedback rate to velocity loop rate; the model omits motors and attitude
 OBSERVER = 0.5  # minimum ratio of observer rate to velocity loop rate, so that a disturbance is found soon
-# maximum acceleration by velocity_loop.error_max_m_s, m/s^2, for which the linear model holds
+# maximum acceleration that velocity_loop.error_max_m_s may cause, m/s^2, so that the linear model holds
 ACCELERATION_MAX_M_S2 = 3.0
 MIN_DECAY_1_S = 0.1  # required proven decay rate, 1/s: an error halves in 7 s
 
@@ -35,8 +35,8 @@ MIN_DECAY_1_S = 0.1  # required proven decay rate, 1/s: an error halves in 7 s
 def linear(config: FlightConfig, faster: float, damped: float | None = None) -> F64:
     """Return the loop's matrix for a vehicle whose w is ``faster`` times the declared one.
 
-    D is ``damped`` times the declared one; the default is ``faster``. The gains of the vehicle state's
-    estimator act once a tick.
+    D is ``damped`` times the declared D; the default of ``damped`` is ``faster``. The gains of the vehicle
+    state's estimator act once a tick.
 
     States: position relative to the target, velocity, acceleration; state of the delay; velocity,
     acceleration and disturbance of the observer; smoothed derivative of the velocity command. With an
@@ -168,7 +168,7 @@ _TARGET, _ERROR, _OTHER = range(3)  # indices of the loop's inputs
 
 
 def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """Return the largest distance of a vehicle that follows from the pad's centre, m, and the worst factor.
+    """Return the largest distance between pad centre and a following vehicle, m, and the worst factor.
 
     The distance is infinite if no bound is proven, and always for an estimated vehicle state. The factor is
     the ratio of the vehicle's velocity loop rate to the declared one.

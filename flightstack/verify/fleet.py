@@ -92,7 +92,7 @@ def _separation(config: FlightConfig, lag_s: float) -> list[Check]:
 
     While the constraint g . (u - c) >= -rate h is active (c: the other vehicle's velocity), g . u must grow
     at least at rate * closing speed + g . c'. The curvature of h reduces this value; share HALF halves it.
-    The remaining slew limit is homogeneous in g and concave, so it is smallest along an axis.
+    The remaining slew limit is homogeneous in g and concave, so it is smallest if g is along an axis.
     """
     fleet, speeds_m_s = config.fleet, config.limits.velocity_max_m_s
     slew_m_s2 = strategy_of(config).acceleration_max_m_s2

@@ -3,8 +3,7 @@
 A vehicle that starts its landing claims the right of way with a time stamp. The claim is granted when every
 member with a conflicting pad has replied (as in Ricart and Agrawala's algorithm). A reply is a message that
 the member sent later than claim plus latency, without a claim or with this vehicle in ``yields_to``. The
-older claim is first; of two equally old claims, that of the lower id. A member yields until the other claim
-ends.
+older claim is first; of equally old claims, that of the lower id. A member yields until the other claim ends.
 
 Clocks can disagree on the order of two claims. If both members then yield, the one with the lower id stops
 yielding; if neither yields, the one with the higher id starts. A new claim ends a cycle of waiting members.

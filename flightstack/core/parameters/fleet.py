@@ -1,8 +1,7 @@
 """Parameters of a fleet: members, the ellipsoid between two vehicles, and bounds of the members' motion.
 
 The ellipsoid of two Crazyflies has the semi-axes 0.25 and 0.75 m: each Crazyflie has the radii 0.125 and
-0.375 m that Crazyswarm sets for the firmware's collision avoidance. Downwash makes the ellipsoid higher than
-wide.
+0.375 m that Crazyswarm sets for the firmware's collision avoidance. The larger height covers downwash.
 """
 
 from __future__ import annotations

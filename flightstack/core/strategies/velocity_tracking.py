@@ -2,13 +2,12 @@
 
 The velocity loop on board responds to a set-point u like a second-order low-pass M (natural frequency w,
 damping zeta); the paper neglects this lag. Wind, drag and a wrong mass disturb the velocity v: v = M(u) + d.
-Two corrections for one axis use this model, with the acceleration a of the loop and f = w d / (2 zeta) of
-the disturbance:
+Two corrections for one axis use this model (acceleration by the loop: a, by disturbance: f = w d / (2 zeta)):
 
     v' = a + f,      a' = w^2 (u - v) - 2 zeta w a
 
 The lag compensation ("lead") adds corrections to the command r (internal model control, with a lead instead
-of the inverse model). The feedback, only k (r - v), k = gain_xy, and a slow d, tolerates a wrong model:
+of the inverse model). Its feedback is only k (r - v), k = gain_xy, and a slow d; a wrong model is tolerated:
 
     u = r + lag * r' + k (r - v) - d,      d = low-pass of (v - M(u))
 
