@@ -149,7 +149,7 @@ def _marked(item: pytest.Item, name: str) -> bool:
 
 
 def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None:
-    """Name a frame or payload by its length, because its bytes are unreadable."""
+    """Name a frame or payload by its length, because the bytes are unreadable."""
     del config
     return f"{len(val)} bytes" if isinstance(val, bytes) else None
 

@@ -1,4 +1,4 @@
-"""Flies a fleet in lockstep, for the tests of its log."""
+"""Flies a fleet in lockstep, for the tests of fleet logs."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,7 +25,7 @@ def near() -> Scenario:
 
 @dataclass
 class FlownFleet:
-    """The log of a fleet, its flights and the verdict on them."""
+    """The log of a fleet, the members' flights, and the verdict on the fleet."""
 
     log: Path
 

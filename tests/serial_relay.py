@@ -121,7 +121,7 @@ class TcpEnd:
         self.pull()
 
 
-# messages with precedence; an autopilot sends the others only if its buffer is nearly empty (PX4: MAV_x_RATE)
+# messages with precedence; an autopilot sends others only if its buffer is nearly empty (PX4: MAV_x_RATE)
 _FIRST = frozenset({
     mav.MAVLINK_MSG_ID_HEARTBEAT, mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mav.MAVLINK_MSG_ID_ATTITUDE,
     mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, mav.MAVLINK_MSG_ID_SYS_STATUS, mav.MAVLINK_MSG_ID_COMMAND_ACK,

@@ -1,4 +1,4 @@
-"""Runs benchmarks and prints their results; ``make bench`` runs the short ones.
+"""Runs benchmarks and prints their results; ``make bench`` runs the short benchmarks.
 
 ``python -m tests.benchmarks NAME [ARGUMENTS]`` runs a single benchmark.
 """

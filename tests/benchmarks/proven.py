@@ -1,4 +1,4 @@
-"""Tests the certificate: changes each parameter over its range, and flies what `check` proves.
+"""Tests the certificate: changes each parameter over its range, and flies proven configurations.
 
 ``python -m tests.benchmarks proven [KEY ...] [--scenario NAME[+VARIANT] ...] [--filter NAME ...]``
 

@@ -70,7 +70,7 @@ def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
     def mangle(payloads: list[bytes], now_s: float) -> list[bytes]:
         nonlocal held, lost, until_s
         match way:
-            case Way.STUCK:  # repeat the first payload instead of each later one
+            case Way.STUCK:  # repeat the first payload instead of each later payload
                 first.extend(payloads[: 1 - len(first)])
                 return first * len(payloads)
             case Way.GARBAGE:  # change one byte of each payload

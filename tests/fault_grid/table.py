@@ -1,8 +1,9 @@
-"""Requirements of each cell of the grid: how the flight may end, how soon it is aborted, how far h may fall.
+"""Requirements of each cell of the grid: allowed ends of the flight, latest abort, and lowest h.
 
-A companion that has only its links must not let the vehicle fall, must not continue silently on data that it
-can detect as stale or wrong, and must start to bring the vehicle to safety within 2 s unless it is on the
-pad. Several ends are allowed only where chance decides between safe ends; the reason then has "chance".
+A companion that has only its links must not let the vehicle fall, and must not continue silently on data that
+it can detect as stale or wrong. Unless the vehicle is on the pad, the companion must start to bring it to
+safety within 2 s. Several ends are allowed only where chance decides between safe ends; the reason then has
+"chance".
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Runs the onboard process, aborts its flight outside the fence, and can interrupt its radio link."""
+"""Runs the onboard process, aborts the flight outside the fence, and can interrupt the radio link."""
 
 from __future__ import annotations
 

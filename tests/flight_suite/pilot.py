@@ -35,7 +35,7 @@ class Setpoint:
 
 
 class Pilot:
-    """Context manager of a test pilot; at its end, an armed vehicle is landed in every case."""
+    """Context manager of a test pilot; at the end, an armed vehicle is landed in every case."""
 
     def __init__(self, room: Room) -> None:
         self._room = room

@@ -17,7 +17,7 @@ def phases(result: Result) -> set[str]:
 
 
 def report(name: str) -> bool:
-    """Print how a golden log differs from the current code's decisions; return whether it is equal."""
+    """Print how a golden log differs from the current code's decisions; return whether both are equal."""
     path = path_of(name)
     if not path.exists():
         print(f"{name}: not there yet")

@@ -30,7 +30,7 @@ Flights = Callable[..., Flown]
 
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory) -> Flights:
-    """Return a function ``flown(scenario, seed, *options)``; it flies only what no worker has flown yet."""
+    """Return a function ``flown(scenario, seed, *options)``, which reuses the flights of all workers."""
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         base = base.parent  # folder that is common to all workers of this session

@@ -79,7 +79,7 @@ def fly(out: Path, scenario: str, seed: int = 0, *more) -> Result:
 def replayed(log: Path, *, apart: bool = False) -> dict:
     """Replay a log with its recorded MAVLink and Zenoh data; return the result.
 
-    The replayed decisions and inputs must be equal to the recorded ones.
+    The replayed decisions and inputs must equal the recorded decisions and inputs.
     """
     done = flightstack("replay", log, "--check", "--json", apart=apart)
     assert done.code == 0, done.out + done.err

@@ -46,7 +46,7 @@ random_heading = false
 
 @pytest.fixture(autouse=True)
 def forgotten(monkeypatch):
-    """Remove the test's module and its folder from the interpreter after each test."""
+    """Remove the test's module and the module's folder from the interpreter after each test."""
     monkeypatch.setattr(sys, "path", list(sys.path))
     yield
     sys.modules.pop("failing", None)

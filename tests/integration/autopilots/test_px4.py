@@ -1,4 +1,4 @@
-"""Tests the real PX4 program, if it is found, as a child process, and its flights to a driving robot.
+"""Tests the real PX4 program, if found: as a child process, and in flights to a driving robot.
 
 One PX4 flies all flights, because a start of PX4 takes as long as a flight; after a landing the vehicle takes
 off from the robot's pad. The position comes from motion capture, because with satellites PX4 does not arm on

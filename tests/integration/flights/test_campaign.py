@@ -77,7 +77,7 @@ def test_the_command_of_a_seed_repeats_it(whole, tmp_path):
 
 
 def begun(folder, *arguments):
-    """Start a campaign in the background; return it after its second landing."""
+    """Start a campaign in the background; return the process after the second landing."""
     running, path = Background("campaign", *arguments, "--out", folder), folder / "rows.csv"
 
     def some():
@@ -102,7 +102,7 @@ def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
     longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # more landings than can end before the signal
     running = begun(tmp_path, *longer, "--workers", 2)
     workers = running.pids()
-    # otherwise the first campaign could end before the second one starts
+    # otherwise the first campaign could end before the second campaign starts
     running.process.send_signal(signal.SIGSTOP)
     second = called("campaign", *longer, "--out", tmp_path)
     running.process.send_signal(number)

@@ -137,7 +137,7 @@ def test_make_fly_lands():
     if shutil.which("make") is None or not (ROOT / ".venv").exists():
         pytest.skip("make fly needs make and the checkout's own .venv")
     assert "make fly" in commands()
-    assert "make test" in commands()  # not run here, because it runs this test
+    assert "make test" in commands()  # not run here, because this command runs this test
     done = subprocess.run(
         ["make", "fly"], cwd=ROOT, capture_output=True, text=True, timeout=WALL_MAX_S, check=False
     )

@@ -235,7 +235,7 @@ def test_a_look_at_once_needs_fresh_data_of_all_vehicles(namespaces, code):
 
 
 def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
-    """``watch`` shows a flight of ``sitl`` to scripts and on a terminal; Ctrl-C ends it with status 0."""
+    """``watch`` shows a flight of ``sitl`` to scripts and on a terminal, and ends by Ctrl-C with status 0."""
     port = Port()
     sitl = subprocess.Popen(
         command("sitl", "--scenario", "straight", "--out", str(tmp_path / "run"), "--no-report", "--listen",

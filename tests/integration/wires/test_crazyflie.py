@@ -90,7 +90,7 @@ def test_connects_over_a_radio_that_loses_every_tenth_packet_of_the_real_tables(
 
 
 def stays_unlocked(server):
-    """After the time at which missing set-points would lock the supervisor, it must still be unlocked."""
+    """Assert that the supervisor is not locked after the time at which missing set-points would lock it."""
     ended_s = server.now_s
     wait_for(lambda: server.now_s > ended_s + TIMEOUT_S + 2 * PERIOD_S, "the end of the watchdog's time")
     wait_for(lambda: server.firmware.supervisor.state in (State.CHECKS_PASSED, State.READY), "readiness")

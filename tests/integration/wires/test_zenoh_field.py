@@ -94,7 +94,7 @@ def who_hears(sessions, sender, key):
     found, marked = set(), set()  # clients that received the tested sample, and the robot's sample
 
     def passed():
-        # the robot's permitted sample is sent after the tested sample, and so arrives after it
+        # the wait ends when the others have the robot's permitted sample, sent after the tested sample
         publisher.put(asked)
         mark.put(marks)
         for name, subscriber in heard.items():

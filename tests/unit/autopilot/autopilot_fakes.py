@@ -1,4 +1,4 @@
-"""Fakes for tests of the autopilot: a vehicle that follows its set-point, and its autopilot with a clock."""
+"""Fakes for tests of the autopilot: a vehicle that follows set-points, and an autopilot with a clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests the effects of commands on the simulated vehicle, and its fail-safes."""
+"""Tests the effects of commands on the simulated vehicle, and the fail-safes of the vehicle."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import scipy  # loads scipy.special when it is used
+import scipy  # loads scipy.special at the first use
 
 from sim.campaign import run as campaign
 from sim.campaign.rows import (
@@ -241,7 +241,7 @@ def test_cells_keep_the_lowest_h_of_each():
     level = math.floor((0.02 - E_Z_LOW_M) / CELL_M)
     assert lowest_m[level, 0] == pytest.approx(-0.050)
     assert visits[level, 0] == 2
-    assert lowest_m[0, 1] == pytest.approx(0.3)  # values below the map are in its lowest cells
+    assert lowest_m[0, 1] == pytest.approx(0.3)  # values below the map are in the lowest cells
     assert lowest_m[-1, -1] == pytest.approx(1.0)
     assert visits.sum() == 4
     assert np.isnan(lowest_m[5, 5])

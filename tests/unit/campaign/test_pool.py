@@ -1,4 +1,4 @@
-"""Tests worker processes: all results arrive, even if an item ends or blocks its process."""
+"""Tests worker processes: all results arrive, even if an item ends or blocks a process."""
 
 import os
 import time

@@ -1,4 +1,4 @@
-"""Tests that valid configurations are accepted, and invalid ones rejected with the reason."""
+"""Tests that valid configurations are accepted, and invalid configurations rejected with the reason."""
 
 import dataclasses
 import math
@@ -224,7 +224,7 @@ def test_every_configuration_that_comes_with_the_package_is_found_by_name_and_ma
 
 
 def test_the_margin_is_at_most_1_6_times_the_one_without_fading():
-    """The filter divides the margin by its fraction at the edge of the pad, which is at least 1 - 1/e."""
+    """The filter divides the margin by the fraction that remains at the pad's edge, at least 1 - 1/e."""
     for pad_m in (0.05, 0.1, 0.5):
         widest = config(
             robust={"fade_radius_m": pad_m, "tracking_error_m_s": 0.1, "rate_1_s": 1.0, "sigma_factor": 0.0},

@@ -103,7 +103,7 @@ def test_no_motion_misses_the_linear_prediction_by_more_than_is_said(barrier, e,
 
 @given(places, ways)
 def test_of_a_cone_some_motion_misses_by_all_that_is_said(d, moved):
-    """With a cone of slope 2, the largest error equals the bound, which is continuous between its cases."""
+    """With a cone of slope 2, the largest error equals the bound, and the bound is continuous."""
     barrier = Barrier(1e-6, 2e6)
     worst = max(missed(barrier, (d, 0.0, 0.0), moved, math.pi * n / 2000) for n in range(2001))
     bound = barrier.linearisation_bound_m((d, 0.0, 0.0), moved)

@@ -18,7 +18,7 @@ BOTH = np.ones(2, dtype=np.int64)
 
 
 class Nearest(NamedTuple):
-    """Smallest distance and ellipsoid norm of two vehicles, and time of their overlap (-1: no overlap)."""
+    """Smallest distance and ellipsoid norm of two vehicles, and time of an overlap (-1: no overlap)."""
 
     distance_m: float
     ellipsoid: float

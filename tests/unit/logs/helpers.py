@@ -51,7 +51,7 @@ def payloads(tick, now_ns):
 
 
 def record(path, ticks=300, close=True):
-    """Write a log as the recorder does, in small chunks; without ``close`` it ends as after a kill."""
+    """Write a log as the recorder does, in small chunks; without ``close`` the log ends as after a kill."""
     recorder = Recorder(McapFile(path))
     client = recorder.client()
     recorder.take(client, control(Metadata("run", {"seed": "1"})))

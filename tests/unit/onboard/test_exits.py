@@ -146,7 +146,7 @@ EXITS = {
 
 
 def flown(exits, name="APPROACH", duration_s=None, **more):
-    """Fly one phase from its start until the exit; return the fakes of vehicle and links, and the result."""
+    """Fly one phase from the start until the exit; return the fakes of vehicle and links, and the result."""
     phase, seen, remembered = PHASES[name]
     flight, controller = Flight(exits, **(seen | more)), Controller(CONFIG)
     memory = controller.memory

@@ -51,7 +51,7 @@ def sides(rule):
 
 @RELEASES
 def test_each_side_of_every_rule_is_told_apart_in_every_release(autopilot, release):
-    """Values on a rule's unsafe side are reported with the rule's level, values on its safe side are not."""
+    """Values on a rule's unsafe side are reported with the rule's level; safe values are not reported."""
     safe = SAFE[autopilot, release]
     asked = table(autopilot).asked(autopilot, release)
     assert len(asked) > 15

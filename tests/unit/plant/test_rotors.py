@@ -1,4 +1,4 @@
-"""Tests rotors, ground effect, battery and gusts against their formulas, and statistics of the sensors."""
+"""Tests rotors, ground effect, battery and gusts against formulas, and statistics of the sensors."""
 
 import itertools
 import math

@@ -40,7 +40,7 @@ def touched(position, quaternion=(1.0, 0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0),
 def test_what_is_touched_first():
     assert touched((0.0, 0.0, 0.25)) == ContactBit.PAD.value
     assert touched((1.0, 0.0, 0.05)) == ContactBit.GROUND.value
-    # level flight into the pad's side: feet and board are below its top, propellers above
+    # level flight into the pad's side: feet and board are below the pad's top, propellers above
     assert touched((0.25, 0.0, 0.197), velocity=(-2.0, 0.0, 0.4)) == ContactBit.PAD_EDGE.value
     # flight under the pad into the robot's body
     assert touched((0.3, 0.0, 0.1), velocity=(-2.0, 0.0, 0.5)) == ContactBit.ROBOT.value

@@ -127,7 +127,7 @@ def test_a_silent_px4_is_called_dead_with_the_time_and_hardly_anything_moves_mea
 def test_one_lost_answer_does_not_end_the_flight(pair, short):
     pair.begin()
     pair.session._silent_max_s = 5.0
-    pair.session.step()  # the session repeats the sensor message, because PX4 may wait for it
+    pair.session.step()  # the session repeats the sensor message, for which PX4 may wait
     assert pair.session.nudges == 1
     pair.fake.sensor()
     pair.answering([(0.7,) * 4] * 10)

@@ -1,4 +1,4 @@
-"""Tests a ROS 2 target behind a router: messages encoded by another library are valid, bad ones rejected."""
+"""Tests a ROS 2 target behind a router: messages of another library are valid, bad messages rejected."""
 
 import math
 import struct

@@ -31,7 +31,7 @@ def setpoint(tick):
 
 @cache
 def recorded(plant: Plant):
-    """Return a simulated flight as a ``Recording``, with the columns of a real one."""
+    """Return a simulated flight as a ``Recording``, with the columns of a real flight."""
     spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, own=StateError())
     start = Start(StartKind.GROUND, ground_position_m=(3.0, 0.0))
     sim = VehicleSim(scenario(start=start, vehicle=spec), 5, ROOM, plant)

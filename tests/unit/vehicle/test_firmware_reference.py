@@ -78,7 +78,7 @@ def mellinger_port(rows):
     r, out = new(PaperRecord), []
     set_up_paper(r, PARAMS)
     for q, gyro, force, yaw in ((row[:4], row[4:7], row[7:10], row[10]) for row in rows.astype(float)):
-        wanted = (np.array(force) - (0.0, 0.0, r.weight)) / K_V_N_S_M  # m/s; eq. 8 gives this force for it
+        wanted = (np.array(force) - (0.0, 0.0, r.weight)) / K_V_N_S_M  # m/s: eq. 8 then gives this force
         state = sensed(rotation_axes(q), gyro)
         thrust, moments = paper_update(r, state, setpoint(wanted, yaw), False)
         out.append((*moments, thrust / r.counts_per_n * MASS_THRUST))

@@ -1,4 +1,4 @@
-"""Tests the robot: motion, odometry, ticks simulated in advance, and the deck that follows it."""
+"""Tests the robot: motion, odometry, ticks simulated in advance, and the deck that follows the robot."""
 
 import itertools
 import math

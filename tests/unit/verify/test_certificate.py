@@ -148,7 +148,7 @@ def test_no_state_of_the_envelope_beats_the_feasibility_bound(number):
 
 @pytest.mark.parametrize("number", range(len(SETS)))
 def test_demand_and_its_growth_stay_below_their_bounds(number):
-    """On the boundary, the required climb and its change are below their bounds for all allowed motions."""
+    """On the boundary, the required climb and its rate are below the bounds for all allowed motions."""
     settled = config(**SETS[number])
     x = extremes(settled)
     w, step_s, ahead_s = x.shape.fade_radius_m, 1e-5, 1e-3

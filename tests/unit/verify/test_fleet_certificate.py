@@ -75,7 +75,7 @@ def test_each_limit_from_both_sides(name, passes, fails, more):
 def closest_m(rate_1_s, lag_s, seed, root_1_s):
     """Return the lowest h while two vehicles fly towards each other, m; inf: the start is not admissible.
 
-    Each vehicle takes half of the pair's constraint; its velocity loop is of first order.
+    Each vehicle takes half of the pair's constraint; the velocity loops are of first order.
     """
     rng = np.random.default_rng(seed)
     p = [rng.uniform(-1.5, 1.5, 3) for _ in range(2)]

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-import scipy  # loads scipy.optimize when it is used
+import scipy  # loads scipy.optimize at the first use
 from hypothesis import example, given
 from hypothesis import strategies as st
 

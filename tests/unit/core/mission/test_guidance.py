@@ -170,7 +170,7 @@ def test_flying_clear_is_up_then_away_then_down():
 
 
 def test_it_does_not_land_while_it_closes_in():
-    """The vehicle lands only if its distance to the target remains above the clearance during its descent."""
+    """The vehicle lands only if its distance to the target remains above the clearance during the descent."""
     vx, vy, vz = ROBUST.limits.velocity_max_m_s
     far, lag_s = ROBUST.checks.clearance_m, ROBUST.velocity_loop.lag_xy_s
     z = 0.3 - PAD[2]  # 0.3 m above the origin

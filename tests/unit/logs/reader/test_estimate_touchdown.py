@@ -124,7 +124,7 @@ def test_a_descent_that_nothing_stops_is_no_touchdown(flight):
 
 
 def test_motors_off_without_a_contact_that_shows_gives_no_speeds(flight):
-    steps = descent(flight, sink_m_s=0.03)  # so slow a descent that its end cannot be detected
+    steps = descent(flight, sink_m_s=0.03)  # the end of such a slow descent cannot be detected
     verdict = judged(flight, steps)
     assert verdict.outcome is Outcome.LANDED
     assert verdict.touchdown_error_m == pytest.approx(0.15, abs=1e-6)

@@ -37,7 +37,7 @@ def test_landed(verdict_of):
     assert verdict.touchdown_error_m == pytest.approx(math.hypot(x, y))
     assert verdict.touchdown_speed_vertical_m_s == pytest.approx(-vz)
     assert verdict.touchdown_speed_horizontal_m_s == pytest.approx(math.hypot(vx, vy))
-    # the contact is between two ticks; the simulator's record has its time
+    # the contact is between two ticks; the simulator records the exact time
     assert verdict.time_to_land_s == pytest.approx(
         touch.first_touch_time_s - rows.begin_tick * DT_S, abs=1e-6
     )

@@ -25,7 +25,7 @@ STEP, INPUT, STATE = "/cf1/controller/step", "/cf1/controller/input", "/cf1/cont
 
 
 class FileFeed:
-    """A feed that writes directly into a file, and flushes it as the recorder does."""
+    """A feed that writes directly into a file, and flushes the file as the recorder does."""
 
     def __init__(self, path: Path):
         self.file = McapFile(path)

@@ -76,9 +76,9 @@ def test_the_golden_wire_gives_the_recorded_inputs():
 @pytest.mark.parametrize(
     ("byte", "field"),
     [
-        (4, "own.position_enu_m[1]"),  # byte 4: x of LOCAL_POSITION_NED, which is north
-        (8, "own.position_enu_m[0]"),  # byte 8: y, which is east
-        (12, "own.position_enu_m[2]"),  # byte 12: z, which is down
+        (4, "own.position_enu_m[1]"),  # byte 4: x (north) of LOCAL_POSITION_NED
+        (8, "own.position_enu_m[0]"),  # byte 8: y (east)
+        (12, "own.position_enu_m[2]"),  # byte 12: z (down)
         (24, "own.velocity_enu_m_s[2]"),
         (0, "own.source_time_s"),
     ],

@@ -106,7 +106,7 @@ def test_parameters_of_the_commands(profile, request_, shown, expected):
 
 @pytest.mark.parametrize("stands_m", [0.0, 0.4, -2.5, 31.0])
 def test_ardupilot_climbs_from_where_it_stands_wherever_home_is(stands_m):
-    """The commanded altitude is that of the vehicle above its home plus the take-off height."""
+    """The commanded altitude is the vehicle's height above home plus the take-off height."""
     s = sequencer(ARDUPILOT)
     s.above_home = (-1.0, 99.0)  # this height was measured before the arming
     assert commands(s.step(TAKEOFF, status(0.0, **OURS), 0.0)) == [ARM]

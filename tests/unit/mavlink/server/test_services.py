@@ -51,7 +51,7 @@ def test_messages_on_request(served) -> None:
         ack, message = served.handle(as_long(512, (float(id_),)))
         assert (ack.get_type(), ack.result, message.get_msgId()) == ("COMMAND_ACK", ACCEPTED, id_)
     assert {0, 1, 30, 31, 32, 147, 148, 242, 245} <= served.server.messages
-    assert served.command(512, 435.0) == DENIED  # AVAILABLE_MODES: if accepted, QGC waits for it forever
+    assert served.command(512, 435.0) == DENIED  # AVAILABLE_MODES: if accepted, QGC waits forever
     assert served.command(512, NAN) == DENIED
     for removed in (410, 519, 520, 525, 528):  # commands that PX4 1.18 removed
         assert served.command(removed, 1.0) == UNSUPPORTED
