@@ -60,7 +60,7 @@ class Arming:
         return self._request is not None
 
     def ask(self, state: CrazyflieState, now_s: float) -> list[Packet]:
-        """Start to arm the vehicle and return the packets; firmware that arms itself needs no packet."""
+        """Start to arm the vehicle and return the packets; an armed firmware needs no packet."""
         self.armed, self._arms_itself = bool(state.info & Info.ARMED), bool(state.info & Info.AUTO_ARM)
         self._request = None if self.armed else _Request(_Goal.ARM, now_s, now_s)
         return [] if self.armed else [Order.ARM]
@@ -129,7 +129,7 @@ class Arming:
 GAIN_1_S = 1.5  # position gain, 1/s: a third of the velocity loop's gain, which avoids overshoot
 SPEED_XY_M_S = 0.3  # maximum horizontal speed, m/s
 CLIMB_M_S = 0.4  # maximum climb rate, m/s
-DESCENT_M_S = 0.25  # descent rate, m/s
+DESCENT_M_S = 0.25  # descent rate of a landing, and maximum descent rate of a hold, m/s
 ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # maximum height error, m, and speed, m/s, at the end of a take-off
 # height above the start, m, below which a take-off keeps the horizontal velocity of a moving deck
 CLEAR_M = 0.1

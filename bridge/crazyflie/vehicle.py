@@ -120,7 +120,7 @@ class Vehicle(Condition, Commander):
         self.texts.say(INFO, f"{event.name} is {event.value}")
 
     def lost(self, event: Lost, now_s: float) -> None:
-        """Handle the loss of the link; in the bridge's own modes the vehicle lands blindly."""
+        """Handle the loss of the link: in the bridge's own modes the vehicle lands blindly, OFFBOARD ends."""
         if self.link.protocol is not None:
             self.texts.say(CRITICAL, f"Radio lost: {event.reason}")
         elif event.reason != self.link.reason:  # an unchanged reason is not repeated

@@ -228,7 +228,7 @@ class _Generator:
         (length,) = self._run(["I"], f"len({value}) // {size}" if numbers else f"len({value})")
         self.flush()
         if numbers:
-            align = struct.calcsize("<" + numbers[0])  # no padding if the sequence is empty
+            align = struct.calcsize("<" + numbers[0])  # an empty sequence has no padding
             self._add(self.pack, f"out += bytes((4 - len(out)) % {align}) + {value} if {value} else b''")
             self._add(self.unpack, f"at += (4 - at) % {align} if {length} else 0")
             self._add(self.unpack, f"{made} = bytes_at(data, at, {length} * {size})", f"at += len({made})")

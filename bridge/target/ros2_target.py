@@ -81,13 +81,13 @@ class TargetSpec:
         cls, text: str, target_type: TargetType = TargetType.ODOMETRY, domain: int = 0, offset_m: Vec3 = ZERO
     ) -> TargetSpec:
         """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``."""
-        if not all(abs(one) <= OFFSET_MAX_M for one in offset_m):  # also rejects NaN
+        if not all(abs(one) <= OFFSET_MAX_M for one in offset_m):  # this form also rejects NaN
             raise ValueError(f"offset {offset_m}: up to {OFFSET_MAX_M:g} m on each axis are allowed")
         dialect = next(
             (d for d in (Dialect.ROS2DDS, Dialect.RMW_ZENOH) if text.startswith(d.value)), Dialect.PLAIN
         )
         spec = cls(text, dialect, text.removeprefix(dialect.value), target_type, domain, offset_m)
-        _ = spec.key  # raises if malformed
+        _ = spec.key  # raises ValueError if the source is malformed
         return spec
 
     @property

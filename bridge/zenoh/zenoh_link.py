@@ -61,7 +61,7 @@ _ROLE_DEFAULTS: dict[Role, dict[str, Any]] = {
 }
 _LOCKSTEP: dict[str, Any] = {
     "transport/link/tx/lease": _LOCKSTEP_WAIT_MS,
-    "transport/link/tx/queue/congestion_control/block/wait_before_close": 1000 * _LOCKSTEP_WAIT_MS,  # us
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 1000 * _LOCKSTEP_WAIT_MS,  # in us
 }
 _IP = re.compile(r"^(tcp|udp|tls|quic|ws)/(?:\[[0-9a-fA-F:.%]+\]|[^\s/:\[\]]+):(\d{1,5})$")
 _THIS_MACHINE = re.compile(r"^(unixsock-stream/|\w+/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):)")

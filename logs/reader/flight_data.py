@@ -201,7 +201,7 @@ class Fleet:
 
     @property
     def landing_start_s(self) -> float | None:
-        """Time of the first landing start of any member, s; None: no landing started."""
+        """Start of the earliest landing of any member, s; None: no landing started."""
         starts_s = [
             flight.landing_start_s + self.shift_s(flight)
             for flight in self.flights.values()

@@ -87,7 +87,7 @@ class RecorderProcess:
                 return
 
     def _pass(self, patience_s: float) -> None:
-        """Wait for data of the clients, then read all of them."""
+        """Wait for data of the clients, then read from each client that has sent data."""
         ready = [key.fileobj for key, _ in self._selector.select(patience_s)]
         for fileobj in ready:
             if fileobj is self._listener:

@@ -163,7 +163,7 @@ def never_began(flight: Judged, judged_from: str) -> Verdict:
 def judged_until(flight: Judged, t_s: Floats, d_m: Floats) -> int:
     """Return the index of the first state whose h does not count, after an abort or after leaving the pad.
 
-    A vehicle that lands beside the robot ends below its pad, where h < 0 by geometry. The first state beyond
+    A vehicle that lands beside the robot ends below the pad, where h < 0 by geometry. The first state beyond
     the clearance distance still counts, with the physics steps before it. Without the configuration the
     clearance distance is unknown, and all states count.
     """

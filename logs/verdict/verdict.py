@@ -5,7 +5,8 @@ states, not the controller's estimate:
 
 * landed: the first contact is with the pad, within its radius, and the vehicle rests on the pad 2 s after the
   motors have stopped, even while the target drives;
-* crashed: contact before touchdown with ground, robot body or pad edge, or a tumble;
+* crashed: a tumble, a first contact that is not with the pad within its radius, or a later contact with
+  ground, robot body or another vehicle;
 * aborted: the phase machine ended the landing by itself and reported it (phase ABORT);
 * timeout: all other cases, also a miss without a declared abort and a log that ends too early;
 * unknown: as timeout, but the recorder lost records of the vehicle or of its onboard process;

@@ -138,7 +138,7 @@ class Table:
     rule: tuple[Rule, ...]
 
     def asked(self, profile: str, release: str) -> tuple[Asked, ...]:
-        """Return the parameters of one of the table's releases for one of its profiles."""
+        """Return the parameters that a release, known to this table, has for a profile of this table."""
         rules = [rule for rule in self.rule if not rule.profiles or profile in rule.profiles]
         names = [(rule.means, name.name) for rule in rules for name in rule.names]
         return tuple(

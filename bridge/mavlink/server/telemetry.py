@@ -160,7 +160,7 @@ class _Stream(Generic[V]):
     passed_s: float = -_OFF  # time when the message was last sent, s; it is sent at most once per tick
 
     def passes(self, now_s: float, limit_s: float) -> bool:
-        """Whether the message is due before ``limit_s``; if so, the due time becomes one interval later."""
+        """Whether the message is due until ``limit_s``; if so, the due time becomes one interval later."""
         if self.due_s > limit_s or now_s == self.passed_s:
             return False
         self.passed_s = now_s

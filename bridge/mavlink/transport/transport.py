@@ -215,7 +215,7 @@ class ByteStream:
             while self._outgoing and (written := self._channel.write(self._outgoing)):
                 del self._outgoing[:written]
                 self._counters["bytes_out"] += written
-        except BlockingIOError:  # no room
+        except BlockingIOError:  # the kernel's buffer has no room
             pass
         except OSError as error:
             self._lose(error)
