@@ -13,7 +13,7 @@ from rich.segment import Segment
 from flightstack.common import hangup
 from flightstack.common.text import plain
 
-_REFRESH_S = 0.1  # shortest wall time between two updates of a progress bar, s
+_REFRESH_S = 0.1  # minimum wall time between two updates of a progress bar, s
 
 
 class Terminal(Console):

@@ -97,7 +97,7 @@ class VelocityCommand(Situation):
         return lower, upper
 
     def least_z_m_s(self, target_m_s: Vec3) -> float:
-        """Return the lowest vertical velocity that a set-point is allowed to cause, m/s.
+        """Return the minimum vertical velocity that a set-point is allowed to cause, m/s.
 
         Each set-point can be the last one: if this process ends near the pad, only the pad stops the vehicle.
         """

@@ -26,7 +26,7 @@ from flightstack.core.numeric import rare
 
 FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators can run 3 % slow
 HOLDS_S = 1.0  # time in which at least one message is assumed to have a short delay, s
-FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the fastest slew of a Linux clock
+FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the maximum slew of a Linux clock
 ELAPSED_MAX_S = 1.0  # maximum part of a pause between messages in which a minimum rises, s
 FLOOR_MAX_S = 0.2  # limit of the difference between fast and slow minimum, s; clock drift would exceed it
 GRAIN_S = 1e-6  # tolerance for Unix times as doubles, s; their rounding error is 2.4e-7 s

@@ -86,7 +86,7 @@ class Reserve:
 
     @property
     def start_voltage_v(self) -> float:
-        """Lowest voltage in flight at which the start of a landing is allowed, V."""
+        """Minimum voltage in flight at which the start of a landing is allowed, V."""
         return self.lowest_voltage_v + self.start_margin_v
 
 

@@ -95,7 +95,7 @@ class OwnStateLink:
 class TargetLink:
     """Motion of the target, and delay and noise of its odometry."""
 
-    delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
+    delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # minimum age of a sample on arrival
     position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation of a position, per axis
     velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02  # standard deviation of a velocity, per axis
     # density of the jerk; with 0.6 the acceleration changes by about 0.5 m/s^2 in 1 s

@@ -279,7 +279,7 @@ class Filter:
             wanted_m_s: commanded velocity of this tick.
             velocity_m_s: velocity of the vehicle.
             d_m: horizontal distance from the landing spot; NaN: unknown.
-            least_z_m_s: lowest allowed vertical velocity of the vehicle if the set-point is the last one.
+            least_z_m_s: minimum allowed vertical velocity of the vehicle if the set-point is the last one.
         """
         return wanted_m_s
 

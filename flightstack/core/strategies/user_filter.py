@@ -37,8 +37,8 @@ class At(NamedTuple):
         gradient: gradient of the barrier with respect to the vehicle's position.
         dh_dt_m_s: partial time derivative of the barrier due to the target's motion, m/s.
         rate_1_s: maximum allowed decay rate of h, 1/s.
-        lower_m_s: lowest allowed velocity command in this tick, by velocity and slew limits, m/s.
-        upper_m_s: highest allowed velocity command in this tick, by the same limits, m/s.
+        lower_m_s: minimum allowed velocity command in this tick, by velocity and slew limits, m/s.
+        upper_m_s: maximum allowed velocity command in this tick, by the same limits, m/s.
         permitted: function that limits a velocity to the assumptions of the barrier's margin; it raises
         ValueError as ``enforced`` does.
     """
@@ -116,8 +116,8 @@ class Exchange:
     h_m: float = math.nan  # value of the active barrier, m
     gradient: Vec3 = ZERO  # gradient of the active barrier with respect to position
     dh_dt_m_s: float = math.nan  # partial time derivative of the active barrier, m/s
-    lower_m_s: Vec3 = ZERO  # lowest velocity within velocity and slew limits, m/s
-    upper_m_s: Vec3 = ZERO  # highest velocity within velocity and slew limits, m/s
+    lower_m_s: Vec3 = ZERO  # minimum velocity within velocity and slew limits, m/s
+    upper_m_s: Vec3 = ZERO  # maximum velocity within velocity and slew limits, m/s
     chosen: Vec3 = ZERO  # answer: velocity that the agent or the user's filter chooses, m/s ENU
 
 
