@@ -205,7 +205,7 @@ class Signer:
                 save_state(self._path, self._snapshot())
 
     def _snapshot(self) -> SigningState:
-        """Return the state without streams older than a minute: their frames would be rejected as stale."""
+        """Return the state without streams older than a minute: replays of them are rejected as stale."""
         oldest = self.now() - STALE_TICKS
         rows = [(*ids, stamp) for ids, stamp in self._streams.items() if stamp >= oldest]
         return SigningState(self.now(), self._sent, rows)

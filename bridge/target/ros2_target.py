@@ -226,7 +226,7 @@ class TargetSource:
         self.refused = 0  # number of samples rejected here: unreadable, or of another type or frame
 
     def poll(self) -> list[RawSample]:
-        """Return all samples that have arrived, oldest first, as odometry; never blocks."""
+        """Return the usable samples that have arrived, oldest first, as odometry; never blocks."""
         taken: list[RawSample] = []
         for sample in zenoh_link.drain(self._subscriber):
             raw = raw_sample(sample)
@@ -252,7 +252,7 @@ class TargetSource:
         """Return the odometry made from a message; None: none yet, or the message needs no conversion."""
         if self._spec.type is not TargetType.ODOMETRY:
             return self._followed(self._spec.pose(payload))
-        # Rejected samples are returned, too: the controller counts them, and the log stores them unchanged.
+        # Samples with a wrong frame are returned, too: the controller counts them, and the log stores them.
         if self._until_look == 0:
             self._until_look = LOOK_EVERY
             self._look_at(payload)

@@ -3,8 +3,8 @@
 The socket carries a stream of records, each a fixed header and a payload. The header holds the times and the
 sequence number, so the recorder never parses the payload of a message. A process buffers its records during a
 tick and sends them at the end of the tick. The recorder is a separate process, so a full disk or a slow
-compressor never stops the loop. In real time no call blocks: a record that does not fit into the bounded
-buffer is dropped and counted in the log. In lockstep the simulation waits instead, so no message is lost.
+compressor never stops the loop. In real time only ``close`` waits: a record that does not fit into the
+bounded buffer is dropped and counted in the log. In lockstep the simulation waits, so no message is lost.
 """
 
 from __future__ import annotations
@@ -127,8 +127,8 @@ class Feed:
     def connect(path: str | Path | None, client: str, *, lossless: bool, vehicles: int = 1) -> Feed:
         """Return a feed to the recorder that listens at ``path``; if None, a feed without a recorder.
 
-        A lossless feed waits for the recorder (lockstep); any other feed never blocks (real time). The
-        buffer limit is proportional to the number of vehicles.
+        A lossless feed waits for the recorder (lockstep); any other feed waits only in ``close`` (real time).
+        The buffer limit is proportional to the number of vehicles.
         """
         if path is None:
             return Feed(None, client, lossless=False)

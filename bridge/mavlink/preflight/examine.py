@@ -166,7 +166,7 @@ class Examination:
         self._beat_s = -math.inf
         self._said_s = self._until_s = time.monotonic()
         self._counted: Counter[str] = Counter()
-        self._grown: Counter[str] = Counter()  # newest increments of counters of received data
+        self._grown: Counter[str] = Counter()  # newest increments of the counters, if data arrived
 
     def report(
         self, needs: Needs, accepted: Collection[str], *, wait_s: float, accept_release: bool = False

@@ -106,7 +106,7 @@ class Parameters:
     def write(
         self, request: Any, sender: Sender, forbidden: str | None, *, armed: bool
     ) -> tuple[list[Message], str | None]:
-        """Handle PARAM_SET; refuse it if ``forbidden`` is a reason. Return replies and reason, or None."""
+        """Handle PARAM_SET; refuse it for the reason ``forbidden``. Return replies, and a reason or None."""
         name, type_, value = request.param_id, request.param_type, request.param_value
         parameter = self.table.get(name)
         if parameter is None:

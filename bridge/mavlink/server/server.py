@@ -173,7 +173,7 @@ class Server(ABC, Generic[V]):
         return [*self._announced(snapshot, now_s), *self.streams.pass_over(snapshot, heeded)]
 
     def _calm(self, now_s: float) -> Snapshot[V] | None:
-        """Return the vehicle's state if HEARTBEAT and SYS_STATUS need not be sent immediately; else None."""
+        """Return the vehicle's state; None: unknown, or texts, parameters or a change must be sent now."""
         snapshot, texts = self.snapshot(now_s), self.vehicle.texts.waiting or self._texts_to_log
         if snapshot is None or texts or self.parameters.left_to_list:
             return None

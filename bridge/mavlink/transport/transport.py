@@ -144,7 +144,7 @@ class ByteStream:
         self._outgoing_max = _bytes_in(_QUEUE_S, number) if self.baud else _OUTGOING_MAX
         self._peer, self._counters, self._notices = address, counters, notices
         self._channel: Channel | None = None
-        self._was_up = self._told = False  # whether a connection ever existed; whether its loss is reported
+        self._was_up = self._told = False  # whether a connection ever existed; whether a loss is reported
         self._lost_s = self._retry_s = time.monotonic()
         self._outgoing = bytearray()  # pending frames; a part of the first frame may have been sent
         self._nothing = socket.socketpair()  # descriptors that are never readable
