@@ -21,7 +21,7 @@ def px4_place() -> Path | None:
     named = os.environ.get(PX4_PLACE)
     if named:
         return Path(named)
-    beside = [up / "shared" / "px4" for up in ROOT.parents]  # in any folder above the checkout
+    beside = [up / "shared" / "px4" for up in ROOT.parents]  # shared/px4 in any folder above the checkout
     return next((place for place in beside if (place / "px4").is_file()), None)
 
 

@@ -29,7 +29,7 @@ from sim.runners.landing import Landing
 
 ERROR = "error"  # outcome of a landing that could not be simulated to the end
 _OUTCOMES = frozenset({ERROR, *(outcome.value for outcome in Outcome)})
-CELL_M = 0.1  # width and height of a cell of the map of h, m
+CELL_M = 0.1  # width and height of a cell in the map of h, m
 E_Z_LOW_M = -0.3  # lower edge of the lowest cells of the map, m; these cells include all lower values
 D_CELLS, E_Z_CELLS = 30, 30  # numbers of cells of the map; the last cells include all larger values
 # columns with the duration of a phase

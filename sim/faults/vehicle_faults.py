@@ -127,7 +127,7 @@ class Faults(ScheduledFaults):
 
     @property
     def next_ns(self) -> int:
-        """Time of the next start or end of a fault, release of a delayed sample, or sampled estimate, ns."""
+        """Time, ns, of the next event: start or end of a fault, release of a sample, or sampled estimate."""
         return min(self.change_ns, self.mocap.release_ns, self.own_state.due_ns)
 
     def fail(self, faults: Iterable[Fault], now_ns: int) -> None:

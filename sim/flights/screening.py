@@ -7,8 +7,7 @@ offset of the two clocks. Over radio this offset may drift by a tenth of a secon
 
 Each check of the screening marks samples. A marked sample also excludes ``MARGIN_S`` on both sides, because
 loggers interpolate over damaged values. A piece must last at least ``PIECE_MIN_S`` in the air. A flight with
-more damage than ``DAMAGED_MAX`` is excluded, because its estimator or link must have failed before a check
-detected the failure.
+more damage than ``DAMAGED_MAX`` is excluded: estimator or link must have failed before a check detected it.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ SEA_LEVEL_HPA, SEA_LEVEL_K, LAPSE_K_M, EXPONENT = 1013.25, 288.15, 0.0065, 5.255
 ZERO_CELSIUS_K = 273.15
 BARO_NOISE_HPA = 0.012  # rms noise: 1.2 Pa, Bosch BMP388 data sheet
 
-# assumed standard deviations of a receiver with base station (RTK fix), which a pad of 0.1 m requires, m
+# assumed standard deviations of an RTK receiver, m; a pad of 0.1 m requires such a receiver
 GPS_NOISE_M = (0.010, 0.010, 0.020)
 GPS_NOISE_M_S = (0.03, 0.03, 0.05)
 

@@ -97,7 +97,7 @@ def free_instance() -> int:
 
 def _instance_runs(number: int) -> bool:
     """Whether a PX4 with this instance number runs and holds its lock file."""
-    lock = Path(f"/tmp/px4_lock-{number}")  # from PX4 platforms/posix/src/px4/common/main.cpp
+    lock = Path(f"/tmp/px4_lock-{number}")  # path as in PX4 platforms/posix/src/px4/common/main.cpp
     if not lock.exists():
         return False
     with contextlib.suppress(OSError), lock.open("r+") as file:

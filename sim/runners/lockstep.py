@@ -32,8 +32,8 @@ _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 
 
-# Function of the number of a tick that all vehicles have flown, and of the companions' messages. It returns
-# the messages that each companion receives with the next tick.
+# function that receives the number of a tick that all vehicles have flown, and the companions' messages; it
+# returns the messages that each companion receives with the next tick
 Exchange = Callable[[int, Sequence[Any]], Sequence[Any]]
 
 
@@ -226,7 +226,7 @@ def fly_in_lockstep(
         vehicle.begin()
     tick = 0
     while tick != ticks and not ended():
-        if all(each.rests for each in vehicles):  # in real time, because a silent companion may return
+        if all(each.rests for each in vehicles):  # wait in real time: a silent companion may return
             time.sleep(vehicles[0].grid.period_s)
         flown = batch(tick) if batch is not None else 0
         if not flown:

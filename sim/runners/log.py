@@ -1,4 +1,4 @@
-"""Log entries of the simulator: events, true states of the vehicle and of the deck.
+"""Log entries of the simulator: events, and true states of vehicle and deck.
 
 A landing in one process has no log: ``Notes`` records its steps, true states and events. Their content equals
 the log of the same flight with separate processes, so that one judge reads both.

@@ -158,7 +158,7 @@ class Robot:
                     self._driving, now = True, self.tick + 1
                     self._say(now, Severity.INFO, f"the robot drives from tick {now} on")
             elif goes_at > NO_GO:
-                end = min(end, goes_at - 1)  # at tick ``goes_at`` faults after the landing's start begin
+                end = min(end, goes_at - 1)  # faults after the landing's start begin at ``goes_at``
             self._keep(self.run(end - self.tick, self._driving))
 
     def _keep(self, new: Ticks) -> None:

@@ -160,7 +160,7 @@ def decided(
     if not abs(2.0 * (attitude[0] * attitude[2] - attitude[3] * attitude[1])) < _POLE:
         raise NotOrdinary
     source_s, yaw_rad = round(now_s * 1000) * 1e-3, _yaw_enu(narrow(_euler(attitude)[2]))
-    kernel.track.memory.settled = True  # as ``step`` sets it from the take-off on
+    kernel.track.memory.settled = True  # ``step`` also sets this flag from the take-off on
     for row in samples:
         take(kernel, row, now_s)
     own = OwnState(now_s, source_s, position, velocity, yaw_rad)

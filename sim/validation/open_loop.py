@@ -313,10 +313,7 @@ def compare(flight: Screened, params: Params) -> OpenLoop | None:
 
 
 def _errors(found: F64, piece: Piece, after: I64, misaligned: scipy.spatial.transform.Rotation) -> F64:
-    """Return the errors (m, h, 3) of predicted states (m, h, 10) in position, velocity and attitude.
-
-    m: starts, h: horizons; the reference is the recorded flight.
-    """
+    """Return errors (m starts, h horizons, 3) against the flight: position, velocity, attitude."""
     position = np.linalg.norm(found[..., :3] - piece.position[after], axis=-1)
     velocity = np.linalg.norm(found[..., 3:6] - piece.velocity[after], axis=-1)
     angle = np.empty_like(position)

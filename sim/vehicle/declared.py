@@ -145,7 +145,7 @@ def _rows(scenario: Scenario) -> list[_Row]:
              room=link_hz - config.envelope.target_rate_hz,
              remedy=f"set onboard.envelope.target_rate_hz to {link_hz:g} or less, or raise odometry.rate_hz"),
     ]  # fmt: skip
-    # errors of a link, table of the configuration, tables of the scenario with noise and with errors
+    # each: errors of a link, table of the configuration, tables of the scenario for noise and for errors
     links = (
         (scenario.odometry.error, "target", "odometry", "odometry.error"),
         (spec.own, "own", "vehicle.mocap", "vehicle.own"),

@@ -176,7 +176,7 @@ class Team:
         ``before``, ``after``: (N, 6) positions (m) and velocities (m/s), ENU; ``flew``: (N,) at both ticks.
         """
         found, seen = (self.least, self.inside, self.overlap_ms), False
-        for one in range(len(self._shapes) - 1):  # no call and no compiled code without a pair
+        for one in range(len(self._shapes) - 1):  # without a pair nothing is called or compiled
             seen |= _follow(before, after, flew, steps, self._shapes, *found, one)
         return bool(seen)
 

@@ -68,7 +68,7 @@ class Bench:
         return said.splitlines()
 
     def connect(self) -> None:
-        self.firmware.packet(b"\x5d\x05", self.now_s)  # as after a connection: deletes the old log blocks
+        self.firmware.packet(b"\x5d\x05", self.now_s)  # deletes old log blocks, as after a connection
         params = {name: f"{p.value:g}" for name, p in self.firmware.params.items()}
         self._take(Connected(self.firmware.protocol, params))
         self._ask_logs()

@@ -222,7 +222,7 @@ def on_px4(
         target = start("target", "--listen", target_at, "--connect", onboard_at, *(clock or paced))
         yield Room(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
-            configured(scenario, folder), folder, FENCE, system_id=instance + 1,  # as PX4 does
+            configured(scenario, folder), folder, FENCE, system_id=instance + 1,  # PX4's rule
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
             speed=1.0 if clocked else speed, clock=folder / "clock" if clocked else None, px4=px4,
         )  # fmt: skip

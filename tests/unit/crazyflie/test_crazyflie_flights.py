@@ -155,7 +155,7 @@ def test_a_take_off_from_a_deck_that_drives_rises_above_its_place_on_the_deck_th
         vx, vy, vz = velocity.velocity_enu_m_s
         if rise_m < CLEAR_M:  # the feet may touch the deck
             assert (vx, vy) == pytest.approx((kept * deck_m_s[0], kept * deck_m_s[1]))
-            vx, vy = deck_m_s if n * period_s < 0.5 else (vx, vy)  # on the deck until 0.5 s
+            vx, vy = deck_m_s if n * period_s < 0.5 else (vx, vy)  # the vehicle is on the deck until 0.5 s
             left = (x, y)
         x, y = x + period_s * vx, y + period_s * vy
         rise_m += period_s * vz if n * period_s >= 0.5 else 0.0

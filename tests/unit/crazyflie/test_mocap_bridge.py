@@ -233,7 +233,7 @@ def test_each_autopilot_gets_what_it_wants_once_it_is_heard(autopilot, kind):
         passed = checks.step([sample(at_s)], at_s + 0.004, armed=False)
         return kinds(vehicle.step(passed, at_s + 0.004)), checks.problem(at_s + 0.004)
 
-    assert step(0.0)[0] == ["HEARTBEAT"]  # no poses before the vehicle's heartbeat
+    assert step(0.0)[0] == ["HEARTBEAT"]  # poses are sent only after the vehicle's heartbeat
     vehicle.handle(heartbeat(autopilot), 0.005)
     sent = []
     for i in range(1, 200):
@@ -242,7 +242,7 @@ def test_each_autopilot_gets_what_it_wants_once_it_is_heard(autopilot, kind):
     assert problem is None
     assert sent.count(kind) == pytest.approx(100, abs=3)  # sent at 50 Hz, received at 100 Hz
     assert set(sent) <= {kind, "HEARTBEAT"}
-    assert kind not in step(6.0)[0]  # no heartbeat for 6 s: no poses
+    assert kind not in step(6.0)[0]  # without a heartbeat for 6 s no poses are sent
 
 
 def test_only_an_autopilot_that_needs_one_gets_an_origin_until_it_shows_it():

@@ -60,7 +60,7 @@ def test_missed_deadlines_are_counted_and_not_made_up_for():
     pacer.wait()
     clock.now += 0.0351
     late = pacer.wait()
-    assert pacer.overruns == 2  # after the missed deadline, two more have passed
+    assert pacer.overruns == 2  # after the missed deadline, two more deadlines have passed
     assert late.lateness_s == pytest.approx(0.0251, abs=1e-6)
     following = pacer.wait()
     assert following.now_s == pytest.approx(0.04, abs=1e-6)

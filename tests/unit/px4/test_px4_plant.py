@@ -58,9 +58,9 @@ def test_equals_the_vehicle_of_the_simulator_bit_by_bit_when_it_gets_the_same_ro
 @pytest.mark.parametrize(
     ("more", "axis", "sign"),
     [
-        ((1, 2), 0, +1),  # both left motors: right side down
+        ((1, 2), 0, +1),  # both left motors: the right side moves down
         ((0, 3), 0, -1),
-        ((0, 2), 1, -1),  # both front motors: nose up, a negative rotation about the left axis
+        ((0, 2), 1, -1),  # both front motors: the nose moves up, a negative rotation about the left axis
         ((1, 3), 1, +1),
         ((0, 1), 2, -1),  # both counter-clockwise motors: the body turns clockwise
         ((2, 3), 2, +1),

@@ -258,4 +258,4 @@ def test_a_neighbour_in_the_way_stops_each_phase_but_the_touchdown(phase, keys, 
     # the approach may use half of the speed that the decay rate of h allows, because positions may be wrong
     assert sum(a * w for a, w in zip(there, way, strict=True)) <= 0.02
     assert flown(phase, keys, place, [beside(place, way, 2.9)]) == alone  # the other vehicle is out of reach
-    assert math.dist(flown(phase, keys, place, [beside(place, way, 1.5)]), alone) < 1e-6  # in reach
+    assert math.dist(flown(phase, keys, place, [beside(place, way, 1.5)]), alone) < 1e-6  # within reach

@@ -99,7 +99,7 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
         assert found.velocity[:2] == pytest.approx(
             [v - gain * x for v, x in zip(MOVING[:2], e[:2], strict=True)]
         )
-        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # there the height is increased by the peak's
+        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # wait height plus the peak's height
         above = e[2] - r.wait_height_m - (BARRIER.peak_height_m if far else 0.0)
         rising = found.velocity[2] - MOVING[2]
         if above > 0.0:

@@ -55,7 +55,7 @@ def test_a_path_that_delivers_all_once_more_and_later_says_nothing_new(late_s):
             said.append(senders.admits(decode(path.pop(0)[1]), HERE, now_s, armed=k > 300))
     assert said
     assert not any(said)
-    assert senders.ignored == 0  # no frame counts as one of another sender
+    assert senders.ignored == 0  # no frame counts as a frame of another sender
 
 
 def test_a_sender_that_numbers_all_its_frames_alike_is_heard():

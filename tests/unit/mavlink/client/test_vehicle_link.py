@@ -162,7 +162,7 @@ def test_a_vehicle_that_restarts_while_it_is_waited_for_is_asked_and_told_anew(v
     assert auto.state.own.arrival_s == 30.1
     assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in tick(31.5, beat))
     auto.take_texts()
-    again = tick(40.0, beat)  # after a silence, as after a restart
+    again = tick(40.0, beat)  # a heartbeat after a silence, as after a restart
     assert asked(again) == {1.0, 30.0, 32.0, 245.0}
     assert any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in again)
     assert [text for _, text in auto.take_texts()] == [
