@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -26,13 +27,14 @@ _Round = Callable[[Message], None]
 
 def _rounding(cls: Any) -> _Round | None:
     """Return a function that rounds the fields of a message; None: the message must be packed."""
-    if any(cls.array_lengths) or "char" in cls.fieldtypes:
-        return None
     names, wire = cls.ordered_fieldnames, cls.unpacker
+    if any(cls.array_lengths) or "char" in cls.fieldtypes or len(names) < 2:
+        return None
+    read, pack, unpack = itemgetter(*names), wire.pack, wire.unpack
 
     def rounded(message: Message) -> None:
         fields: dict[str, Any] = message.__dict__
-        fields.update(zip(names, wire.unpack(wire.pack(*[fields[name] for name in names])), strict=True))
+        fields.update(zip(names, unpack(pack(*read(fields))), strict=True))
 
     return rounded
 
