@@ -137,5 +137,5 @@ STREAMS: StreamTable[Flight] = {
     dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: (_position_target_local_ned, 2.0),
     dialect.MAVLINK_MSG_ID_ALTITUDE: (_altitude, 1.0),
     dialect.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 0.5),
-    dialect.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 5.0),  # PX4's onboard link: 30 Hz, but packing is slow
+    dialect.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 5.0),  # PX4's onboard link has 30 Hz; packing is slow here
 }

@@ -42,7 +42,7 @@ def count(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def kinds(row: Row) -> list[str]:
-    """Return the names under which a progress bar counts a landing: outcome, and ``violations`` if any."""
+    """Return the names under which a progress bar counts a landing: outcome, ``violations`` if violated."""
     return [row.outcome, *(["violations"] if row.violation else [])]
 
 

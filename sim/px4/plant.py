@@ -2,10 +2,9 @@
 
 World, rotors, battery, wind, ground effect and deck use the functions of ``VehicleSim`` in steps of 1 ms; PX4
 replaces the firmware. The result depends only on scenario, seed and commands. Messages use NED for the world
-and FRD for the body. The IMU is
-read every 4 ms (250 Hz, IMU_INTEG_RATE of px4-rc.simulator). A reading has the mean acceleration since the
-last reading and the current rates, both unfiltered, because PX4 filters them. The messages follow the PX4
-docs (Simulator MAVLink API) and SimulatorMavlink.cpp.
+and FRD for the body. The IMU is read every 4 ms (250 Hz, IMU_INTEG_RATE of px4-rc.simulator). A reading has
+the mean acceleration since the last reading and the current rates, both unfiltered, because PX4 filters them.
+The messages follow the PX4 docs (Simulator MAVLink API) and SimulatorMavlink.cpp.
 """
 
 from __future__ import annotations

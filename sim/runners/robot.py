@@ -77,8 +77,8 @@ class Ticks(NamedTuple):
 class Robot:
     """A robot that computes its motion some ticks ahead, and may wait for the start of the landing.
 
-    The number of future ticks is limited, so that the robot learns in time when to start driving. A tick in a
-    batch takes a fifth of the time of a single tick.
+    The number of future ticks is limited, so that the start of driving is known in time. A tick in a batch
+    takes a fifth of the time of a single tick.
     """
 
     payload = b""  # message with the true pose at the newest tick; empty if the robot is not published
@@ -158,7 +158,7 @@ class Robot:
                     self._driving, now = True, self.tick + 1
                     self._say(now, Severity.INFO, f"the robot drives from tick {now} on")
             elif goes_at > NO_GO:
-                end = min(end, goes_at - 1)  # faults after the landing's start begin at ``goes_at``
+                end = min(end, goes_at - 1)  # faults relative to the landing's start are scheduled there
             self._keep(self.run(end - self.tick, self._driving))
 
     def _keep(self, new: Ticks) -> None:

@@ -7,9 +7,8 @@ three quantities are calibrated from earlier samples:
 - thrust: one factor, with which the plant reproduces the recorded change of velocity in the last
   ``CALIBRATION_S`` seconds;
 - marker misalignment: two angles, from the same change of velocity;
-- torque: an observer follows the gyro and estimates the torque that the plant lacks. In the
-  prediction the slow part of this torque (unequal motors, offset centre of mass) is constant, and the fast
-  part decays.
+- torque: an observer follows the gyro and estimates the torque that the plant lacks. In the prediction the
+  slow part of this torque (unequal motors, offset centre of mass) is constant, and the fast part decays.
 
 The recorded commands contain the controller's reaction to the missing torque, so the missing torque opposes
 the rates that the commands alone would cause. ``ANSWER_1_S`` models this.

@@ -66,7 +66,7 @@ class ContactRecord(Record):
     judging: bool  # whether the next touch of the pad counts as the first touch
     touch_ms: int  # time of the first touch
     touch_e: Vector  # vehicle minus pad centre at the start of the step of the touch, m
-    touch_velocity: Vector  # velocity of the vehicle relative to the pad at the point below, m/s
+    touch_velocity: Vector  # velocity of the vehicle relative to the point of the pad below it, m/s
 
 
 @jitted

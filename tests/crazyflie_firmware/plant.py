@@ -1,4 +1,4 @@
-"""Point-mass vehicle for the firmware model, which follows velocities, falls without motors, and lands."""
+"""Point mass that follows velocities, falls without motors, and lands: vehicle of the firmware model."""
 
 import math
 from collections.abc import Callable

@@ -94,7 +94,7 @@ LOST_S = 10.0  # time-out of PX4's fail-safe, s of wall time; COM_OF_LOSS_T = 1.
 LANDED_MAX_S = 60.0
 RECORDED_MAX_S = 60.0
 ROBOT_M_S = 0.2
-DRIVEN_M = 2.0  # distance that the robot must drive at least during the flights, m
+DRIVEN_M = 2.0  # minimum distance that the robot must drive during the flights, m
 TAKEOFF_M = 1.2
 KILLED_M = 0.2  # height of the kill in the climb, m: PX4 climbs about 0.8 m more until its fail-safe acts
 ERROR_M = 0.25  # maximum allowed touchdown error, m; the pad has a radius of 0.5 m

@@ -71,7 +71,7 @@ def test_after_a_pause_it_goes_on_from_there_and_takes_no_core_from_others() -> 
         child.send_signal(signal.SIGCONT)
         client.until(lambda m: is_a("STATUSTEXT")(m) and re.match(r"Machine paused \d\.\d\d s", m.text))
         after = client.until(is_a("LOCAL_POSITION_NED")).time_boot_ms
-        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # its clock has stopped
+        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # the clock has stopped
         assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
         terminate(child)
 

@@ -1,4 +1,4 @@
-"""Tests the wait above a fast target: the vehicle waits higher, for a limited time, for a slower target."""
+"""Tests the wait above a fast target: at a larger height, for a limited time, until the target is slower."""
 
 import pytest
 
