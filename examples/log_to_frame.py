@@ -21,6 +21,7 @@ if landing.truth is not None:  # the log of a real vehicle contains no true stat
     print(f"lowest true h: {1000.0 * np.nanmin(landing.truth.h_min_m):+.0f} mm")
 
 table = fs.frame(steps)  # DataFrame of pandas or polars; a vector has a column for each axis, e.g. e_m_x
-print("columns:", ", ".join(list(table)[:8]), "...")  # d_m is the horizontal distance
+# the last columns are e_m, the position relative to the landing spot, and d_m, the horizontal distance to it
+print("columns:", ", ".join(list(table)[:8]), "...")
 if len(sys.argv) > 2:
     table.to_csv(sys.argv[2], index=False)  # method of pandas; that of polars is ``write_csv``

@@ -27,7 +27,7 @@ FILTERED = "#0072B2"
 COMMAND = "#009E73"  # bluish green: commanded velocity
 LIMIT = "#666666"
 INK = "#1f2933"
-FLOWN = "#882255"  # wine: velocity that the vehicle really flies
+FLOWN = "#882255"  # wine: velocity of the vehicle; true in the report, estimated in the 3-D view
 AXES = ("x", "y", "z")
 
 _RAN = (

@@ -386,7 +386,7 @@ class Vehicle(Condition, Commander):
         self._command(velocity)
 
     def _fly_offboard(self, now_s: float) -> None:
-        """Send no set-point; report and handle the end of the client's stream."""
+        """Report and handle the end of the client's stream; ``_take`` sends the set-points."""
         silence_s = now_s - self._setpoint_s
         if silence_s > limits.LEVEL_OUT_S and not self._stream_end_said and self._moved:
             self._stream_end_said = True

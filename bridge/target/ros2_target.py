@@ -31,7 +31,7 @@ from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import ZERO, Vec3
 
-TEXTS_MAX = 32  # maximum number of different warnings per flight; the counters continue
+TEXTS_MAX = 32  # maximum number of different warnings per flight; rejected samples are still counted
 OFFSET_MAX_M = 5.0  # maximum offset of the landing spot on an axis, m; a larger offset may have a wrong unit
 LOOK_EVERY = 100  # number of samples after which frames and covariance are checked again
 CAPACITY = 1024  # maximum number of samples between two polls

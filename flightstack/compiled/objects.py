@@ -170,7 +170,7 @@ else:
                 overload_method(made, name, strict=False)(_chooser(STAND_INS.get(one, one)))
 
     def _chooser(function: Any, cls: type | None = None) -> Any:
-        """Return the overload of a method for numba; ``cls``: named tuple whose method it is."""
+        """Return the overload of a method for numba; ``cls``: class that it is limited to; None: no limit."""
 
         @cache
         def copied() -> Any:

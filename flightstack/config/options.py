@@ -11,7 +11,7 @@ from typing import Annotated
 from flightstack.common.options import BadOptionError, Option, declared
 from flightstack.core.parameters.filters import ALLOWED, look_here
 
-# values of bridge.target.ros2_target.TargetType, whose import takes 40 ms; a test compares both
+# values of bridge.target.ros2_target.TargetType (a test checks this), whose module takes 40 ms to import
 TARGET_TYPES = ("odometry", "pose", "pose-covariance")
 CORES = ("auto", "plain", "compiled")
 WATCHED = "tcp/127.0.0.1:7448"  # Zenoh endpoint of the onboard process in README and docs

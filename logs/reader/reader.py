@@ -215,7 +215,7 @@ class LogFile:
         """Return the metadata records by name; records with the same name are merged, the last value wins."""
         found = self.outline.metadata
         seen = {name: found[key] for key, name in self._names(found).items()}
-        if LOSSES in seen:  # only the losses of this member and of shared processes
+        if LOSSES in seen:  # numbers of lost records: keep those of this member and of shared processes
             losses = seen[LOSSES]
             seen[LOSSES] = {name: losses[key] for key, name in self._names(losses, ".").items()}
         return seen

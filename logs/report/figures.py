@@ -198,7 +198,7 @@ def panels(side: Side, axis: Axis) -> list[Panel]:
 
 
 def _drawn(flight: Flight) -> str:
-    """Return the source of the drawn paths."""
+    """Return the text that names the source of the drawn paths."""
     if flight.truth is None:
         return "The vehicle's own estimate; the log holds no true states."
     return "Solid: true states of the simulator. Dashed: the vehicle's own estimate."

@@ -98,7 +98,7 @@ def axis_of(sides: Sequence[Side]) -> Axis:
     began = any(side.flight.landing_start_s is not None for side in sides)
     whole = [min(s.offset_s for s in sides), max(s.flight.duration_s + s.offset_s for s in sides)]
     landing = whole
-    if began:  # the range is the landings, with some seconds before and after them
+    if began:  # the range covers all landings, and some seconds before the first and after the last
         landing = [max(-BEFORE_S, whole[0]), max(map(_landing_end_s, sides))]
     return Axis(f"time since the {'first landing' if began else 'log'} began [s]", landing, whole, landing)
 

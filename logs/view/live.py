@@ -96,7 +96,7 @@ class LiveRecording:
 
     def _start(self, *words: str) -> str:
         """Start Rerun and send the recording there; return the address, which only this machine can reach."""
-        port = Port()  # a free local port; the default of Rerun is a fixed port on every network
+        port = Port()  # a free local port; by default Rerun uses a fixed port on all network interfaces
         program = [
             viewer_program(), "--bind", "127.0.0.1", "--port", str(port.number), *words,
             "--memory-limit", MEMORY_LIMIT, "--server-memory-limit", MEMORY_LIMIT, "--expect-data-soon",

@@ -112,7 +112,10 @@ def set_up_map(m: MapRecord, rotor: Rotor, battery: Battery) -> MapRecord:
 
 
 def counts_per_n(params: Params, thrust_n: float, battery_v: float | None = None) -> float:
-    """Return counts per newton of four nominal motors near hover; ``battery_v`` None: half-empty battery."""
+    """Return the thrust-command counts per newton of total thrust, for four nominal motors near hover.
+
+    ``battery_v``: battery voltage, V; None: that of a half-empty battery.
+    """
     rotor, battery = params.rotor, params.battery
     if rotor.volt_map is None:
         return COUNTS_MAX / (4.0 * rotor.thrust_max_n)

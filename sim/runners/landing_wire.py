@@ -26,7 +26,7 @@ _Round = Callable[[Message], None]
 
 
 def _rounding(cls: Any) -> _Round | None:
-    """Return a function that rounds the fields of a message; None: the message must be packed."""
+    """Return a function that rounds the fields of a message; None: pack and decode the whole message."""
     names, wire = cls.ordered_fieldnames, cls.unpacker
     if any(cls.array_lengths) or "char" in cls.fieldtypes or len(names) < 2:
         return None

@@ -3,7 +3,8 @@
 Keys under the namespace of each robot (``cf1`` by default):
 
 - ``target/odom``: measured odometry, as from a tracker, ``nav_msgs/msg/Odometry`` in CDR.
-- ``sim/target/ticks``, ``sim/credit`` (read): in lockstep, see docs/how_it_works/lockstep.md.
+- ``sim/target/ticks``: in lockstep, the number of samples up to each tick (docs/how_it_works/lockstep.md).
+- ``sim/credit`` (read): in lockstep, tick of the onboard process, and tick from which the robot may drive.
 - ``sim/target/truth``: in real time, true pose and twist for a vehicle that another process simulates.
 - ``controller/step`` (read): in real time, the mission phase, which shows the start of the landing.
 """

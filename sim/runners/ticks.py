@@ -184,11 +184,11 @@ def fly_ticks(
     """Fly ticks until all are done or Python is needed.
 
     ``watches``: state of the autopilot's ``Watches``; ``kernel``: the controller, whose state is changed in
-    place; ``state``: memory of the controller's state; ``spare``: receives the state before the newest tick;
-    ``decks``: (n, 8) for each tick: position, yaw, velocity, yaw rate of the pad; ``samples``: (m, 9) target
-    samples: time stamp, position, velocity, yaw, yaw rate; ``come``: (n,) number of samples that arrive up to
-    each tick; ``truths``: (n, TRUTH), receives true states; ``ages``: (n,), receives ages of the target
-    state, s.
+    place; ``state``: memory of the controller's state; ``spare``: buffer that receives the state before
+    the newest tick; ``decks``: (n, 8) for each tick: position, yaw, velocity, yaw rate of the pad;
+    ``samples``: (m, 9) target samples: time stamp, position, velocity, yaw, yaw rate; ``come``: (n,) number
+    of samples that arrive up to each tick; ``truths``: (n, TRUTH), receives true states; ``ages``: (n,),
+    receives ages of the target state, s.
 
     Returns how the call ended: ``END``, ``BEFORE`` or ``MIDDLE``.
     Raises NotOrdinary: Python has to run the next tick, with the state in ``spare``.

@@ -25,7 +25,7 @@ from sim.scenarios.tables import Start, StartKind, StateError, TargetSpec, Vehic
 from sim.vehicle.vehicle import VehicleSim
 
 SETTLE_S = 0.2  # time on the floor before the first set-point, s
-AWAY_M = 100.0  # distance of the ground robot to the east, out of reach, m
+AWAY_M = 100.0  # distance of the robot to the east of the vehicle, m; too far to affect the flight
 SATURATED = 1.0 - 1e-6  # duty cycle from which a motor counts as saturated
 KNOWN_S = 8.0  # duration of the first compared samples, s; they identify the airframe
 

@@ -39,7 +39,7 @@ def analyse(step_s: float, traces: Sequence[tuple[Floats, Floats, Floats]]) -> E
     """Return the error of an estimate of position (m) or velocity (m/s) in segments of one flight.
 
     ``traces``: for each segment, true and estimated values (n, 3) at the same times, ``step_s`` apart and
-    without gaps, and the true horizontal speed (n,), m/s. A segment is longer than the range ``DELAY_S``.
+    without gaps, and the true horizontal speed (n,), m/s. A segment must be longer than ``DELAY_S`` is wide.
     """
     # Both ends are cut off, because the delayed truth lies outside the segment at its ends.
     inner = slice(math.ceil(DELAY_S[1] / step_s), math.floor(DELAY_S[0] / step_s))

@@ -22,7 +22,7 @@ MS_MAX = 50  # maximum step, ms; during the rest of a longer pause simulated tim
 
 
 def take_pose(vehicle, position, quaternion):
-    """Correct the estimate with an external pose, also in roll and pitch, unlike motion capture."""
+    """Correct the estimate with an external pose: position, yaw, roll and pitch."""
     estimator = vehicle.record.firmware.estimator
     correct(estimator, *position, yaw_from_quaternion(quaternion))
     correct_tilt(estimator, np.array(quaternion))

@@ -104,7 +104,7 @@ class Room:
 
 
 def configured(scenario: Scenario, folder: Path) -> Path:
-    """Write a scenario's onboard configuration with a short CLIMB: a lost target does not return here."""
+    """Write a scenario's onboard configuration with a short CLIMB; no lost target comes back in a flight."""
     checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # wait for a lost target, s
     side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     file = folder / "onboard.toml"

@@ -80,7 +80,7 @@ Table = Mapping[int, Entry]
 
 
 def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
-    """Convert a COMMAND_LONG or COMMAND_INT into one form; None if a value is infinite or too large."""
+    """Convert a COMMAND_LONG or COMMAND_INT into a ``Command``; None: a value is infinite or too large."""
     m = message
     if m.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_INT:
         if m.x == m.y == _INT_NAN:

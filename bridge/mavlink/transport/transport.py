@@ -245,7 +245,7 @@ def _bytes_in(time_s: float, baud: int) -> int:
     return max(_FRAME_MAX, round(baud / _BITS_PER_BYTE * time_s))
 
 
-# Channels have a non-blocking descriptor; their methods raise OSError when the connection is lost.
+# The channels below use a non-blocking descriptor; their methods raise OSError if the connection is lost.
 
 
 class _SerialChannel:

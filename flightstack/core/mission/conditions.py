@@ -125,7 +125,7 @@ def _landing_distance_m(s: Situation, own: OwnState, away_m: tuple[float, float]
 
 
 def condition_flags(s: Situation, snapshot: Snapshot, command_failed: bool, now_s: float) -> int:
-    """Return the flags of this tick; the timers of ``memory`` must be up to date, and do not change."""
+    """Return the flags of this tick and change nothing; the timers of ``memory`` must be up to date."""
     config, memory, phase = s.config, s.memory, s.memory.phase
     inputs, own, permissions = snapshot.inputs, snapshot.inputs.own, snapshot.permissions
     status, good = inputs.status or _NO_STATUS, snapshot.good

@@ -100,7 +100,7 @@ def greet(a, b):
 
 @pytest.fixture
 def stranger(sessions):
-    """Publishes arbitrary data under the key of vehicle 7."""
+    """Yield a function that publishes arbitrary data on the fleet status key of a foreign namespace."""
     publisher = zenoh_link.blocking_publisher(sessions[1], "somewhere/else/fleet/status")
     wait_for(lambda: zenoh_link.is_matched(publisher))
     yield publisher.put

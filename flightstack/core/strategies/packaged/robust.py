@@ -156,7 +156,7 @@ class RobustFilter(Filter):
         return math.sqrt(2.0 * BRAKING * self.acceleration_max_m_s2[2] * max(0.0, left_m))
 
     def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
-        """Return the velocity to a place low above the pad's centre, where the vehicle waits to descend."""
+        """Return the velocity towards the waiting point, which is low above the pad's centre, m/s ENU."""
         robust, t, e, slip = self._config.robust, at.target.velocity_enu_m_s, at.e_m, at.slip_m_s
         if self._tracking.late_ticks:
             e, slip = self._then(at)

@@ -163,7 +163,7 @@ def test_without_a_place_for_all_the_neighbours_share_the_slack_evenly():
 def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
     firm, soft, box = Row((0.0, 0.0, 1.0), 2.0), Row((1.0, 0.0, 0.0), 2.0), ((-1.0,) * 3, (1.0,) * 3)
     assert least_slack([firm], [soft], *box)[0] == math.inf
-    # if rounding makes the firm constraint seem infeasible, the result is the corner that raises h fastest
+    # if rounding makes the firm row seem infeasible, the result is the box corner where h grows fastest
     monkeypatch.setattr(program_module, "least_slack", lambda *_: (math.inf, (0.0, 0.0, 0.0)))
     found = PROGRAM.solve((0.0, 0.0, 0.0), [Row((0.0, 0.0, 1.0), 0.5)], [soft], *box)
     assert found.filter.velocity_enu_m_s[2] == 1.0

@@ -1,4 +1,4 @@
-"""A second-order velocity loop that replaces the vehicle; it flies references or follows a target."""
+"""A second-order velocity loop that replaces the vehicle, and flights along references or to a target."""
 
 import numpy as np
 from scipy.linalg import expm
