@@ -71,6 +71,10 @@ class Batches:
     ) -> None:  # fmt: skip
         grid, strategy = node.grid, controller.strategy
         self._controller, self._link, self._ticks, self._target = controller, ticks.link, ticks, target
+        # ids of the messages that the companion uses, and of those that do not only repeat known values; both
+        # sets depend on the autopilot's profile, which is known from the start
+        self._heeded = ticks.link.heeded
+        self._news = self._heeded - ticks.link.state.repeated
         self._node, self._notes, self._grid = node, notes, grid
         self._strategy, self._reserve = strategy, controller.reserve
         self._batch = batch = new(BatchRecord)
@@ -144,8 +148,7 @@ class Batches:
         until_s = self._link.silent_until_s(request) - _SOON_S
         if not now_s < until_s or not self._node.undisturbed:
             return None
-        new = self._link.heeded - self._link.state.repeated
-        until_s = min(until_s, self._node.autopilot.silent_until_s(now_s, new) - _SOON_S)
+        until_s = min(until_s, self._node.autopilot.silent_until_s(now_s, self._news) - _SOON_S)
         return until_s if now_s < until_s else None
 
     def _speak(self, tick: int) -> bool:
@@ -157,7 +160,7 @@ class Batches:
         node, now_s = self._node, self._grid.ns(tick) / 1e9
         if self._controller.memory.phase not in ORDINARY or not self._node.undisturbed:
             return False
-        messages = node.autopilot.brief(now_s, self._link.heeded)
+        messages = node.autopilot.brief(now_s, self._heeded)
         if messages is None:
             return False
         if self._reserve.active:  # an active reserve needs the attitude of this tick

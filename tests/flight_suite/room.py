@@ -46,10 +46,11 @@ _OWN = Limits(
     lost=Lost.LANDS, lost_s=2.0,  # COM_OF_LOSS_T = 0.5 s plus the period of the heartbeat, 1 s
 )  # fmt: skip
 
-# PX4 holds velocity, not position: a force change of 1 N on 1 kg moves PX4 by 1 / MPC_XY_VEL_I_ACC = 2.5 m,
-# half of that within 3 s. A model of PX4's velocity loop flew 1000 times in wind of 0.5 m/s with gusts of 0.2
-# m/s, which push the 1 kg quadrotor by 1 N per m/s (SIH_KDV): 999 flights drift by less than 0.8 m, are
-# slower than 0.23 m/s at zero velocity, and move 0.36 to 0.73 of the step.
+# PX4 holds velocity, not position: a force change of 1 N moves a vehicle of 1 kg by 1 / MPC_XY_VEL_I_ACC =
+# 2.5 m, and by half of this distance within 3 s. A model of PX4's velocity loop flew 1000 times in wind of
+# 0.5 m/s with gusts of 0.2 m/s, which push the 1 kg quadrotor by 1 N per m/s (SIH_KDV). In 999 flights the
+# vehicle drifts by less than 0.8 m, is slower than 0.23 m/s at zero velocity, and moves 0.36 to 0.73 of the
+# step.
 _PX4 = Limits(
     settle_s=5.0, still_m_s=0.3, drift_m=1.0,
     step_m_s=0.5, step_s=3.0, moved_share=(0.25, 1.0),

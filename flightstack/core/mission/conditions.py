@@ -287,7 +287,10 @@ def check_fails(s: Situation, at: Relative, now_s: float, over_pad: bool, permit
 
 
 def _sets_off(s: Situation, at: Relative, now_s: float) -> bool:
-    """Whether a slow target has become fast, a retry is left, and h is large enough for a climb."""
+    """Whether a slow target has become fast, a retry is left, and h is large enough for a climb.
+
+    Without a retry the vehicle continues its descent, because a go-around would be an abort.
+    """
     if (
         s.memory.retries >= s.config.checks.retries_max
         or s.config.barrier.h(at.e_m) < s.config.retreat.h_left_m
